@@ -70,9 +70,6 @@ def test_a_run_says_later_what_it_was_to_branch(fakes: Fakes, judged_spec: Path,
     assert {(cell.method, cell.operator) for cell, _ in recorded.branched} == {
         (method, operator) for method in ("ida", "wasp") for operator in ("noisy", "laggy")
     }
-    plan = layout.run(recorded.run_id) / "plan.json"
-    plan.write_text(plan.read_text(encoding="utf-8").replace('"branched"', '"unknown"'), encoding="utf-8")
-    assert read_run(layout, recorded.run_id).branched == []  # a run of an older version
 
 
 def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:

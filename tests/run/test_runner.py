@@ -50,7 +50,7 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes: Fakes, small
     result = summary.failed[0].result
     assert result.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
     assert "Traceback" in Path(result.log).read_text(encoding="utf-8")
-    assert result.log in failures_text(summary.failed)
+    assert result.log in failures_text(summary.failed, {})
     _, layout, plan = prepared(small_spec, results)
     assert {(step.state, step.node.kind) for step in plan.steps if step.state != "cached"} == {
         ("failed", "ida_q"), ("missing", "calibration"), ("missing", "evaluate"),

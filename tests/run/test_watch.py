@@ -179,20 +179,18 @@ def test_a_sweep_is_one_run(layout: Layout) -> None:
 
 
 def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
-    odd: list[Any] = [
-        7,
-        {"key": "../../x", "kind": "expert", "label": "x", "state": "missing"},
-        {"key": key(1)},
-        planned(2, "c", needs=[99]),
-    ]
-    odd.append(planned(3, "d", seconds=float("1e400")) | {"seconds": 10**400, "needs": 5})
-    write_run(layout, "20260501-120000-small-0001", odd, [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})])
+    odd: list[Any] = [7, {**planned(1, "x"), "key": "../../x"}, {"key": key(1)}, {**planned(1, "x"), "needs": 5}]
+    odd.append({**planned(1, "x"), "seconds": 10**400})
+    for number, entry in enumerate(odd):
+        write_run(layout, f"20260501-110000-small-100{number}", [planned(2, "c"), entry], [started()])
+    events = [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})]
+    write_run(layout, "20260501-120000-small-0001", [planned(2, "c", needs=[99]), planned(3, "d")], events)
     folder = layout.run("20260501-120000-small-0001") / "running"
     (folder / "nonsense.json").write_text("{}")
     (folder / f"{key(2)}.json").write_text('{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}')
     state = only(layout)
     assert sorted(planned_runs(layout)[0].nodes) == [key(2), key(3)]
-    assert [(node.label, node.share, node.memory_mb, node.started) for node in state.active] == [(key(2), 0.0, None, None)]
+    assert [(node.label, node.share, node.started) for node in state.active] == [(key(2), 0.0, None)]
 
 
 def test_a_circle_ends(layout: Layout) -> None:

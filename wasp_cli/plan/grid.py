@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName, UsageError
@@ -99,7 +99,7 @@ def together(grids: Sequence[Grid]) -> Grid:
         {key: reused for grid in grids for key, reused in grid.reused.items()},
         tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
         tuple(branched.values()),
-        grids[0].preset if grids else "cpu",
+        grids[0].preset,
     )
 
 
@@ -129,7 +129,6 @@ class _Builder:
         self.calibration = cache(self._calibration)
         self.clone = cache(self._clone)
         self.assisted = cache(self._assisted)
-        self.modules = cache(_modules)
 
     def evaluation(self, cell: Cell) -> Node:
         """Return the node that computes a cell, from the training chain of its seed."""
@@ -209,7 +208,7 @@ class _Builder:
         variant: str = "",
     ) -> Node:
         """A node; `roots` are where its code begins beside its stage and its task, `variant` is that of its method."""
-        modules: tuple[str, ...] = self.modules(kind, task, roots)
+        modules = tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *roots}))
         config = self.config(kind, task)
         named = {**axes, "method_config": self.method_identity(axes["method"], variant, task)} if variant else axes
         identity = {
@@ -227,11 +226,6 @@ class _Builder:
         self.recipes[key] = recipe
         sort = sort_of(kind, task, config, axes)
         return Node(kind, task, seed, axes, config, self.settings(kind), needs, modules, key, f"{task} s{seed} {label}", sort)
-
-
-def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
-    """Where the code of a node begins."""
-    return tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *roots}))
 
 
 def _operator_targets(names: Iterable[str]) -> dict[str, str]:
@@ -275,22 +269,16 @@ FIELDS = ("task", "method", "variant", "operator", "severity", "value", "seed", 
 EXAMPLE = "for example --select 'task=race1,method=wasp' or --select 'stage=world_model'"
 
 
-@dataclass(frozen=True)
-class Condition:
+class Condition(NamedTuple):
     """One `field=value`, several values with `|` between them, or `field!=value`."""
 
     field: str
     values: tuple[str, ...]
-    excluding: bool = False
+    excluding: bool
 
     def holds(self, facts: Mapping[str, str]) -> bool:
         """Return whether a node with these facts is meant; one that has no such field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
-
-
-def read_selectors(texts: Iterable[str]) -> list[tuple[Condition, ...]]:
-    """Read selectors; a node has to meet every condition of one of them."""
-    return [tuple(_condition(part, text) for part in text.split(",")) for text in texts]
 
 
 def _condition(part: str, text: str) -> Condition:
@@ -315,7 +303,8 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
     """
     if not texts:
         return None
-    selectors = read_selectors(texts)
+    # A node has to meet every condition of one of the texts.
+    selectors = [[_condition(part, text) for part in text.split(",")] for text in texts]
     candidates = list(_candidates(grid))
     targets = grid.targets
     for condition in (condition for selector in selectors for condition in selector):
@@ -323,16 +312,16 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
         for value in condition.values:
             if value not in known:
                 raise UnknownName(f"{condition.field} in this spec", value, known)
-    found = frozenset(
+    selected = frozenset(
         key
         for key, facts in candidates
         for selector in selectors
         if (key in targets or any(condition.field == "stage" for condition in selector))
         and all(condition.holds(facts) for condition in selector)
     )
-    if not found:
+    if not selected:
         raise UsageError(f"--select: no node of the spec matches {' or '.join(texts)}", "wasp plan SPEC --all lists them")
-    return found
+    return selected
 
 
 def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:

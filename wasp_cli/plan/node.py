@@ -1,8 +1,8 @@
 """What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and their keys.
 
-A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node is, its resolved configuration, the keys
-of what it reads, the source of what it runs, and the major and minor versions of the libraries that compute. Not in it: the name of the spec
-and of its severities, the order of lists, paths, workers, devices.
+A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node is, its resolved configuration, the
+keys of what it reads, the source of what it runs, and the major and minor versions of the libraries that compute. Not in it: the name of
+the spec and of its severities, the order of lists, paths, workers, devices.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, TypeVar
 
 from wasp_cli.errors import ArtifactError
@@ -76,8 +77,7 @@ class Plan:
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
-        people = {node.key for node in self.by_people()}
-        nodes = [node for node in self.to_run() if node.key not in people]
+        nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         known = {node.key: self.seconds.get(node.sort) for node in nodes}
         total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
         return total, sum(seconds is None for seconds in known.values())
@@ -88,7 +88,9 @@ class Plan:
         before: dict[str, Node | None] = {}
         last: Node | None = None
         for node in self.to_run():
-            previous = max((needed for needed in node.needs.values() if needed.key in ends), key=lambda each: ends[each.key], default=None)
+            previous = max(
+                (needed for needed in node.needs.values() if needed.key in ends), key=lambda needed: ends[needed.key], default=None
+            )
             ends[node.key] = (ends[previous.key] if previous else 0.0) + self.seconds.get(node.sort, 0.0)
             before[node.key] = previous
             if last is None or ends[node.key] > ends[last.key]:
@@ -105,25 +107,24 @@ class Plan:
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
-            "cells": _entries(self.grid.cells),
-            "branched": _entries(self.grid.branched),
-            "parts": _entries(self.grid.parts),
-            "nodes": [self._node_json(step) for step in self.steps],
+            "cells": [{**asdict(cell), "key": node.key} for cell, node in self.grid.cells],
+            "branched": [{**asdict(cell), "key": node.key} for cell, node in self.grid.branched],
+            "parts": [{**asdict(part), "key": node.key} for part, node in self.grid.parts],
+            "nodes": [
+                {
+                    "key": step.node.key,
+                    "kind": step.node.kind,
+                    "label": step.node.label,
+                    "state": step.state,
+                    "reason": step.reason,
+                    "needs": {name: needed.key for name, needed in step.node.needs.items()},
+                    "seconds": self.seconds.get(step.node.sort),
+                }
+                for step in self.steps
+            ],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
             "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
-        }
-
-    def _node_json(self, step: Step) -> dict[str, Any]:
-        node = step.node
-        return {
-            "key": node.key,
-            "kind": node.kind,
-            "label": node.label,
-            "state": step.state,
-            "reason": step.reason,
-            "needs": {name: needed.key for name, needed in node.needs.items()},
-            "seconds": self.seconds.get(node.sort),
         }
 
     def of(self, grid: Grid) -> Plan:
@@ -136,15 +137,14 @@ def make_plan(
     grid: Grid,
     stored: Mapping[str, Container[str]],
     failures: Mapping[str, str],
-    seconds: Mapping[str, float] | None = None,
-    damages: Mapping[str, str] | None = None,
+    seconds: Mapping[str, float] = MappingProxyType({}),
+    damages: Mapping[str, str] = MappingProxyType({}),
     *,
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
     """Give each node its state; `wanted` are keys of what to compute, with what it needs: all targets of the grid by default."""
     targets = grid.targets if wanted is None else wanted
-    damages = damages or {}
     scope, required = set(targets), set(targets)
     steps: list[Step] = []
     for node in reversed(grid.nodes):
@@ -153,13 +153,13 @@ def make_plan(
             scope.update(needed.key for needed in node.needs.values())
         # What is damaged is repaired also where only a finished node has read it: reports show it.
         if step.state != "cached" and node.key not in required and not (node.key in damages and node.key in scope):
-            step = Step(node, "unneeded", _why_not(node, grid, scope))
+            step = Step(node, "unneeded", "everything that needs it is computed" if node.key in scope else "not selected")
         elif step.runs:
             required.update(needed.key for needed in node.needs.values())
             if step.state == "missing" and (reason := changed(node)) is not None:
                 step = Step(node, "changed", reason)
         steps.append(step)
-    return Plan(grid, tuple(reversed(steps)), seconds or {}, wanted)
+    return Plan(grid, tuple(reversed(steps)), seconds, wanted)
 
 
 def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
@@ -176,22 +176,12 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
     return Step(node, "missing", "not computed yet")
 
 
-def _why_not(node: Node, grid: Grid, scope: Container[str]) -> str:
-    return "everything that needs it is computed" if node.key in scope else "not selected"
-
-
-def plan_against(
-    grid: Grid,
-    layout: Layout,
-    *,
-    wanted: frozenset[str] | None = None,
-    failed_only: bool = False,
-) -> Plan:
-    """Return the plan of a grid over the store of a results folder.
+def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
+    """Return the plan of a grid over the store of a results folder, which need not be there.
 
     Args:
         grid: what the spec asks for.
-        layout: the results folder; it need not be there.
+        layout: the results folder.
         wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
         failed_only: of these, only what failed before and what was blocked by it.
 
@@ -203,10 +193,17 @@ def plan_against(
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
     damages = {key: wrong for key, wrong in stored.damaged.items() if key in nodes}
     if failed_only:
-        wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
+        touched: set[str] = set()
+        """What failed, and what needs it."""
+        for node in grid.nodes:
+            if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
+                touched.add(node.key)
+        wanted = frozenset(touched & (grid.targets if wanted is None else wanted))
     reasons = Reasons(layout, stored)
     plan = make_plan(grid, stored.whole, failures, measured(stored), damages, changed=reasons.of, wanted=wanted)
-    begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
+    # Cells that are to run, and of which another version is there.
+    again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
+    begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
     plan = _with_precision(plan, stored)
     guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
     return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
@@ -241,29 +238,11 @@ def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
                 yield node, float(seconds)
 
 
-def _may_begin(step: Step) -> bool:
-    """Whether a cell is to run of which another version is there."""
-    return step.runs and step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
-
-
-def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:
-    """Of the wanted nodes, those that failed or need one that did."""
-    touched: set[str] = set()
-    for node in grid.nodes:
-        if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
-            touched.add(node.key)
-    return frozenset(touched.intersection(wanted))
-
-
 def _cause(path: Path) -> str:
     try:
         return str((read_record(path) or {}).get("message", "unknown cause"))
     except ArtifactError:
         return "its record is damaged"
-
-
-def _entries(pairs: Iterable[tuple[Cell | Part, Node]]) -> list[dict[str, Any]]:
-    return [{**asdict(thing), "key": node.key} for thing, node in pairs]
 
 
 Thing = TypeVar("Thing", Cell, Part)

@@ -1,8 +1,8 @@
 """The order in which nodes run (each as soon as what it needs is there, the longest remaining path first), and how long they take.
 
 Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled by the speed of this one. The figures
-are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS` makes
-them. A variant that nobody measured is taken for its method, and a method that nobody measured for WASP, the slowest.
+are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS`
+makes them. A variant that nobody measured is taken for its method, and a method that nobody measured for WASP, the slowest.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +86,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         target: the published layer.
         selectors: texts of `--select`; all cells and all trained parts without any.
         largest: bytes of an artifact at most.
-        reuse: which results stand for nodes, as for a run: with `none`, those of this code.
+        reuse: as for a run; with `none`, results of this code alone.
 
     Raises:
         UsageError: the selection means nothing.
@@ -115,7 +115,11 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
             else:
                 new.append(item)
                 refused += [f"{item.node.label}: {why}"] if (why := _why_not(item, source, private)) else []
-    reports = [path for path in _reports(spec, layout) if not _same(path, target.reports(spec.name) / path.name)]
+    reports = []
+    for path in _reports(spec, layout):
+        there_already = target.reports(spec.name) / path.name
+        if not there_already.is_file() or there_already.read_bytes() != path.read_bytes():
+            reports.append(path)
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
     if refused:
         lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
@@ -126,16 +130,15 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
     """By key of a node, everything that it was computed from: key by recipe."""
-    found: dict[str, dict[str, str]] = {}
+    behind: dict[str, dict[str, str]] = {}
     for node in grid.nodes:
         if node.key in grid.reused:
-            found[node.key] = dict(grid.reused[node.key].offer.behind)
+            behind[node.key] = dict(grid.reused[node.key].offer.behind)
         else:
-            own: dict[str, str] = {}
+            behind[node.key] = {}
             for needed in node.needs.values():
-                own |= found[needed.key] | {grid.recipes[needed.key]: needed.key}
-            found[node.key] = own
-    return found
+                behind[node.key] |= behind[needed.key] | {grid.recipes[needed.key]: needed.key}
+    return behind
 
 
 def _item(step: Step, source: Layout, recipe: str, behind: Mapping[str, str]) -> Item:
@@ -182,24 +185,14 @@ def _reports(spec: Spec, layout: Layout) -> list[Path]:
     folder = layout.within(layout.reports(spec.name))
     try:
         with os.scandir(folder) as entries:
-            return [folder / name for name in sorted(each.name for each in entries if each.is_file(follow_symlinks=False)) if is_name(name)]
+            names = [entry.name for entry in entries if is_name(entry.name) and entry.is_file(follow_symlinks=False)]
     except FileNotFoundError:
         return []
+    return [folder / name for name in sorted(names)]
 
 
-def _same(one: Path, other: Path) -> bool:
-    return other.is_file() and one.read_bytes() == other.read_bytes()
-
-
-def carry_publication(found: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed.
-
-    Args:
-        found: what to copy, from `publication`.
-        spec: whose results.
-        layout: the results folder.
-        target: the published layer.
-        slimming: what the copies leave out.
+def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
+    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out.
 
     Raises:
         ArtifactError: a file has changed since it was looked at, or half precision cannot hold a weight.
@@ -207,7 +200,7 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
     """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
-    if not found.new and not found.reports:
+    if not publication.new and not publication.reports:
         return
     target.root.mkdir(parents=True, exist_ok=True)
     with held(target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")):
@@ -216,9 +209,13 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
         discard(staged)
         try:
             staged.mkdir(parents=True)
-            for item in found.new:
+            for item in publication.new:
                 _copy(item, layout, target, staged, slimming)
-            _copy_reports(found.reports, target.reports(spec.name), staged)
+            reports = target.reports(spec.name)
+            for path in publication.reports:
+                reports.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, staged / path.name, follow_symlinks=False)
+                os.replace(staged / path.name, reports / path.name)
         finally:
             discard(staged)
             with suppress(OSError):  # a run uses the folder too
@@ -237,10 +234,3 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
     commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
-
-
-def _copy_reports(files: Iterable[Path], folder: Path, staged: Path) -> None:
-    for path in files:
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, staged / path.name, follow_symlinks=False)
-        os.replace(staged / path.name, folder / path.name)

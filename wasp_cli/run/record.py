@@ -57,12 +57,8 @@ class Recorded:
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False, aside: bool = False) -> str:
     """Make the folder of a new run and write down what it is asked for.
 
-    Args:
-        layout: the results folder.
-        loaded: the spec.
-        plan: what it asks for.
-        reports: whether this process writes a report afterwards, and says with `reported` that it has.
-        aside: whether it is reported only where it is named.
+    With `reports` this process writes a report afterwards, and says with `reported` that it has; with `aside` it is reported only where it
+    is named.
     """
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
@@ -113,8 +109,8 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
-    record: dict[str, Any] = {"branched": (), "parts": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
     try:
+        record = read_record(folder / "plan.json") or {}
         cells, branched = (_read(CELL, record[name]) for name in ("cells", "branched"))
         parts = [(part, key) for part, key in _read(PART, record["parts"]) if part.kind in STAGES]
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
@@ -141,8 +137,8 @@ def _known_part(document: Any) -> tuple[Spec, list[str]]:
             return spec_type().model_validate_json(json.dumps(document), strict=True, context={RECORDED: True}), unknown
         except ValidationError as error:
             # One at a time: taking an entry out of a list moves those behind it.
-            found = (_taken_out(document, each["loc"]) for each in error.errors(include_url=False))
-            name = next((name for name in found if name is not None), None)
+            names = (_taken_out(document, problem["loc"]) for problem in error.errors(include_url=False))
+            name = next((name for name in names if name is not None), None)
             if name is None or len(unknown) > UNKNOWN_MOST:
                 raise
             unknown.append(f"The spec has `{name}`, which is not known here: an absent plugin's, or another version's.")

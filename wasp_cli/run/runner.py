@@ -12,12 +12,11 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
-from wasp_cli.plan.recorded import number
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, forget, this_process
 from wasp_cli.run.pool import Pool, WorkersDied
-from wasp_cli.run.progress import NAMES, numbers
+from wasp_cli.run.progress import numbers
 from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
 from wasp_cli.stages.registry import STAGES
@@ -347,7 +346,7 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
 
 def _memory(path: Path) -> float | None:
     try:
-        return number(read_record(path) or {}, "memory_mb")
+        return (read_record(path) or {}).get("memory_mb")
     except ArtifactError:  # killed while it wrote
         return None
 
@@ -356,7 +355,7 @@ def _killed(future: Future[NodeResult]) -> bool:
     return future.done() and isinstance(future.exception(), WorkersDied)
 
 
-def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:
+def failures_text(failures: Iterable[Failure], names: Mapping[str, str]) -> str:
     """Describe failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
     parts = []
     for failure in failures:

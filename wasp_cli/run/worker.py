@@ -130,12 +130,17 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             set_threads(getattr(stage, "torch_threads", 1))
             with placed(_clone_of(job, layout)):
                 summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
-        _require_planned_source(job)
+        if (changed := _change_of_source(job)) is not None:
+            raise changed
         seconds = time.monotonic() - began
         commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
-        return _recorded_failure(job, layout, log, started, _cause_in_source(job, error) or error)
+        # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
+        if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
+            traceback.print_exception(error)
+            error = changed
+        return _recorded_failure(job, layout, log, started, error)
     except Cancelled:
         discard(staging)
         return NodeResult(job.key, "cancelled", time.monotonic() - started, log=str(log))
@@ -186,24 +191,11 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
         raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
 
 
-def _require_planned_source(job: NodeJob) -> None:
-    """See that what ran is what the key says: a module may have been saved between planning and its import here."""
-    if changed := changed_since(job.sources):
-        raise SourceChanged(
-            f"the source changed during the run: {', '.join(changed)}", "run again; results that the change does not affect are kept"
-        )
-
-
-def _cause_in_source(job: NodeJob, error: BaseException) -> SourceChanged | None:
-    """A module that was saved meanwhile explains any error, and better than the error does; the log keeps both."""
-    if isinstance(error, SourceChanged):
-        return None
-    try:
-        _require_planned_source(job)
-    except SourceChanged as changed:
-        traceback.print_exception(error)
-        return changed
-    return None
+def _change_of_source(job: NodeJob) -> SourceChanged | None:
+    """The error where what ran is not what the key says: a module may have been saved between planning and its import here."""
+    changed = changed_since(job.sources)
+    hint = "run again; results that the change does not affect are kept"
+    return SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint) if changed else None
 
 
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
@@ -275,12 +267,12 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
 
 def _half_inputs(job: NodeJob) -> list[str]:
     """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
-    layout, found = Layout(Path(job.root)), []
+    layout, names = Layout(Path(job.root)), []
     for name, (kind, key) in sorted(job.inputs.items()):
         with suppress(ArtifactError):
             if precision_of(read_manifest(layout, kind, key)):
-                found.append(name)
-    return found
+                names.append(name)
+    return names
 
 
 def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:
@@ -309,8 +301,7 @@ def attempts(layout: Layout, key: str) -> int:
         record = read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost
         return 1
-    attempt = 0 if record is None else record.get("attempt", 1)
-    return attempt if isinstance(attempt, int) else 1
+    return 0 if record is None else int(record.get("attempt", 1))
 
 
 def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> NodeResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,17 +59,15 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     """
     document, problems = chain.document(named=any(option.path == ("name",) for option in overrides))
     document = apply(document, overrides)
-    seen = {(problem.source, problem.position) for problem in problems}
-    found = misplaced(document)
+    places = {(problem.source, problem.position) for problem in problems}
+    mistakes = misplaced(document)
     spec: Spec | None = None
     try:
         spec = validate(document)
     except ValidationError as error:
-        found += findings(error, document)
-    for finding in found:
-        problem = _placed(chain, overrides, finding)
-        if problem.position is None or (problem.source, problem.position) not in seen:
-            problems.append(problem)
+        mistakes += findings(error, document)
+    placed = [_placed(chain, overrides, finding) for finding in mistakes]
+    problems += [problem for problem in placed if problem.position is None or (problem.source, problem.position) not in places]
     if problems or spec is None:
         raise InvalidSpec(chain.ordered(problems))
     return Loaded(spec, chain, tuple(overrides))
@@ -77,7 +75,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
-    loc, depth = finding.loc, chain.depth(finding.loc)
+    loc, depth = finding.loc, max(_depth(source, finding.loc) for source in chain.sources)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         # The option wins where the files have nothing nearer to the place.
@@ -89,12 +87,6 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
 
 LONGEST_CHAIN = 8
 SUFFIX = ".yaml"
-
-
-def _from_mild_to_severe(severities: Any) -> Any:
-    """Order the usual names: merged, those of the farther file would come first. Others stay as they are."""
-    usual = isinstance(severities, Mapping) and set(severities) <= {*USUAL}
-    return {name: severities[name] for name in USUAL if name in severities} if usual else severities
 
 
 @dataclass(frozen=True)
@@ -119,16 +111,15 @@ class Chain:
             problems += source.problems + also
             values = merged(values, document)
         nearest = self.sources[0]
-        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), Mapping):
-            values["operators"] = {variant: _from_mild_to_severe(severities) for variant, severities in operators.items()}
+        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
+            for variant, severities in operators.items():
+                # Merged, those of the farther file would come first. Other names stay as they are.
+                if isinstance(severities, dict) and set(severities) <= {*USUAL}:
+                    operators[variant] = {name: severities[name] for name in USUAL if name in severities}
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
         return values, problems
-
-    def depth(self, loc: Loc) -> int:
-        """Return how many parts of a place the files have."""
-        return max(_depth(source, loc) for source in self.sources)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
         """Return a problem in the nearest of the files that have most of a place: its value is the one in force."""
@@ -143,19 +134,19 @@ class Chain:
 
 def chain_of(source: Source) -> Chain:
     """Return a source with all files that it extends."""
-    sources, seen = [source], [_identity(source.name)]
+    sources = [source]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
         path = _extended(last)
-        if _identity(str(path)) in seen:
-            round_ = " -> ".join([*(each.name for each in sources[seen.index(_identity(str(path))) :]), str(path)])
-            raise _refused(last, f"extends itself: {round_}")
+        files = [os.path.realpath(before.name) for before in sources]
+        if os.path.realpath(path) in files:
+            circle = " -> ".join([*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)])
+            raise _refused(last, f"extends itself: {circle}")
         if len(sources) == LONGEST_CHAIN:
             raise _refused(last, f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them")
         if not os.path.exists(path):
             raise _refused(last, f"no such file: '{path}'", meant(path))
         sources.append(read(path))
-        seen.append(_identity(str(path)))
     return Chain(tuple(sources))
 
 
@@ -174,10 +165,6 @@ def _extended(source: Source) -> Path:
 
 def _refused(source: Source, message: str, hint: str | None = None) -> InvalidSpec:
     return InvalidSpec([source.problem((EXTENDS,), message, hint)])
-
-
-def _identity(name: str) -> str:
-    return os.path.realpath(name)
 
 
 def _as_written(source: Source, loc: Loc) -> Loc:
@@ -221,10 +208,10 @@ def override(number: int, text: str) -> Override:
     if not equals or not all(path):
         example = "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'"
         raise UsageError(f"{place}: '{text}' is not of the form key=value", example)
-    found = value_of(value, text, place)
+    meant_value = value_of(value, text, place)
     if path == ("task",):  # the short form, as in a file
-        return Override(text, ("tasks",), found if isinstance(found, list) else [found])
-    return Override(text, path, found)
+        return Override(text, ("tasks",), meant_value if isinstance(meant_value, list) else [meant_value])
+    return Override(text, path, meant_value)
 
 
 def path_of(key: str) -> tuple[str, ...]:
