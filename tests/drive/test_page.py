@@ -50,7 +50,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
 
         def held() -> frozenset[str]:
-            return desk.controls.now().keys
+            return desk.held.keys
 
         def comes(expected: set[str]) -> None:
             eventually(lambda: held() == expected)

@@ -207,7 +207,7 @@ class _Running:
         """Sample the controls, ask the assistant, carry the action out, show what came of it."""
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
-        held = block.desk.controls.now()
+        held = block.desk.held
         command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)

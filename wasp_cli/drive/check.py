@@ -95,10 +95,7 @@ class Habits:
 async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None) -> int:
     """Drive a whole session, from the first frame to the end; returns how many frames were seen.
 
-    Args:
-        address: what `wasp drive` prints.
-        driver: who presses keys.
-        answers: of a form; None: consent, and the middle of every scale.
+    `answers` fills in a form; None: consent, and the middle of every scale.
 
     Raises:
         WaspError: the connection was lost, or there is none.

@@ -40,7 +40,7 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at one moment."""
+    """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
 
     keys: frozenset[str] = frozenset()
     """of KEYS"""
@@ -60,35 +60,13 @@ class Held:
         return np.clip(stick, -1.0, 1.0)
 
 
-class Controls:
-    """The latest state of the controls.
-
-    The page sends the whole state of keys and sticks whenever it changes, and a decision samples the latest one, so that nothing queues up
-    behind a slow moment. The socket writes it, the clock reads it: one reference, so that no lock is needed.
-    """
-
-    def __init__(self) -> None:
-        self._held = Held()
-
-    def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state; keys that mean nothing here are left out."""
-        self._held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
-
-    def release(self) -> None:
-        """Let go of everything: the window lost the focus, or the connection broke."""
-        self._held = Held(number=self._held.number, at=time.monotonic())
-
-    def now(self) -> Held:
-        """Return what is held now."""
-        return self._held
-
-
 class Desk:
     """See the module."""
 
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         """`changed` is called from any thread when there is something to send."""
-        self.controls = Controls()
+        self.held = Held()
+        """The latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock."""
         self.changed = changed
         self._lock = threading.Condition()
         self._request: str | None = None
@@ -107,7 +85,7 @@ class Desk:
         self.round_trip = float("nan")
         """Of the last acknowledged frame, in seconds."""
 
-    # -- the clock's side ---------------------------------------------------------------------------------------------------------
+    # The clock's side.
 
     def show(self, frame: Frame) -> None:
         """Let this be the next frame that is sent; one that was not sent yet is never sent."""
@@ -165,7 +143,7 @@ class Desk:
         """Whether a driver is connected."""
         return self._drivers > 0
 
-    # -- the socket's side --------------------------------------------------------------------------------------------------------
+    # The socket's side.
 
     def come(self) -> bool:
         """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
@@ -184,7 +162,7 @@ class Desk:
         with self._lock:
             self._drivers, self.focused = 0, False
             self.lost += self._state.get("phase") == "driving"
-        self.controls.release()
+        self._release()
 
     def ask(self, request: str) -> None:
         """Ask for one of REQUESTS; a later one takes the place of an earlier one that nobody heard, but never that of the end."""
@@ -205,7 +183,14 @@ class Desk:
             self.blurred += self.focused and not there and self._state.get("phase") == "driving"
             self.focused = there
         if not there:
-            self.controls.release()
+            self._release()
+
+    def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
+        """Take a new state of the controls; keys that mean nothing here are left out."""
+        self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
+
+    def _release(self) -> None:
+        self.held = Held(number=self.held.number, at=time.monotonic())
 
     def outgoing(self) -> tuple[list[Mapping[str, Any]], Frame | None]:
         """Return and forget the messages to be sent, and a frame where the last one was acknowledged."""

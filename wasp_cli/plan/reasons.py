@@ -133,8 +133,13 @@ class Reasons:
         return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
 
     def _begins(self, node: Node, key: str) -> bool:
+        """Whether a stored cell differs from this one in its episodes alone."""
         try:
-            return _differs_in_episodes_alone(node, read_manifest(self._layout, node.kind, key))
+            manifest = read_manifest(self._layout, node.kind, key)
+            before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
+            upstream = {name: needed.key for name, needed in node.needs.items()}
+            now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
+            return canonical(before) == canonical(now) and not moved_on(node, manifest)
         except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             return False
 
@@ -148,13 +153,6 @@ class Reasons:
             except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
                 return None
         return self._known[pair]
-
-
-def _differs_in_episodes_alone(node: Node, manifest: Mapping[str, Any]) -> bool:
-    before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
-    upstream = {name: needed.key for name, needed in node.needs.items()}
-    now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
-    return canonical(before) == canonical(now) and not moved_on(node, manifest)
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:

@@ -53,11 +53,6 @@ class Schedule:
         """Return the number of nodes that can begin."""
         return len(self._ready)
 
-    @property
-    def left(self) -> int:
-        """Nodes that have not ended."""
-        return len(self._left)
-
     def pop(self) -> Node:
         """Take the ready node from which the longest path begins."""
         return heapq.heappop(self._ready)[1]
@@ -92,7 +87,7 @@ class Schedule:
                     self._left.discard(dependent.key)
                     lost[dependent.key] = dependent
                     waiting.append(dependent)
-        return sorted(lost.values(), key=lambda each: self._rank[each.key][1])
+        return sorted(lost.values(), key=lambda node: self._rank[node.key][1])
 
 
 def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:
@@ -123,13 +118,8 @@ SLOWEST = "wasp"
 """The method that stands for one that nobody measured."""
 
 
-def figure_of(kind: str, task: str, axes: Mapping[str, Any]) -> str:
-    """Return the name of a figure: `evaluate goal1 wasp/no-case2`."""
-    return figures_like(kind, task, axes)[0]
-
-
 def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
-    """Return the name of a figure, and behind it those that stand for it where it is not there, nearest first."""
+    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that stand for it, nearest first."""
     method, config = axes.get("method"), axes.get("method_config")
     if not method:
         return [f"{kind} {task}"]
@@ -171,21 +161,21 @@ def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, flo
     known: Mapping[str, float] = figures["seconds"].get(preset, {})
     times: dict[str, list[float]] = {}
     for node, seconds in near:
-        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / units(node.kind, node.config))
+        times.setdefault(figures_like(node.kind, node.task, node.axes)[0], []).append(seconds / units(node.kind, node.config))
+    here: dict[str, float] = {}
     elsewhere: dict[str, float] = {}
-    found: dict[str, float] = {}
     for node in nodes:
         size = units(node.kind, node.config)
         for name in figures_like(node.kind, node.task, node.axes):
             if name in times:
-                found[node.sort] = median(times[name]) * size
+                here[node.sort] = median(times[name]) * size
             elif name in known:
                 elsewhere[node.sort] = known[name] * size
             else:
                 continue
             break
     scale = figures["speed"] / speed() if elsewhere else 1.0
-    return found | {sort: seconds * scale for sort, seconds in elsewhere.items()}
+    return here | {sort: seconds * scale for sort, seconds in elsewhere.items()}
 
 
 def units(kind: str, config: Mapping[str, Any]) -> int:

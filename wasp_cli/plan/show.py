@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from wasp_cli.console import count_table, duration
-from wasp_cli.plan.plan import Plan, State, Step
+from wasp_cli.plan.plan import Plan, State
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -69,15 +69,11 @@ def _reasons(plan: Plan) -> list[str]:
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
     """Return the reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
-    found: dict[str, list[Step]] = {}
+    labels: dict[str, list[str]] = {}
     for step in plan.steps:
         if step.state in states:
-            found.setdefault(step.reason, []).append(step)
-    lines = []
-    for reason, steps in found.items():
-        more = f" and {len(steps) - 1} more" if len(steps) > 1 else ""
-        lines.append(f"{steps[0].node.label}{more}: {reason}")
-    return lines
+            labels.setdefault(step.reason, []).append(step.node.label)
+    return [f"{first}{f' and {len(more)} more' if more else ''}: {reason}" for reason, (first, *more) in labels.items()]
 
 
 def _every(plan: Plan) -> list[str]:
@@ -91,18 +87,14 @@ def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
         return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
-    people = plan.by_people()
+    people, lines = plan.by_people(), []
     if people:
-        waiting = f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"
-        return [waiting] if len(people) == len(plan.to_run()) else [waiting, *_computed(plan, workers)]
-    return _computed(plan, workers)
-
-
-def _computed(plan: Plan, workers: int) -> list[str]:
-    """How long what is computed takes."""
+        lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
+        if len(people) == len(plan.to_run()):
+            return lines
     seconds, unknown = plan.estimate(workers)
     if not seconds:
-        return ["no time estimate: neither here nor elsewhere was a node like these measured"]
+        return [*lines, "no time estimate: neither here nor elsewhere was a node like these measured"]
     rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
     longest, path = plan.critical_path()
     names = [node.label for node in path]
@@ -114,6 +106,7 @@ def _computed(plan: Plan, workers: int) -> list[str]:
         rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
     source = f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine" if guessed else ""
     return [
+        *lines,
         f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
         f"critical path {duration(longest)}: {' > '.join(names)}",
     ]

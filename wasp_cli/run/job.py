@@ -82,8 +82,13 @@ class Heartbeat:
 
     def __init__(self, path: Path, job: NodeJob) -> None:
         self._path = path
-        self.deaths = _deaths(path)
+        self.deaths = 0
         """Processes that died in this run while they computed the node. A scheduler of somebody else's gives it to the next one."""
+        try:
+            if (left := read_record(path)) is not None:  # an earlier attempt did not live to remove it
+                self.deaths = 1 + int(left.get("deaths", 0))
+        except ArtifactError:
+            self.deaths = 1
         self.fixed: dict[str, object] = {
             "label": job.label,
             "kind": job.kind,
@@ -126,16 +131,6 @@ def forget(path: Path) -> None:
     """Remove what a killed node left to say that it runs: its file, and the half-written next one where it died while it wrote."""
     for left in (path, *path.parent.glob(f".{path.name}-*")):
         left.unlink(missing_ok=True)
-
-
-def _deaths(path: Path) -> int:
-    """What is left of an earlier attempt, which did not live to remove it, tells of one death and of those before."""
-    try:
-        record = read_record(path)
-    except ArtifactError:
-        return 1
-    known = 0 if record is None else record.get("deaths", 0)
-    return 0 if record is None else 1 + (known if isinstance(known, int) else 0)
 
 
 def memory_mb() -> float:

@@ -116,17 +116,14 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
-    there = [[(cell, key) for cell, key in part if _is_known(cell)] for part in (cells, branched)]
-    left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if not _is_known(cell))
+    known = {cell for cell, _ in cells if cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)}
+    left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if cell not in known)
     absent = [
         f"{name}: not installed here; {'its cell is' if count == 1 else f'its {count} cells are'} left out."
         for name, count in sorted(left_out.items())
     ]
-    return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown), tuple(absent))
-
-
-def _is_known(cell: Cell) -> bool:
-    return cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)
+    cells, branched = ([(cell, key) for cell, key in part if cell in known] for part in (cells, branched))
+    return Recorded(run_id, spec, cells, parts, branched, tuple(unknown), tuple(absent))
 
 
 def _known_part(document: Any) -> tuple[Spec, list[str]]:
@@ -169,8 +166,7 @@ UNKNOWN_MOST = 200
 
 def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:
     """Cells or parts of a plan, each with its key."""
-    fields = [({name: value for name, value in entry.items() if name != "key"}, str(entry["key"])) for entry in entries]
-    return [(adapter.validate_python(values), key) for values, key in fields]
+    return [(adapter.validate_python(entry), str(entry["key"])) for entry in entries]
 
 
 def _first_line(error: Exception) -> str:

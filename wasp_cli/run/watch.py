@@ -111,7 +111,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     """Return how far a run is, or was at some time."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
-    by_event: dict[str, list[Mapping[str, Any]]] = {}
+    by_event: dict[str, list[dict[str, Any]]] = {}
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     (start, *_) = by_event.get("run started", ({},))
@@ -119,7 +119,11 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     going = state == "running"
     # A node that died with its worker and runs again ends twice; the last time counts.
     ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
-    failed = {str(event.get("key")): event for event in by_event.get("failed", ())}
+    failed = {}
+    for event in by_event.get("failed", ()):
+        key, message = str(event.get("key")), str(event.get("message") or "unknown cause")
+        if ends[key] == "failed":
+            failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
     started = moment(start.get("at"))
     finished = [event for event in events if event.get("event") in ("done", "shared", "failed")]
@@ -146,7 +150,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         total=total or before,
         done=before + counts["done"],
         shared=counts["shared"],
-        failed=tuple(_failed(event) for key, event in failed.items() if ends[key] == "failed"),
+        failed=tuple(failed.values()),
         blocked=counts["blocked"],
         cancelled=counts["cancelled"],
         retried=len(by_event.get("retry", ())),
@@ -243,11 +247,6 @@ def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Activ
     return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 
 
-def _failed(event: Mapping[str, Any]) -> Failed:
-    key = str(event.get("key"))
-    return Failed(key, _line(event.get("label"), key), str(event.get("message") or "unknown cause"), _line(event.get("log"), ""))
-
-
 def _line(value: object, otherwise: str) -> str:
     return " ".join(value.split()) if isinstance(value, str) else otherwise
 
@@ -288,7 +287,7 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
 
     No less than all work over all workers, and no less than the longest chain of nodes that wait for one another.
     """
-    run = {node.key: node for node in active if not node.gone}
+    running = {node.key: node for node in active if not node.gone}
     members = {node.key: node for node in nodes}
     alone: dict[str, float] = {}
     chain: dict[str, float] = {}
@@ -297,17 +296,13 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
         if node.seconds is None:
             unknown += 1
         else:
-            alone[node.key] = _remaining(max(node.seconds, 0.0), run.get(node.key), now)
+            alone[node.key] = node.seconds
+            run = running.get(node.key)
+            if run is not None and run.share > 0:
+                alone[node.key] *= 1 - run.share
+            elif run is not None and run.started:
+                alone[node.key] = max(node.seconds - (now - run.started).total_seconds(), 0.0)
         chain[node.key] = alone.get(node.key, 0.0) + max((chain.get(needed, 0.0) for needed in node.needs), default=0.0)
     if not alone:
         return (0.0 if not members else None), unknown
     return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
-
-
-def _remaining(seconds: float, active: Active | None, now: datetime) -> float:
-    """What is left of a node's time: by its share where it has told one, else by the clock."""
-    if active is None:
-        return seconds
-    if active.share > 0:
-        return seconds * (1 - active.share)
-    return max(seconds - (now - active.started).total_seconds(), 0.0) if active.started else seconds
