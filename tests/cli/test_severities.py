@@ -181,12 +181,6 @@ def test_settings_do_not_bring_back_what_is_left_out(spec: Path) -> None:
     assert (found.name, found.methods, found.stages, found.seeds) == ("operators-other", ("human", "expert"), (), (7,))
 
 
-@pytest.mark.parametrize("length", [1, 54, 55, 64])
-def test_names_are_cut_to_what_a_name_may_have(spec: Path, length: int) -> None:
-    name = operators_alone(spec, ["name=" + "x" * length]).spec.name
-    assert (name.startswith("operators-x"), len(name)) == (True, min(10 + length, 64))
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

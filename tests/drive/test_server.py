@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, packed, unpacked
+from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, unpacked
 from wasp_cli.errors import UsageError
 
 
@@ -175,12 +175,6 @@ def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_ou
         ws.send(json.dumps({"type": "ack", "frame": 1}))
         assert unpacked(ws.recv(timeout=300))[0] == {"frame": 4}  # type: ignore[arg-type]
         assert 0.0 < server.desk.round_trip < 10.0
-
-
-def test_a_frame_survives_its_packing() -> None:
-    header, pixels = unpacked(packed(Frame({"frame": 7, "robot": [0.5, 1.0]}, bytes(range(256)))))
-    assert header == {"frame": 7, "robot": [0.5, 1.0]}
-    assert pixels == bytes(range(256))
 
 
 def test_a_port_that_is_taken_is_said() -> None:

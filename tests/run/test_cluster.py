@@ -71,12 +71,6 @@ def error_of(found: Future[NodeResult]) -> BaseException | None:
     return found.exception(timeout=300)
 
 
-def test_what_is_finished_is_the_result(pool: Any) -> None:
-    found = pool.submit(JOB)
-    pool._client.task.end("finished")
-    assert found.result(timeout=300) is DONE
-
-
 @pytest.mark.parametrize("status", ["lost", "cancelled", "pending"])
 def test_a_task_that_did_not_finish_is_no_result(status: str, pool: Any) -> None:
     """Its artifact may not be there; nothing that the client says of it counts."""

@@ -81,27 +81,6 @@ def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec:
     assert len(branches(tmp_path / "results")) == 1
 
 
-def test_they_are_published_taken_again_and_kept_while_a_spec_asks(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
-    results, other = tmp_path / "results", tmp_path / "other"
-    run(judged_spec, results)
-    assert run_here("publish", judged_spec, "--results", results, columns=200).exit_code == 0
-    assert {path.name for path in (results / "published" / "store" / KIND).iterdir()} == branches(results)
-    other.mkdir()
-    (results / "published").rename(other / "published")
-    before = len(fakes.executions())
-    run_here("run", judged_spec, "--results", other, "--reuse", "published", "-j", "0", columns=200)
-    assert len(fakes.executions()) == before
-    assert branches(other) == branches(results)
-
-    assert run_here("gc", results, "--yes", columns=80).exit_code == 0
-    assert len(branches(results)) == 4
-    text = judged_spec.read_text(encoding="utf-8").replace(", counterfactual", "")
-    judged_spec.write_text(text, encoding="utf-8")
-    run(judged_spec, results)
-    run_here("gc", results, "--yes", columns=80)
-    assert branches(results) == set()
-
-
 def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
     vary = ("--vary", "ida.vote=0.1,0.2", "-j", "0", "--results", tmp_path / "results")
     told = run_here("sweep", judged_spec, *vary, columns=200).output

@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from tests.run.harness import ROOT, Fakes, prepared, run
+from tests.commands import run_here
+from tests.run.harness import ROOT, Fakes, prepared
 from wasp_cli.cli import doctor
-from wasp_cli.errors import StoreError, WaspError, refusal
+from wasp_cli.errors import StoreError, WaspError
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
@@ -24,20 +23,6 @@ from wasp_cli.run.record import new_run, results_of
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.session import useful_jobs
 from wasp_cli.run.worker import execute
-from wasp_cli.store.layout import Layout
-
-
-def test_runs_are_named_by_universal_time(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
-    request.addfinalizer(time.tzset)
-    with monkeypatch.context() as patch:
-        patch.setenv("TZ", "JST-9")
-        time.tzset()
-        run(small_spec, tmp_path / "results")
-    (folder,) = Layout(tmp_path / "results").runs.iterdir()
-    named = datetime.strptime(folder.name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
-    assert abs(datetime.now(UTC) - named) < timedelta(hours=1)
 
 
 def test_results_that_cannot_be_read_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,11 +143,5 @@ def test_output_to_a_full_disk_is_one_message(options: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("arguments", [("plan", "specs/smoke.yaml", "--results", ""), ("report", ""), ("doctor", "--results", " ")])
 def test_an_empty_name_is_no_results_folder(arguments: tuple[str, ...]) -> None:
-    done = wasp(*arguments, stdout=os.open(os.devnull, os.O_WRONLY))
-    assert done.returncode == 2
-    assert "the name of the folder is empty" in done.stderr
-
-
-def test_what_the_system_refuses_names_the_file() -> None:
-    assert refusal(PermissionError(13, "Permission denied", "/x")).message == "'/x': permission denied"
-    assert refusal(OSError()).message == "oserror"
+    done = run_here(*arguments, columns=200)
+    assert (done.exit_code, "the name of the folder is empty" in done.stderr) == (2, True)

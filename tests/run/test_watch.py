@@ -136,11 +136,6 @@ def test_a_node_whose_process_is_gone(layout: Layout) -> None:
     assert (state.running, state.waiting) == (1, 4)
 
 
-def test_draining_is_told_until_the_end(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(), (5, "draining", {})])
-    assert only(layout).draining
-
-
 def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout: Layout) -> None:
     write_run(layout, "20260501-120000-small-0001", NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
     state = only(layout)
@@ -203,14 +198,6 @@ def test_a_circle_ends(layout: Layout) -> None:
     assert only(layout).left_seconds is not None
     (run,) = planned_runs(layout)
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
-
-
-def test_needed_nodes_come_first(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", list(reversed(NODES)))
-    order = [node.label for node in upstream_first(planned_runs(layout)[0].nodes)]
-    assert order.index("b") < order.index("c") < order.index("d")
-    assert order.index("e") < order.index("f")
-    assert len(order) == 6
 
 
 def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:

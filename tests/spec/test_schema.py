@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from tests.commands import run_here
 from wasp_cli.methods.registry import METHODS, MethodInfo
-from wasp_cli.spec.load import chain_of
 from wasp_cli.spec.model import spec_type
 from wasp_cli.spec.read import parse, read
 from wasp_cli.spec.schema import FOREIGN, spec_schema
@@ -147,10 +146,3 @@ def test_names_of_plugins_are_only_there_when_asked_for(monkeypatch: pytest.Monk
     assert "mine" in own
     assert "mine" in own["methods"]["items"]["enum"]
     assert "half" in own["variants"]["items"]["enum"]
-
-
-def test_a_chain_is_validated_file_by_file(tmp_path: Path, validator: jsonschema.Draft202012Validator) -> None:
-    (tmp_path / "base.yaml").write_text(GOOD, encoding="utf-8")
-    (tmp_path / "over.yaml").write_text("extends: base.yaml\nname: over\n", encoding="utf-8")
-    sources = chain_of(read(tmp_path / "over.yaml")).sources
-    assert [list(validator.iter_errors(source.document)) for source in sources] == [[], []]

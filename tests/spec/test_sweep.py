@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, split, values_of
+from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, values_of
 from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.read import InvalidSpec
@@ -68,33 +68,6 @@ def test_any_list_of_values_is_read_as_it_was_written(values: list[Any], comma: 
         assert [option.path for option in options] == [("wasp", "x")] * len(values)
         found = [option.value for option in options]
         assert json.dumps(found) == json.dumps(as_stored(values))
-
-
-@given(st.text(max_size=40) | st.text("[]{}'\",:\\ab1 #&*!|>-", max_size=16).map("wasp.tau_c=".__add__))
-def test_any_text_is_values_or_a_refusal(text: str) -> None:
-    result = read(text)
-    if isinstance(result, UsageError):
-        assert "--vary" in result.message
-    else:
-        assert len(result) >= 2
-        assert len({json.dumps(option.value) for option in result}) == len(result)
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("1,2", ["1", "2"]),
-        (" 0.2 , null ", ["0.2", "null"]),
-        ("[1,2],[3]", ["[1,2]", "[3]"]),
-        ("{a: [1,2], b: 3},{}", ["{a: [1,2], b: 3}", "{}"]),
-        ('\'a,b\',"c,\\"d",e', ["'a,b'", '"c,\\"d"', "e"]),
-        ("'it''s, so',x", ["'it''s, so'", "x"]),
-        ("['],',1],2", ["['],',1]", "2"]),
-        ("don't,won't", ["don't", "won't"]),  # an apostrophe inside a word opens nothing
-    ],
-)
-def test_values_end_at_commas_outside_of_quotes_and_brackets(text: str, parts: list[str]) -> None:
-    assert [written for written, _ in split(text)] == parts
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,6 @@ def flag(name: str, text: str, *names: str, **more: Any) -> Any:
 
 
 directory = functools.partial(option, "DIR", parser=parse_folder)
-"""An option that names a folder."""
 
 ResultsOption = Annotated[Path, directory("The results folder.", "--results")]
 ResultsArgument = Annotated[Path | None, argument("[DIR]", "The results folder. (default: what --results says)", parser=parse_folder)]

@@ -121,7 +121,6 @@ def list_names(
 
 
 Rows = Sequence[Mapping[str, Any]]
-"""What is listed, each as `--json` prints it."""
 
 
 def methods() -> Rows:

@@ -62,9 +62,7 @@ class Beat(NamedTuple):
     round_trip_ms: float
     """of the last frame that the page acknowledged"""
     keys: str
-    """what was held down"""
     focused: bool
-    """the window had the focus"""
 
 
 @dataclass
@@ -91,7 +89,6 @@ class Cut:
 
 
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
-"""What there is to show."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +98,7 @@ class How:
     speed: float = 1.0
     """simulated seconds per second"""
     shown: frozenset[str] = frozenset(SHOWN)
-    """what of SHOWN the driver may see"""
     simulated: bool = False
-    """a script drives"""
 
 
 class Block:

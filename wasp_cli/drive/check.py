@@ -172,7 +172,6 @@ TOLERATED_PACE = 1.05
 BRIEF = 30
 """Decisions with which a session begins."""
 SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
-"""What is recommended."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,6 @@ class Timing:
     """from the arrival of a key to the execution of what it commands; of decisions whose command was new"""
     round_trip_ms: tuple[float, float]
     speed: float
-    """at which it was measured"""
     recommended: float
     pace: float
     """wall time of a decision in periods"""

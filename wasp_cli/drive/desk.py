@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
 REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
-"""What a driver may ask for."""
 ROUND_TRIPS = 20
 """Frames whose acknowledgement may be outstanding before their times are forgotten."""
 
@@ -33,7 +32,6 @@ class Frame(NamedTuple):
     """What there is to see after a decision."""
 
     header: Mapping[str, Any]
-    """JSON values"""
     pixels: bytes
     """RGB of the cameras, one below the other; empty where they are not shown"""
 
@@ -43,7 +41,6 @@ class Held:
     """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
 
     keys: frozenset[str] = frozenset()
-    """of KEYS"""
     axes: tuple[float, float] = (0.0, 0.0)
     """of a gamepad or a finger: forward, left in [-1, 1]"""
     number: int = 0

@@ -47,7 +47,6 @@ class CellRecord:
                 shutil.copyfile(begun / name, self._folder / name)
         earlier = self._earlier()
         self.finished = 0 if earlier is None else len(earlier.episodes)
-        """Episodes that are on disk."""
         self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
         self._session |= facts
         self._session["sittings"].append({"begun": _now(), "first_episode": self.finished})

@@ -64,9 +64,7 @@ class Session:
     study: StudyConfig | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     done: list[dict[str, Any]] = field(default_factory=list)
-    """What became of each block, for people."""
     failure: BaseException | None = None
-    """What ended it from within."""
 
     @property
     def participant(self) -> str:

@@ -39,7 +39,6 @@ class Grid:
     nodes: tuple[Node, ...]
     """Each once, needed ones first."""
     named: tuple[Node, ...]
-    """What the spec trains by name."""
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
     recipes: Mapping[str, str] = field(default_factory=dict)

@@ -66,7 +66,6 @@ class Cell:
     severity: str | None
     """Name of the severity in the spec; enters no key."""
     value: float | None
-    """Value of the severity."""
     seed: int
 
     def __str__(self) -> str:
@@ -112,9 +111,7 @@ class Node:
     axes: Mapping[str, Any]
     """What else identifies it: method, method_config, operator variant, value (evaluate, calibration)."""
     config: Mapping[str, Any]
-    """The section of its stage, resolved, as JSON values."""
     settings: Mapping[str, Any]
-    """The shared settings that its stage named."""
     needs: Mapping[str, Node]
     """The nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind."""
     modules: tuple[str, ...]

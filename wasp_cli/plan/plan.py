@@ -21,7 +21,6 @@ from wasp_cli.store.slim import precision_of
 
 State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
 IDLE = ("cached", "published", "unneeded")
-"""States in which a run computes nothing for a node."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,6 @@ class Facts:
     seconds: float | None = None
     """What it took; None of what took rows over, which says nothing of how long its like takes."""
     at: str = ""
-    """When it was computed."""
     precision: str = ""
     """What of it is not in full precision."""
     episodes: int = 0
@@ -63,7 +62,6 @@ class Stored:
     whole: Mapping[str, Mapping[str, Facts]]
     """By kind and key."""
     damaged: Mapping[str, str]
-    """What is wrong with each other one, by key."""
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:

@@ -36,11 +36,8 @@ class PlannedNode:
     kind: str
     label: str
     state: str
-    """When the run was planned: one of `plan.plan.State`."""
     needs: Annotated[tuple[Key, ...], BeforeValidator(lambda needs: tuple(needs.values()))]
-    """Keys of what it reads."""
     seconds: FiniteFloat | None = None
-    """How long it may take, where that was known."""
 
     @property
     def runs(self) -> bool:
@@ -59,7 +56,6 @@ class PlannedRun:
     spec: str
     """Name of the spec; of a sweep with the setting that varies."""
     nodes: Mapping[str, PlannedNode]
-    """By key."""
     parts: tuple[str, ...] = ()
     """The runs of a sweep's values, whose cells it computes."""
 

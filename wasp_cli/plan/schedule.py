@@ -115,7 +115,6 @@ SIZES = {
 }  # fmt: skip
 """By stage the setting that its time grows with."""
 SLOWEST = "wasp"
-"""The method that stands for one that nobody measured."""
 
 
 def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:

@@ -21,7 +21,6 @@ COLUMNS: dict[State, str] = {
     "unneeded": "not needed",
 }
 SHOWN = 12
-"""Reasons that are shown at most, and nodes of the critical path."""
 
 
 def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:

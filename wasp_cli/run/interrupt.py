@@ -57,7 +57,6 @@ def listening(stop: Stop) -> Iterator[None]:
 GRACE = 10.0
 """Seconds that a node has to react; one with a shorter limit gets as long again."""
 LOOK_SECONDS = 0.5
-"""Between two looks for a file that takes a node back."""
 HINT = "allow more time with --timeout; the log shows where it was"
 
 

@@ -67,7 +67,6 @@ class NodeResult:
     seconds: float
     summary: Mapping[str, Any] = field(default_factory=dict)
     message: str = ""
-    """Cause of a failure, in one line."""
     hint: str | None = None
     log: str = ""
     by_chance: bool = False

@@ -47,7 +47,6 @@ class Pool:
     jobs = 1
     """Nodes at once."""
     name = ""
-    """As the journal has it."""
     gone: str | None = None
     """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
 

@@ -57,7 +57,6 @@ class Item:
 
     node: Node
     size: int
-    """Bytes of its files."""
     manifest: Mapping[str, Any]
     """As it will be published."""
 
@@ -70,11 +69,9 @@ class Publication:
     there: tuple[Item, ...]
     """Those that the published layer has already, byte for byte."""
     large: tuple[Item, ...]
-    """Those that are left out for their size."""
     absent: tuple[Node, ...]
     """What was not computed because nothing needs it."""
     reports: tuple[Path, ...]
-    """Files of the spec's report that the published layer does not have."""
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:

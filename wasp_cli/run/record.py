@@ -33,7 +33,6 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
-"""A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +44,11 @@ class Recorded:
     cells: list[tuple[Cell, str]]
     """Each cell with the key of its artifact."""
     parts: list[tuple[Part, str]]
-    """Each trained part with the key of its artifact."""
     branched: list[tuple[Cell, str]] = field(default_factory=list)
     """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
     unknown: tuple[str, ...] = ()
     """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
     absent: tuple[str, ...] = ()
-    """Whose cells are left out, since it is not installed here, each as a sentence."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False, aside: bool = False) -> str:

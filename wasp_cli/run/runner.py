@@ -29,7 +29,6 @@ UNEXPLAINED = 5
 DEATH_SECONDS = 2.0
 """Within which the whole pool learns that one of its workers was killed."""
 LOOK_SECONDS = 0.5
-"""Between two looks at what was asked from elsewhere."""
 ASK_SECONDS = 2.0
 """Between two looks at a node that another run computes."""
 POLL_SECONDS = 0.1
@@ -45,7 +44,6 @@ class Flight:
     node: Node
     job: NodeJob
     alone: bool = False
-    """In a process of its own."""
     memory: float | None = None
     """What it held when its worker was killed before, in MB."""
 
@@ -68,7 +66,6 @@ class Summary:
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
     """Nodes that could not run, each with the failed or cancelled node that it needs."""
     cancelled: list[Node] = field(default_factory=list)
-    """Nodes that were taken back."""
     seconds: float = 0.0
     busy: float = 0.0
     """Seconds that workers spent on nodes, all together."""

@@ -79,11 +79,8 @@ class RunOptions:
     limit: float | None = None
     """Seconds that a node may take."""
     retries: int = 0
-    """Further attempts at a node that fails by chance."""
     backend: str = "loky"
-    """Who provides the workers: one of `pool.BACKENDS`."""
     scheduler: str | None = None
-    """Address of a dask scheduler or a ray cluster."""
     reports: bool = False
     """Whether this process writes a report afterwards, and then calls `record.reported`."""
 
@@ -246,7 +243,6 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | Non
         plan = plan_against(together(grids), layout)
         run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
     users: dict[str, list[int]] = {}
-    """By key of a node, which values need it."""
     for index, grid in enumerate(grids):
         for node in grid.nodes:
             users.setdefault(node.key, []).append(index)

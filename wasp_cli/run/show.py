@@ -29,11 +29,9 @@ if TYPE_CHECKING:
     from wasp_cli.run.watch import Active, RunState
 
 BAR = 40
-"""Characters of the bar."""
 STALE_SECONDS = 30.0
 """A node says about every second that it lives; silence for longer is worth a word."""
 LISTED = 12
-"""Failed nodes that are listed; `--json` lists all."""
 
 
 def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:

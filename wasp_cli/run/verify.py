@@ -34,7 +34,6 @@ class Drawn:
     """The cells of a sample."""
 
     cells: tuple[str, ...]
-    """Their keys."""
     of: int
     """Cells that could be computed again."""
     others: int

@@ -38,7 +38,6 @@ class Active:
     text: str
     started: datetime | None
     seen: datetime | None
-    """Its last sign of life."""
     memory_mb: float | None
     gone: bool
     """Its process does not exist any more, so that it will say nothing more."""
@@ -68,15 +67,12 @@ class RunState:
     """Nodes that it was to compute; where there are none, those that it needed."""
     done: int
     shared: int
-    """Nodes that another run computed meanwhile."""
     failed: tuple[Failed, ...]
     blocked: int
     cancelled: int
     retried: int
     draining: bool
-    """It was asked to end, and finishes what runs."""
     paused: bool
-    """It begins nothing new until it is told to."""
     deserted: str
     """That no worker is left, and how the run goes on; empty where that is not so."""
     active: tuple[Active, ...]

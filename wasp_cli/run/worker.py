@@ -49,7 +49,6 @@ from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
 from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
-"""Killed processes after which a node has failed."""
 KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 

@@ -128,7 +128,6 @@ class Point:
     text: str
     """As it was written."""
     value: Any
-    """As a file would have it."""
     loaded: Loaded
     """The spec with it, under a name of its own."""
 

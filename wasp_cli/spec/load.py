@@ -20,7 +20,6 @@ from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Problem, Source, dotted, k
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")
-"""Names of severities, in their order."""
 
 
 @dataclass(frozen=True)

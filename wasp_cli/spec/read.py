@@ -49,7 +49,6 @@ class Problem:
     source: str
     """The file as the user named it, or the option that brought the value."""
     position: Position | None
-    """None for a value that came from the command line."""
     message: str
     hint: str | None = None
     line: str | None = None
