@@ -8,8 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.plan.test_grid import grid
-from wasp_cli.plan.plan import Plan, make_plan, plan_against
-from wasp_cli.plan.show import show
+from wasp_cli.plan.plan import Plan, make_plan, plan_against, show
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 

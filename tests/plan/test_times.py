@@ -11,9 +11,8 @@ import pytest
 from tests.benchmarks.times import figures_of
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.plan import Plan, plan_against, show
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.plan.show import show
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 

@@ -155,8 +155,7 @@ def show(findings: list[Finding]) -> None:
 
     table = Table(box=None, padding=(0, 2), show_header=False)
     colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
-    words = {"ok": "ok", "missing": "missing", "broken": "broken", "low": "low", "optional": "none"}
     for finding in findings:
-        state = Text(words[finding.state], style=colours[finding.state])
+        state = Text("none" if finding.state == "optional" else finding.state, style=colours[finding.state])
         table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))
     out().print(table)

@@ -180,7 +180,7 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
 
 def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.plan.show import show
+    from wasp_cli.plan.plan import show
 
     if json:
         print_json({"spec": name, **plan.as_json()})

@@ -17,8 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.drive.clock import Clock, Decider
-from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame, action_of
+from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Clock, Decider, Desk, Frame, action_of
 from wasp_cli.drive.view import Futures, WorldView, camera_bytes
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop

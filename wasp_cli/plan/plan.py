@@ -1,4 +1,4 @@
-"""What a run would do: each node with a state and a reason. The run does exactly that."""
+"""What a run would do: each node with a state and a reason, for runs, which do exactly that, and for people."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
@@ -18,6 +19,9 @@ from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import precision_of
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
 IDLE = ("cached", "published", "unneeded")
@@ -250,3 +254,103 @@ Thing = TypeVar("Thing", Cell, Part)
 def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
     """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
     return [(thing, node.key) for thing, node in pairs]
+
+
+COLUMNS: dict[State, str] = {
+    "cached": "cached",
+    "published": "published",
+    "missing": "missing",
+    "changed": "changed",
+    "failed": "failed before",
+    "damaged": "damaged",
+    "unneeded": "not needed",
+}
+SHOWN = 12
+
+
+def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
+    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it will take.
+
+    Args:
+        plan: the plan.
+        console: where to.
+        workers: worker processes of the run that the time is for.
+        every: list every node with its state and reason, too.
+    """
+    counts = plan.counts()
+    total = sum(counts.values(), Counter())
+    columns = [state for state in COLUMNS if state in ("cached", "missing") or total[state]]
+    table = count_table("stage", "nodes", *(COLUMNS[state] for state in columns))
+    for kind, states in counts.items():
+        table.add_row(kind, str(states.total()), *(str(states[state] or "-") for state in columns))
+    table.add_section()
+    table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
+    console.print(table)
+    console.print(_size(plan))
+    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan)), *_time(plan, workers)):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _size(plan: Plan) -> str:
+    cells = len({node.key for _, node in plan.grid.cells})
+    text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
+    if cells < plan.grid.points:
+        text += " (the unimpaired reference is one cell for all operators)"
+    branched = len({node.key for _, node in plan.grid.branched})
+    text += f"; the interventions of {branched} of them are judged by counterfactual branches" if branched else ""
+    return text if cells else "nothing to evaluate: the spec lists no methods"
+
+
+def _reasons(plan: Plan) -> list[str]:
+    """Why nodes run that someone may believe to be done, and what is used that was published: each reason once, with its nodes."""
+    lines = reason_lines(plan, "published", "changed", "failed", "damaged")
+    if len(lines) > SHOWN:
+        lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
+    if any(step.state == "published" and plan.grid.reused[step.node.key].details for step in plan.steps):
+        lines.append("wasp plan --all names what has changed since then")
+    return lines
+
+
+def reason_lines(plan: Plan, *states: State) -> list[str]:
+    """Return the reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
+    labels: dict[str, list[str]] = {}
+    for step in plan.steps:
+        if step.state in states:
+            labels.setdefault(step.reason, []).append(step.node.label)
+    return [f"{first}{f' and {len(more)} more' if more else ''}: {reason}" for reason, (first, *more) in labels.items()]
+
+
+def _every(plan: Plan) -> list[str]:
+    labels = max((len(step.node.label) for step in plan.steps), default=0)
+    lines = [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
+    details = [reused.details if (reused := plan.grid.reused.get(step.node.key)) else "" for step in plan.steps]
+    return [f"{line}; {more}" if more else line for line, more in zip(lines, details, strict=True)]
+
+
+def _time(plan: Plan, workers: int) -> list[str]:
+    if not plan.to_run():
+        copied = plan.count("published")
+        return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
+    people, lines = plan.by_people(), []
+    if people:
+        lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
+        if len(people) == len(plan.to_run()):
+            return lines
+    seconds, unknown = plan.estimate(workers)
+    if not seconds:
+        return [*lines, "no time estimate: neither here nor elsewhere was a node like these measured"]
+    rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
+    longest, path = plan.critical_path()
+    names = [node.label for node in path]
+    if len(names) > SHOWN:
+        names[SHOWN // 2 : -SHOWN // 2] = ["..."]
+    guessed = sum(node.sort in plan.guessed for node in plan.to_run())
+    if plan.begun:
+        count = len(plan.begun)
+        rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
+    source = f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine" if guessed else ""
+    return [
+        *lines,
+        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
+        f"critical path {duration(longest)}: {' > '.join(names)}",
+    ]

@@ -127,15 +127,11 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     Raises:
         UnknownName: there is none.
     """
-    for run in runs:
-        if run.run_id == text:
-            return run
-    for run in runs:
-        if text and run.run_id.endswith(text):
-            return run
-    for run in runs:
-        if run.spec == text:
-            return run
+    named = [run for run in runs if run.run_id == text]
+    named += [run for run in runs if text and run.run_id.endswith(text)]
+    named += [run for run in runs if run.spec == text]
+    if named:
+        return named[0]
     raise UnknownName("run", text, [run.run_id for run in runs])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo
@@ -40,27 +41,21 @@ def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 
 def _task(name: str, info: ValidationInfo) -> str:
     """A registered task, or a gymnasium id with all that a task needs."""
-    if name not in TASKS and (own := _own(name)) is not None:
-        raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": f"write '{own}'"})
+    with suppress(UnknownName):
+        # Specs have one name for a task, since it names random streams and results.
+        if name not in TASKS and (registered := task_named(name)) in TASKS:
+            hint = f"write '{registered}'"
+            raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": hint})
     try:
-        found = TASKS[name]
+        task = TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    if isinstance(found, ForeignInfo) and not (info.context or {}).get(RECORDED):
+    if isinstance(task, ForeignInfo) and not (info.context or {}).get(RECORDED):
         try:
-            found.examine()
+            task.examine()
         except WaspError as error:
             raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
     return name
-
-
-def _own(gym_id: str) -> str | None:
-    """The registered task that has this gymnasium id: specs have one name for a task, since it names random streams and results."""
-    try:
-        name = task_named(gym_id)
-    except UnknownName:
-        return None
-    return name if name in TASKS else None
 
 
 def training_stages() -> list[str]:
