@@ -102,14 +102,6 @@ def test_an_operator_that_is_not_accepted_ends_with_1(spec: Path, tmp_path: Path
     assert "goal1" not in done.output.lower()
 
 
-def test_undecided_is_printed_and_is_no_failure(spec: Path, tmp_path: Path) -> None:
-    # From mild to moderate -2 and 3, in two seeds: mean 0.5, SD sqrt(25 / 3), SE 1.44.
-    results = store(spec, tmp_path / "results", {**FALLING, 0.5: (4, 6), 0.7: (2, 9)})
-    done = invoke(spec, "--results", results)
-    assert done.exit_code == 0, done.output
-    assert "goal1 laggy: undecided: from mild 0.5 to moderate 0.7 it rises by 0.5 +- 1.4, which may be chance" in done.stdout
-
-
 def test_json_is_json_alone_also_when_it_ends_with_1(spec: Path, tmp_path: Path) -> None:
     results = store(spec, tmp_path / "results", RISING)
     done = invoke(spec, "--results", results, "--json")
@@ -119,15 +111,6 @@ def test_json_is_json_alone_also_when_it_ends_with_1(spec: Path, tmp_path: Path)
     outcomes = [(found["operator"], found["outcome"]) for task in record["tasks"] for found in task["operators"]]
     assert outcomes == [("laggy", "not accepted"), ("noisy", "accepted")] * 2
     assert [found["return"] for found in record["tasks"][0]["operators"][0]["severities"]] == [8.0, 9.0]
-
-
-def test_a_dry_run_shows_the_plan_and_computes_nothing(spec: Path, tmp_path: Path) -> None:
-    done = invoke(spec, "--results", tmp_path / "results", "--dry-run", "--json")
-    assert done.exit_code == 0, done.output
-    record = json.loads(done.stdout)
-    assert record["spec"] == "operators-little"
-    assert {node["state"] for node in record["nodes"]} == {"missing"}
-    assert not (tmp_path / "results").exists()
 
 
 def test_a_failed_cell_leaves_its_operator_incomplete_and_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Path) -> None:

@@ -99,12 +99,6 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
     assert "- goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed" in page.read_text(encoding="utf-8")
 
 
-def test_cells_without_readable_rows_fail_the_sweep(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    done = sweep(small_spec, tmp_path / "results", *VARY)  # these fakes end well, and write no cell
-    assert done.exit_code == 1
-    assert "error: 12 cells cannot be read:\n  goal1 human noisy=0.2 seed 0: not computed yet" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

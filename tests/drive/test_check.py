@@ -48,12 +48,3 @@ def test_a_check_leaves_nothing_behind(driven: Path, method: str) -> None:
     assert files(driven) == there
     assert reported(driven) == before
     assert before <= {path.name for path in (driven / "store" / "evaluate").iterdir()}
-
-
-def test_a_session_that_ends_before_an_episode_hides_none(driven: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(driven, results)
-    before, asked = reported(results), wanted(results)
-    session = asked.prepared()
-    asked.record(session)
-    assert reported(results) == before

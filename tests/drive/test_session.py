@@ -104,14 +104,6 @@ def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[s
     assert "person" in found.output
 
 
-def test_it_can_be_shown_again(driven: tuple[Path, str], tmp_path: Path) -> None:
-    video = tmp_path / "film.webp"
-    options = ["--episode", "0", "--every", "50", "--results", str(driven[0]), "--out", str(video)]
-    found = CliRunner().invoke(app, ["replay", "goal1 s0 wasp person=0", *options])
-    assert found.exit_code == 0, found.output
-    assert video.stat().st_size > 10_000
-
-
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(imported, results)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-from pydantic import ValidationError
-
-from tests.plan.test_grid import by_label, grid, spec
+from tests.plan.test_grid import by_label, grid
 from tests.plan.test_select import labels, ran
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
@@ -89,10 +86,3 @@ def test_selectors_name_the_branches_of_cells() -> None:
     plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=counterfactual,method=ida,value=0.6,seed=1"]))
     kinds = ("expert", "dataset", "world_model", "latents", "policies", "heldout", "ida_q", "calibration ida", "ida noisy=0.6")
     assert ran(plan) == {f"goal1 s1 {kind}" for kind in (*kinds, "counterfactual ida noisy=0.6")}
-
-
-def test_without_methods_there_is_nothing_to_branch() -> None:
-    assert judged(methods=[], operators={}).branched == ()
-    with pytest.raises(ValidationError, match="neither methods nor stages"):
-        spec(methods=[], operators={}, stages=["counterfactual"])
-    assert judged(methods=["human", "expert"]).branched == ()

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -17,7 +15,6 @@ from tests.run.harness import ROOT, Fakes, prepared
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run, results_of
 from wasp_cli.run.runner import Runner
@@ -63,32 +60,6 @@ def test_no_more_workers_than_nodes_side_by_side(fakes: Fakes, small_spec: Path,
     assert 2 < most < len(nodes) < 64
     assert [useful_jobs(plan, jobs) for jobs in (0, 2, most)] == [0, 2, most]
     assert simulated(nodes, lasting, most) == simulated(nodes, lasting, 64)
-
-
-class BrokenPoint:
-    name, group, value, module = "odd", "wasp.odd", "odd.module:ENTRY", "odd.module"
-    dist = SimpleNamespace(name="wasp-odd")
-
-    def __init__(self, found: object) -> None:
-        self.found = found
-
-    def load(self) -> object:
-        if isinstance(self.found, Exception):
-            raise self.found
-        return self.found
-
-
-@pytest.mark.parametrize(
-    ("found", "message"),
-    [(ImportError("no module 'x'"), "does not load: ImportError: no module 'x'"), (7, "'odd.module:ENTRY' is of type int")],
-)
-def test_a_broken_plugin_is_named(found: object, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wasp_cli.registry.entry_points", lambda group: [BrokenPoint(found)])
-    odd: Registry[Any] = Registry("oddity", "wasp.odd", ())
-    with pytest.raises(WaspError) as caught:
-        list(odd)
-    assert caught.value.message.startswith("plugin 'wasp-odd' (entry point 'odd' of group 'wasp.odd')")
-    assert caught.value.message.endswith(message)
 
 
 def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

@@ -51,15 +51,6 @@ def test_episodes_at_the_top_reach_the_evaluation() -> None:
     assert read(GOOD).spec.stage("evaluate").model_dump()["episodes"] == 2
 
 
-def test_a_resolved_spec_reads_again() -> None:
-    spec = load(SPECS / "table2.yaml").spec
-    assert type(spec).model_validate_json(spec.model_dump_json(), strict=True) == spec
-
-
-def test_counts_may_be_written_like_people_do() -> None:
-    assert read(GOOD + "expert: {interactions: 1.5e6}\n").spec.stage("expert").model_dump()["interactions"] == 1_500_000
-
-
 @pytest.mark.parametrize(
     ("addition", "place", "message", "hint"),
     [
@@ -236,13 +227,6 @@ def test_the_excerpt_puts_a_caret_under_the_mistake() -> None:
     assert str(only(GOOD.replace("[goal1]", "[goal7]"))) == (
         "x.yaml:3:9: unknown task 'goal7'\n    3 | tasks: [goal7]\n      |         ^\n    did you mean 'goal0', 'goal1' or 'goal2'?"
     )
-
-
-def test_long_lines_show_the_part_around_the_mistake() -> None:
-    text = str(only(GOOD + f"wasp: {{{' ' * 500}alpha: x}}\n"))
-    excerpt, caret = text.splitlines()[1:3]
-    assert len(excerpt) < 130
-    assert excerpt[caret.index("^")] == "x"
 
 
 def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path: Path) -> None:

@@ -46,12 +46,6 @@ def test_one_task_may_be_written_without_a_list() -> None:
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
 
 
-@pytest.mark.parametrize("setting", ["task=goal1", "tasks=[goal1]", "task=[goal1]"])
-@pytest.mark.parametrize("line", ["task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]"])
-def test_an_option_replaces_either_form(line: str, setting: str) -> None:
-    assert read(line, setting).spec.tasks == ("goal1",)
-
-
 @pytest.mark.parametrize(
     ("line", "column", "message", "hint"),
     [
@@ -95,13 +89,6 @@ gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
     assert (problem.position.line, problem.position.column) == (3, column)
     assert message in problem.message
     assert hint in (problem.hint or "")
-
-
-def test_mistakes_in_options_are_placed_there() -> None:
-    for line in ("task: goal1", "tasks: [goal1]"):
-        for setting in ("task=gaol1", "tasks=[gaol1]"):
-            problem = only(line, setting)
-            assert (problem.place, problem.position) == (f"--set {setting}", None)
 
 
 # -- what a changed environment re-runs --------------------------------------------------------------------------------------------------

@@ -96,10 +96,6 @@ def test_what_is_no_sweep_is_refused(vary: str, message: str) -> None:
     assert caught.value.hint or "YAML" in message or "finite" in message
 
 
-def test_one_and_true_are_two_values() -> None:
-    assert [option.value for option in values_of("wasp.recheck=true,1")] == [True, 1]
-
-
 def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path) -> None:
     spec.write_text(SPEC.replace("goal1", "gaol1"), encoding="utf-8")
     with pytest.raises(InvalidSpec) as caught:
