@@ -305,15 +305,12 @@ class _Running:
         """Return the episode as an evaluation would have it."""
         stacked = {name: np.stack(values) for name, values in self.rows.items()}
         times = np.array([beat.decision_ms for beat in self.beats], np.float32)
-        loop = Loop(**stacked, decisions=_alike(self.decisions), decision_ms=times, h=None, z=None)
+        # Decisions that were late have an empty plan where the others have plans.
+        plan = next((decision.planned for decision in self.decisions if decision.planned is not None), None)
+        decisions = self.decisions
+        if plan is not None:
+            nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
+            decisions = [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]
+        loop = Loop(**stacked, decisions=decisions, decision_ms=times, h=None, z=None)
         (trajectory,), (decision_ms,) = trajectories(loop)
         return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds)
-
-
-def _alike(decisions: list[Decision]) -> list[Decision]:
-    """The decisions, those that were late with an empty plan where the others have plans."""
-    plan = next((decision.planned for decision in decisions if decision.planned is not None), None)
-    if plan is None:
-        return decisions
-    nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
-    return [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]

@@ -7,7 +7,7 @@ that it is never taken for whole; the same session continued takes these over.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -58,7 +58,11 @@ class CellRecord:
     def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
         """Write a finished episode behind the others."""
         row = episode_metrics(driven.trajectory, self._goals, safe_cost, TASKS[self._identity.task].motors.force)
-        beats = pa.concat_tables([self._timing(), _beats(self.finished, driven.beats)])
+        count = len(driven.beats)
+        columns: dict[str, list[Any]] = {"episode": [self.finished] * count, "t": list(range(count))}
+        columns |= {name: [getattr(beat, name) for beat in driven.beats] for name in Beat._fields}
+        rows = pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
+        beats = pa.concat_tables([self._timing(), rows])
         # The timing first: an episode counts once its rows are there, and the timing of one that does not is written again.
         write_table(beats, self._folder / TIMING_FILE)
         write_cell(
@@ -103,12 +107,6 @@ class CellRecord:
             commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
         return summary
-
-
-def _beats(episode: int, beats: Sequence[Beat]) -> pa.Table:
-    columns: dict[str, list[Any]] = {"episode": [episode] * len(beats), "t": list(range(len(beats)))}
-    columns |= {name: [getattr(beat, name) for beat in beats] for name in Beat._fields}
-    return pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
 
 
 def _now() -> str:

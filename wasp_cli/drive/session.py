@@ -237,9 +237,17 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     if not recorded:
         discard(layout.run(made.run_id))
         return Session(loaded, layout, made.run_id, ordered(mine, participant), how, spec.study)
-    _require_one_kind(layout, mine, how)
     for _, node in mine:
-        if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
+        if exists(layout, node.kind, node.key):
+            # No trial of a script passes for a person's session, nor the other way round.
+            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
+            if before.get("simulated", False) != how.simulated:
+                whose = "a script" if before.get("simulated") else "a person"
+                raise UsageError(
+                    f"{node.label} was driven by {whose} in '{layout.root}'",
+                    "use another folder with --results, or delete it: --participant N --withdraw",
+                )
+        else:  # before anybody drives: what is damaged ends no session, and no session replaces it
             driven_before = (layout.artifact(node.kind, node.key) / SESSION_FILE).exists()
             require_whole(layout, [(node.kind, node.key)] if driven_before else node_inputs(node))
     run_id = new_run(layout, loaded, plan_against(grid, layout))
@@ -266,19 +274,6 @@ def participants(spec: Spec) -> dict[int, str]:
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
     """Return the cells that a participant drives, as the grid lists them."""
     return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
-
-
-def _require_one_kind(layout: Layout, cells: list[tuple[Cell, Node]], how: How) -> None:
-    """See that no trial of a script passes for a person's session, nor the other way round."""
-    for _, node in cells:
-        if exists(layout, node.kind, node.key):
-            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
-            if before.get("simulated", False) != how.simulated:
-                whose = "a script" if before.get("simulated") else "a person"
-                raise UsageError(
-                    f"{node.label} was driven by {whose} in '{layout.root}'",
-                    "use another folder with --results, or delete it: --participant N --withdraw",
-                )
 
 
 def node_inputs(node: Node) -> list[tuple[str, str]]:

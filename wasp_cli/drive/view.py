@@ -97,16 +97,13 @@ class WorldView:
         appearance, scene = self._task.appearance(), self._task.scene(_ROW)
         front = scene.rotation[0, :2, :2] @ np.array(appearance.forward)
         at = scene.position[0, :2]
-        things = {name: _places(of, at) for name, of in scene.things.items()}
+        things: dict[str, list[list[float]]] = {}
+        for name, of in scene.things.items():
+            position, rotation = of.position[0, :, :2], of.rotation[0]
+            near = of.shown[0] & (np.abs(position - at).max(axis=1, initial=0.0) < 4 * WIDEST)  # enough for a map around the robot
+            yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+            things[name] = [_short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
         return {"robot": _short([*at, np.arctan2(front[1], front[0])]), "things": things}
-
-
-def _places(things: Things, at: np.ndarray[Any, Any]) -> list[list[float]]:
-    """[x, y, direction] of what is shown and near enough for a map around the robot."""
-    position, rotation = things.position[0, :, :2], things.rotation[0]
-    near = things.shown[0] & (np.abs(position - at).max(axis=1, initial=0.0) < 4 * WIDEST)
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    return [_short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
 
 
 def _outline(shape: Shape) -> dict[str, Any]:

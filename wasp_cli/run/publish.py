@@ -20,7 +20,7 @@ from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import Step, plan_against
+from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import (
@@ -103,8 +103,12 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None:
             refused.append(f"{step.node.label}: it was published elsewhere, and is not in '{layout.root}'")
         elif step.state in ("cached", "published"):
-            source = layout if step.state == "cached" else target
-            item = _item(step, source, grid.recipes[step.node.key], behind[step.node.key])
+            source, node = layout if step.state == "cached" else target, step.node
+            manifest = read_manifest(source, node.kind, node.key)
+            size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
+            provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
+            manifest = {**manifest, "provenance": provenance, RECIPE: grid.recipes[node.key], BEHIND: behind[node.key]}
+            item = Item(node, size, manifest)
             if item.size > largest:
                 large.append(item)
             elif corruption(target, item.node.kind, item.node.key) is None:
@@ -136,14 +140,6 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
             for needed in node.needs.values():
                 behind[node.key] |= behind[needed.key] | {grid.recipes[needed.key]: needed.key}
     return behind
-
-
-def _item(step: Step, source: Layout, recipe: str, behind: Mapping[str, str]) -> Item:
-    node = step.node
-    manifest = read_manifest(source, node.kind, node.key)
-    size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
-    provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
-    return Item(node, size, {**manifest, "provenance": provenance, RECIPE: recipe, BEHIND: dict(behind)})
 
 
 def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:

@@ -26,7 +26,7 @@ from wasp_cli.store.published import FROM_PUBLISHED
 
 if TYPE_CHECKING:
     from wasp_cli.run.publish import Publication
-    from wasp_cli.run.watch import Active, RunState
+    from wasp_cli.run.watch import RunState
 
 BAR = 40
 STALE_SECONDS = 30.0
@@ -135,17 +135,13 @@ def _running_table(state: RunState, now: datetime) -> Table:
     rows = Table.grid(padding=(0, 2))
     for node in state.active:
         memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
-        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, _sign(node, state, now))
+        silent = (now - node.seen).total_seconds() if node.seen else 0.0
+        odd = f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
+        if node.gone or state.state == "died":
+            odd = "gone"
+        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, odd)
         rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
     return rows
-
-
-def _sign(node: Active, state: RunState, now: datetime) -> str:
-    """What is odd about a node that should be running."""
-    if node.gone or state.state == "died":
-        return "gone"
-    silent = (now - node.seen).total_seconds() if node.seen else 0.0
-    return f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
 
 
 LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
@@ -247,14 +243,11 @@ def write_log(log: Log, stream: TextIO) -> None:
     terminal = stream.isatty()
     with io.TextIOWrapper(file, encoding="utf-8", errors="replace", newline="\n") as lines:
         for line in lines:
-            stream.write(_tamed(line) if terminal else line)
-
-
-def _tamed(line: str) -> str:
-    """A line with its colours and nothing else that a terminal obeys; of a bar that redraws itself, the last state."""
-    last = line.rstrip("\r\n").rpartition("\r")[2]
-    parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
-    return "".join(parts) + ("\n" if line.endswith("\n") else "")
+            if terminal:  # of a bar that redraws itself, the last state; colours, and nothing else that a terminal obeys
+                last = line.rstrip("\r\n").rpartition("\r")[2]
+                parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
+                line = "".join(parts) + ("\n" if line.endswith("\n") else "")
+            stream.write(line)
 
 
 def _logs(layout: Layout, run: PlannedRun) -> list[Log]:

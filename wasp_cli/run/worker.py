@@ -279,7 +279,10 @@ def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, e
         message, hint = error.message, error.hint
         print(f"error: {message}" + (f"\n{hint}" if hint else ""), file=sys.stderr)
     else:
-        message, hint = _cause(error), None
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        text = " ".join(str(error).split()) or "no message"
+        message, hint = f"{type(error).__name__}: {text[:300]}{place}", None
         traceback.print_exception(error)
     by_chance = not isinstance(error, WaspError) or isinstance(error, StoreError)
     result = _failed(job, started, log, message, hint, by_chance=by_chance)
@@ -306,14 +309,6 @@ def attempts(layout: Layout, key: str) -> int:
 def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> NodeResult:
     seconds = time.monotonic() - started
     return NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
-
-
-def _cause(error: BaseException) -> str:
-    """One line that names an unexpected error and where it was raised."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    text = " ".join(str(error).split()) or "no message"
-    return f"{type(error).__name__}: {text[:300]}{place}"
 
 
 def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:
