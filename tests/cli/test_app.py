@@ -111,7 +111,7 @@ def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Pat
 
 
 def test_plan_as_json_is_json_alone() -> None:
-    record = json.loads(wasp("plan", SMOKE, "--json", "--results", "/nowhere").stdout)
+    record = json.loads(here("plan", SMOKE, "--json", "--results", "/nowhere").stdout)
     assert record["spec"] == "smoke"
     assert {node["state"] for node in record["nodes"]} == {"missing"}
 
@@ -136,12 +136,12 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
 
 def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     bad = spec_with(tmp_path, "[goal1]", "[goal7]")
-    done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
-    assert done.returncode == 3
+    done = here("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
+    assert done.exit_code == 3
     assert "specs/table1.yaml: ok, 261 cells" in done.stdout
     assert f"{bad}:5:9: unknown task 'goal7'" in done.stderr
     assert "absent.yaml:1:1: no such file" in done.stderr
-    assert wasp("check", SMOKE).returncode == 0
+    assert here("check", SMOKE).exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -196,16 +196,16 @@ def test_a_process_ends_with_the_same_codes_and_says_the_same(tmp_path: Path) ->
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/results")):
-        done = wasp("run", SMOKE, "--results", place)
-        assert done.returncode == 1
+        done = here("run", SMOKE, "--results", place)
+        assert done.exit_code == 1
         assert done.stderr.startswith(f"error: cannot write results to '{place}'")
         assert "--results DIR" in done.stderr
 
 
 def test_report_without_any_run_says_so(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
-    done = wasp("report", tmp_path)
-    assert done.returncode == 1
+    done = here("report", tmp_path)
+    assert done.exit_code == 1
     assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
 
 
@@ -219,8 +219,8 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
         new_run(layout, loaded, plan)
     (damaged,) = layout.runs.glob(f"*-small-*/{record}")
     damaged.write_text("{", encoding="utf-8")
-    done = wasp("report", results)
-    assert done.returncode == 1
+    done = here("report", results)
+    assert done.exit_code == 1
     assert damaged.parent.name in done.stderr
     assert "Traceback" not in done.stderr
     assert "Human-only" in done.stdout
@@ -299,8 +299,8 @@ def test_ablate_runs_the_whole_method_and_the_variant_beside_the_operators_alone
 
 
 def test_doctor_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
-    done = wasp("doctor", "--results", tmp_path / "results")
-    assert done.returncode == 0
+    done = here("doctor", "--results", tmp_path / "results")
+    assert done.exit_code == 0
     for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "results"):
         assert word in done.stdout
     assert not (tmp_path / "results").exists()
