@@ -32,13 +32,13 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
     Raises:
         WaspError: a root has no source.
     """
-    found: set[str] = set()
+    modules: set[str] = set()
     for root in roots:
         if _file(root) is None:
             hint = "check the module that the plugin's entry names; its source has to be installed"
             raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", hint)
-        found |= _reach(root)
-    return frozenset(found)
+        modules |= _reach(root)
+    return frozenset(modules)
 
 
 @cache
@@ -99,7 +99,7 @@ def _imports(module: str) -> frozenset[str]:
     file = _file(module)
     package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
     own = module.partition(".")[0]
-    found: set[str] = set()
+    imported: set[str] = set()
     for node in _running(_tree(module, _stamp(module))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -112,9 +112,9 @@ def _imports(module: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
+        imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
     # Importing a.b.c runs a.b as well.
-    return frozenset(found | {parent for name in found for parent in _parents(name) if _counts(parent)})
+    return frozenset(imported | {parent for name in imported for parent in _parents(name) if _counts(parent)})
 
 
 def _counts(module: str) -> bool:

@@ -140,18 +140,18 @@ class Node:
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
     """Return the nodes and everything they need, each once, needed ones first."""
-    found: dict[str, Node] = {}
+    ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
         for needed in node.needs.values():
-            if needed.key not in found:
+            if needed.key not in ordered:
                 visit(needed)
-        found[node.key] = node
+        ordered[node.key] = node
 
     for node in nodes:
-        if node.key not in found:
+        if node.key not in ordered:
             visit(node)
-    return list(found.values())
+    return list(ordered.values())
 
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:

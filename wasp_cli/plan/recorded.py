@@ -147,15 +147,15 @@ def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
 
 def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:
     """Yield the nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     for key in nodes:
         pending = [(key, False)]
         while pending:
             current, expanded = pending.pop()
             if expanded:
                 yield nodes[current]
-            elif current not in seen and current in nodes:
-                seen.add(current)
+            elif current not in visited and current in nodes:
+                visited.add(current)
                 pending.append((current, True))
                 pending.extend((needed, False) for needed in nodes[current].needs)
 

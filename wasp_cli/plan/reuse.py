@@ -48,10 +48,10 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
         own, shipped = Layout(layout.within(layout.published)), published_folder()
         # A new results folder has none: then those that come with the package.
         return own if own.store.is_dir() or shipped is None else Layout(shipped)
-    found = Layout(Path(choice).absolute())
-    if not choice.strip() or not found.store.is_dir():
+    layer = Layout(Path(choice).absolute())
+    if not choice.strip() or not layer.store.is_dir():
         raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")
-    return found
+    return layer
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:

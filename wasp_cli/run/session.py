@@ -111,11 +111,11 @@ def run_spec(
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
-    wanted = select(grid, chosen)
+    selected = select(grid, chosen)
     with planning(results, options) as layout:
-        plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
+        plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
         if _without_slim_inputs(plan, layout):
-            plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
+            plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
         run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options, {})

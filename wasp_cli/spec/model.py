@@ -179,17 +179,17 @@ def _check_tasks(spec: Spec) -> None:
             try:
                 _over(getattr(spec, name), values)
             except ValidationError as error:
-                errors += [_moved(found, here) for found in error.errors(include_url=False)]
+                errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
         raise ValidationError.from_exception_data("Spec", errors)
 
 
-def _moved(found: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
+def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
     """The same error at a place below another one."""
-    context = found.get("ctx", {})
-    own = found["type"] not in get_args(ErrorType)
-    what = PydanticCustomError(found["type"], found["msg"], context) if own else found["type"]
-    return InitErrorDetails(type=what, loc=(*under, *found["loc"]), input=found["input"], ctx=context)
+    context = error.get("ctx", {})
+    own = error["type"] not in get_args(ErrorType)
+    what = PydanticCustomError(error["type"], error["msg"], context) if own else error["type"]
+    return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
 
 
 def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:

@@ -135,7 +135,7 @@ class Source:
 
     def depth(self, loc: Loc) -> int:
         """Return how many parts of what pydantic calls a `loc` the document really has."""
-        return self._found(loc)[1]
+        return self._known_part(loc)[1]
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
         """Return a problem at what pydantic calls a `loc`."""
@@ -148,30 +148,30 @@ class Source:
         return Problem(self.name, position, message, hint, line or None)
 
     def _position(self, loc: Loc, at_key: bool) -> Position:
-        found, depth, node = self._found(loc)
-        if not found:
+        known, depth, node = self._known_part(loc)
+        if not known:
             return START
         whole = depth == len(loc) or loc[depth] == KEY
         # Of a section in which something is missing, the key says more than its first entry.
         lacking = depth < len(loc) and isinstance(node, dict | list)
-        place = self.places[found]
+        place = self.places[known]
         return place.key if lacking or (whole and (at_key or loc[-1] == KEY)) else place.value
 
-    def _found(self, loc: Loc) -> tuple[Loc, int, Any]:
+    def _known_part(self, loc: Loc) -> tuple[Loc, int, Any]:
         """The part of a `loc` that the document has, how many parts of the `loc` that takes, and what stands there.
 
         pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped, and a
         missing field is reported at the mapping it is missing from.
         """
-        found: Loc = ()
+        known: Loc = ()
         depth, node = 0, self.document
         for index, part in enumerate(loc):
             if _has(node, part):
                 key = str(part) if isinstance(node, dict) else part
-                found, depth, node = (*found, key), index + 1, node[key]
+                known, depth, node = (*known, key), index + 1, node[key]
             elif not depth or index + 1 >= len(loc) or not _has(node, loc[index + 1]):
                 break
-        return found, depth, node
+        return known, depth, node
 
 
 def _has(node: Any, part: str | int) -> bool:
