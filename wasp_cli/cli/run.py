@@ -40,6 +40,7 @@ def run(
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
     second stops at once. Finished nodes are kept either way.
     """
+    from wasp_cli.run.control import detached
     from wasp_cli.run.session import planned
 
     loaded, options = asked.load(), work.options()
@@ -47,7 +48,11 @@ def run(
         plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, options.jobs)
     elif detach:
-        run_detached()
+        said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
+        if said is None:
+            sys.stderr.write(printed)
+            raise typer.Exit(code or 1)
+        print(json.dumps(said))
     else:
         run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
 
@@ -186,17 +191,6 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
         print_json({"spec": name, **plan.as_json()})
     else:
         show(plan, err() if aside else out(), max(jobs, 1), every=every)
-
-
-def run_detached() -> None:
-    """Start this command again without a terminal, and print where its run is."""
-    from wasp_cli.run.control import detached
-
-    said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
-    if said is None:
-        sys.stderr.write(printed)
-        raise typer.Exit(code or 1)
-    print(json.dumps(said))
 
 
 def run_and_report(

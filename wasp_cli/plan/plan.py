@@ -269,13 +269,9 @@ SHOWN = 12
 
 
 def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
-    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it will take.
+    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it takes on so many workers.
 
-    Args:
-        plan: the plan.
-        console: where to.
-        workers: worker processes of the run that the time is for.
-        every: list every node with its state and reason, too.
+    With `every` each node is listed, with its state and reason.
     """
     counts = plan.counts()
     total = sum(counts.values(), Counter())
@@ -286,19 +282,15 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
     table.add_section()
     table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
     console.print(table)
-    console.print(_size(plan))
+    cells, branched = (len({node.key for _, node in pairs}) for pairs in (plan.grid.cells, plan.grid.branched))
+    size = f"{plan.grid.points} grid points, {cells} cells to evaluate"
+    if cells < plan.grid.points:
+        size += " (the unimpaired reference is one cell for all operators)"
+    if branched:
+        size += f"; the interventions of {branched} of them are judged by counterfactual branches"
+    console.print(size if cells else "nothing to evaluate: the spec lists no methods")
     for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan)), *_time(plan, workers)):
         console.print(line, markup=False, soft_wrap=True)
-
-
-def _size(plan: Plan) -> str:
-    cells = len({node.key for _, node in plan.grid.cells})
-    text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
-    if cells < plan.grid.points:
-        text += " (the unimpaired reference is one cell for all operators)"
-    branched = len({node.key for _, node in plan.grid.branched})
-    text += f"; the interventions of {branched} of them are judged by counterfactual branches" if branched else ""
-    return text if cells else "nothing to evaluate: the spec lists no methods"
 
 
 def _reasons(plan: Plan) -> list[str]:
