@@ -24,7 +24,7 @@ ALLOWED: Mapping[str, str] = {
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/verify.py": "the stage that evaluates cells, in the process that runs it",
     "run/worker.py": "the stage that a node names, in the process that runs it",
-    "run/cluster.py": "whether dask or ray is installed, without importing it",
+    "run/pool.py": "whether dask or ray is installed, without importing it",
     "learning/configs/__init__.py": "the file of a section that is asked for, so that a stage's closure has its own group alone",
     "plan/closure.py": "where the source of a package lies, without importing it",
     "cli/completion.py": "the registry whose names are offered, imported when it is asked for",

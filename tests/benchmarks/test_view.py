@@ -45,7 +45,9 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
         axes = {"method": identity.method, "method_config": {}, "operator": identity.operator, "value": identity.value}
         manifest = {"kind": "evaluate", "key": key, "label": f"cell {number}", "task": identity.task, "seed": identity.seed, "axes": axes}
         (target / "_manifest.json").write_text(json.dumps({**manifest, "files": {}}), encoding="utf-8")
-    write_record(layout.run("20260501-120000-many-0000") / "plan.json", {"spec": "many", "nodes": [], "cells": cells, "parts": []})
+    write_record(
+        layout.run("20260501-120000-many-0000") / "plan.json", {"spec": "many", "nodes": [], "cells": cells, "branched": [], "parts": []}
+    )
     return results
 
 

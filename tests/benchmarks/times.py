@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from wasp_cli.plan import times as estimates
+from wasp_cli.plan import schedule as estimates
 from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.artifact import exists, read_manifest
@@ -44,7 +44,7 @@ def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, 
         kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
         if "earlier" not in provenance:  # what took rows over says nothing of its like
             seconds = float(provenance["seconds"]) / estimates.units(kind, manifest["config"])
-            times.setdefault(preset, {}).setdefault(estimates.figure_of(kind, manifest["task"], axes), []).append(seconds)
+            times.setdefault(preset, {}).setdefault(estimates.figures_like(kind, manifest["task"], axes)[0], []).append(seconds)
     seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
     return {"speed": _short(estimates.speed()), "seconds": seconds_of}
 

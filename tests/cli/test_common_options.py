@@ -92,11 +92,6 @@ def test_two_results_folders_are_refused_and_one_may_be_said_twice(results: Path
     assert run_here("status", results, "--results", results, columns=120).exit_code == 0
 
 
-def test_a_run_or_a_spec_narrows_what_a_label_names(results: Path) -> None:
-    label = "goal1 s0 human noisy=0.2"
-    assert run_here("show", label, "--results", results, "--run", "no-such-run", columns=120).exit_code == 2
-
-
 def test_tasks_methods_and_preset_restrict_a_spec() -> None:
     loaded = load(Path("specs/assistants.yaml"), sized("smoke", ["episodes=3"]))
     assert (loaded.spec.preset, loaded.spec.episodes) == ("smoke", 3)

@@ -44,23 +44,16 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
     [
         ("wasp run --task g", ["goal0", "goal1", "goal1-two", "goal2"]),
         ("wasp run specs/smoke.yaml -t ", list(TASKS)),
-        ("wasp plan specs/smoke.yaml --task race", ["race0", "race1"]),
-        ("wasp draw formula", ["formula0", "formula1"]),
         ("wasp list ", ["methods", "operators", "tasks"]),
-        ("wasp control c", ["cancel"]),
         ("wasp s", ["schema", "severities", "show", "status", "sweep"]),
         ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
         ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates="]),
-        ("wasp run specs/smoke.yaml --set pre", ["preset="]),
         ("wasp sweep specs/smoke.yaml --vary diffusion.r", ["diffusion.ratio="]),
         ("wasp check specs/table", ["specs/table1.yaml", "specs/table2.yaml"]),
-        ("wasp ablate --spec specs/q", ["specs/quickstart.yaml"]),
-        ("wasp plan specs/q", ["specs/quickstart.yaml"]),
         ("wasp run ./specs/q", ["./specs/quickstart.yaml"]),
         ("wasp run nowhere/", []),
-        ("wasp run specs/smoke.yaml --task zzz", []),
     ],
 )
 def test_what_is_offered(line: str, names: list[str]) -> None:

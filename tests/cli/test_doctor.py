@@ -37,12 +37,6 @@ def test_a_gpu_is_used_unless_the_variable_says_otherwise(tmp_path: Path, monkey
     assert "every stage computes on the CPU (WASP_DEVICE=cpu)" in gpu(tmp_path).meaning
 
 
-def test_a_machine_without_a_gpu_needs_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert gpu(tmp_path).state == "optional"
-
-
 def test_a_device_that_training_would_not_find_is_said_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "cuda:99")
     found = gpu(tmp_path)

@@ -12,7 +12,7 @@ import pytest
 PROGRAM = "import wasp_cli.__main__ as program; program.main()"
 
 
-@pytest.mark.parametrize("module", ["wasp_cli.cli.early", "typing", "typer", "wasp_cli.cli.run", "wasp_cli.errors", "pydantic", "torch._C"])
+@pytest.mark.parametrize("module", ["wasp_cli.cli.early", "typer", "torch._C"])
 def test_it_ends_without_a_traceback(module: str, tmp_path: Path) -> None:
     """The signal comes when Python says that it has imported `module`; more is imported after each."""
     command = [sys.executable, "-P", "-X", "importtime", "-c", PROGRAM, "doctor"]

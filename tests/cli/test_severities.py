@@ -102,14 +102,6 @@ def test_an_operator_that_is_not_accepted_ends_with_1(spec: Path, tmp_path: Path
     assert "goal1" not in done.output.lower()
 
 
-def test_undecided_is_printed_and_is_no_failure(spec: Path, tmp_path: Path) -> None:
-    # From mild to moderate -2 and 3, in two seeds: mean 0.5, SD sqrt(25 / 3), SE 1.44.
-    results = store(spec, tmp_path / "results", {**FALLING, 0.5: (4, 6), 0.7: (2, 9)})
-    done = invoke(spec, "--results", results)
-    assert done.exit_code == 0, done.output
-    assert "goal1 laggy: undecided: from mild 0.5 to moderate 0.7 it rises by 0.5 +- 1.4, which may be chance" in done.stdout
-
-
 def test_json_is_json_alone_also_when_it_ends_with_1(spec: Path, tmp_path: Path) -> None:
     results = store(spec, tmp_path / "results", RISING)
     done = invoke(spec, "--results", results, "--json")
@@ -119,15 +111,6 @@ def test_json_is_json_alone_also_when_it_ends_with_1(spec: Path, tmp_path: Path)
     outcomes = [(found["operator"], found["outcome"]) for task in record["tasks"] for found in task["operators"]]
     assert outcomes == [("laggy", "not accepted"), ("noisy", "accepted")] * 2
     assert [found["return"] for found in record["tasks"][0]["operators"][0]["severities"]] == [8.0, 9.0]
-
-
-def test_a_dry_run_shows_the_plan_and_computes_nothing(spec: Path, tmp_path: Path) -> None:
-    done = invoke(spec, "--results", tmp_path / "results", "--dry-run", "--json")
-    assert done.exit_code == 0, done.output
-    record = json.loads(done.stdout)
-    assert record["spec"] == "operators-little"
-    assert {node["state"] for node in record["nodes"]} == {"missing"}
-    assert not (tmp_path / "results").exists()
 
 
 def test_a_failed_cell_leaves_its_operator_incomplete_and_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Path) -> None:
@@ -179,12 +162,6 @@ def test_settings_do_not_bring_back_what_is_left_out(spec: Path) -> None:
     settings = ["methods=[ida]", "stages=[critics]", "seeds=[7]", "name=other", "variants=[full]"]
     found = operators_alone(spec, settings).spec
     assert (found.name, found.methods, found.stages, found.seeds) == ("operators-other", ("human", "expert"), (), (7,))
-
-
-@pytest.mark.parametrize("length", [1, 54, 55, 64])
-def test_names_are_cut_to_what_a_name_may_have(spec: Path, length: int) -> None:
-    name = operators_alone(spec, ["name=" + "x" * length]).spec.name
-    assert (name.startswith("operators-x"), len(name)) == (True, min(10 + length, 64))
 
 
 @pytest.mark.parametrize(

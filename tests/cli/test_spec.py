@@ -76,12 +76,6 @@ def test_a_problem_of_a_base_or_an_option_is_told_as_such(good: Path) -> None:
     assert done.stderr.count("unknown task 'gaol1'") == 1
 
 
-def test_a_setting_of_another_form_is_usage_for_machines_too(good: Path) -> None:
-    done = run_here("check", good, "--set", "seeds", "--json", columns=200)
-    assert (done.exit_code, done.stdout) == (2, "")
-    assert "is not of the form key=value" in done.stderr
-
-
 def test_errors_are_read_from_top_to_bottom(good: Path) -> None:
     good.write_text(GOOD.replace("goal1", "gaol1").replace("[0]", "0"), encoding="utf-8")
     done = run_here("check", good, columns=40)

@@ -74,23 +74,6 @@ def test_a_dry_run_shows_the_plan_of_all_values_and_writes_nothing(small_spec: P
     assert not (tmp_path / "results").exists()
 
 
-def test_published_results_are_used_or_not_as_reuse_says(cells: None, small_spec: Path, tmp_path: Path) -> None:
-    elsewhere, published = tmp_path / "elsewhere", tmp_path / "published"
-    assert sweep(small_spec, elsewhere, *VARY).exit_code == 0
-    done = run_here("publish", small_spec, "--results", elsewhere, "--to", published, "--set", "methods=[human]", columns=160)
-    assert done.exit_code == 0, done.output
-
-    def states(reuse: str) -> set[str]:
-        planned = sweep(small_spec, tmp_path / "results", *VARY, "--dry-run", "--json", "--reuse", reuse)
-        return {node["state"] for node in json.loads(planned.stdout)["nodes"]}
-
-    assert states("none") == {"missing"}
-    assert "published" in states(str(published))
-    there = sweep(small_spec, tmp_path / "results", *VARY, "--reuse", str(published))
-    assert there.exit_code == 0, there.output
-    assert "published results are used" in there.stderr
-
-
 def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> None:
     done = sweep(small_spec, tmp_path / "results", *VARY, "--json", "--task", "goal1")
     record = json.loads(done.stdout)
@@ -101,16 +84,6 @@ def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> No
         ("diffusion", 0.4, 9.0, -50.0),
     ]
     assert Path(record["report"]).is_file()
-
-
-def test_reports_of_the_folder_still_work(cells: None, small_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    sweep(small_spec, results, *VARY)
-    shown = run_here("report", results, columns=160)
-    assert shown.exit_code == 0, shown.output
-    rows = [line.split()[:2] for line in shown.stdout.splitlines() if line.split()[:1] == ["Diffusion"]]
-    assert rows == [["Diffusion", "7.00"], ["Diffusion", "9.00"]]
-    assert (results / "reports" / "small-diffusion.ratio-0.4" / "report.md").is_file()
 
 
 def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -124,12 +97,6 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
     assert "goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed: the loss is not finite" in done.stdout
     page = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio") / "report.md"
     assert "- goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed" in page.read_text(encoding="utf-8")
-
-
-def test_cells_without_readable_rows_fail_the_sweep(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    done = sweep(small_spec, tmp_path / "results", *VARY)  # these fakes end well, and write no cell
-    assert done.exit_code == 1
-    assert "error: 12 cells cannot be read:\n  goal1 human noisy=0.2 seed 0: not computed yet" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
+from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session
-from wasp_cli.drive.script import Habits
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
@@ -48,12 +48,3 @@ def test_a_check_leaves_nothing_behind(driven: Path, method: str) -> None:
     assert files(driven) == there
     assert reported(driven) == before
     assert before <= {path.name for path in (driven / "store" / "evaluate").iterdir()}
-
-
-def test_a_session_that_ends_before_an_episode_hides_none(driven: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(driven, results)
-    before, asked = reported(results), wanted(results)
-    session = asked.prepared()
-    asked.record(session)
-    assert reported(results) == before

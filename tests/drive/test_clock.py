@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from wasp_cli.drive import clock as module
-from wasp_cli.drive.clock import Clock, Decider
+from wasp_cli.drive import desk as module
+from wasp_cli.drive.desk import Clock, Decider
 from wasp_cli.store.people import percentiles
 
 

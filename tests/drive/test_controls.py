@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.drive.desk import KEYS, Controls, Held, action_of
+from wasp_cli.drive.desk import KEYS, Desk, Held, action_of
 from wasp_cli.video.map import stick
 
 UNIT = st.floats(-1.0, 1.0, width=32)
@@ -45,10 +45,9 @@ def test_the_action_drives_as_the_stick_says(forward: float, left: float, drive:
 
 
 def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> None:
-    controls = Controls()
-    controls.hold(frozenset({"ArrowUp"}), (0.0, 0.0), 1)
-    controls.hold(frozenset({"ArrowLeft", "KeyQ"}), (0.5, 0.0), 2)
-    held = controls.now()
-    assert (held.keys, held.axes, held.number) == (frozenset({"ArrowLeft"}), (0.5, 0.0), 2)
-    controls.release()
-    assert (controls.now().keys, controls.now().axes, controls.now().number) == (frozenset(), (0.0, 0.0), 2)
+    desk = Desk()
+    desk.hold(frozenset({"ArrowUp"}), (0.0, 0.0), 1)
+    desk.hold(frozenset({"ArrowLeft", "KeyQ"}), (0.5, 0.0), 2)
+    assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset({"ArrowLeft"}), (0.5, 0.0), 2)
+    desk.focus(False)
+    assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset(), (0.0, 0.0), 2)

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import re
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -20,11 +16,10 @@ from websockets.sync.client import ClientConnection
 
 from tests.drive.test_server import driver, get, state
 from tests.view.conftest import viewed
-from wasp_cli.drive import script
+from wasp_cli.drive import check as script
 from wasp_cli.drive.desk import Desk
 from wasp_cli.drive.server import TOO_MUCH, Server
 from wasp_cli.errors import WaspError
-from wasp_cli.store.tables import read_episodes
 from wasp_cli.web import guard
 from wasp_cli.web.server import LocalServer
 
@@ -35,7 +30,6 @@ HALVES = {
     "half a body": b"POST /note HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9999\r\n\r\nkey=",
     "half a second request": b"GET /none HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /none HTTP/1.1\r\nHost: ",
 }
-PROGRAM = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128)); from wasp_cli.__main__ import main; main()"
 
 
 @pytest.fixture(params=["drive", "view"])
@@ -83,13 +77,13 @@ def to_the_end(ws: ClientConnection) -> None:
 
 
 def test_the_driver_is_no_such_connection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "PATIENCE", 0.2)
+    monkeypatch.setattr(guard, "PATIENCE", 6.0)  # for a handshake on a busy machine
     server = Server(Desk())
     server.start()
     try:
         with driver(server) as ws:
             state(ws)
-            time.sleep(0.8)
+            time.sleep(6.5)
             ws.send(json.dumps({"type": "alive"}))
             ws.send(json.dumps({"type": "ask", "what": "nothing"}))
             with pytest.raises(ConnectionClosed) as caught:
@@ -129,31 +123,6 @@ def test_a_refused_socket_is_gone() -> None:
             assert closed(connection)
     finally:
         server.stop()
-
-
-def test_a_session_outlives_more_half_sent_requests_than_it_has_descriptors(tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    command = [sys.executable, "-c", PROGRAM, "drive", "goal1", "--method", "human", "--simulate", "--speed", "2", "--episodes", "1"]
-    process = subprocess.Popen(
-        [*command, "--results", str(results)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
-    waiting: list[socket.socket] = []
-    try:
-        assert process.stdout is not None
-        found = next(match for line in process.stdout if (match := re.search(r"drive here: http://127\.0\.0\.1:(\d+)/", line)))
-        for _ in range(150):
-            waiting.append(socket.create_connection(("127.0.0.1", int(found[1])), timeout=300))
-            with suppress(OSError):  # closed already
-                waiting[-1].sendall(HALVES["a line"])
-        _, errors = process.communicate(timeout=600)
-    finally:
-        process.kill()
-        for each in waiting:
-            each.close()
-    assert (process.returncode, "Traceback" in errors) == (0, False), errors[-3000:]
-    (path,) = results.glob("store/evaluate/*/episodes.parquet")
-    assert read_episodes([path]).num_rows == 1
 
 
 def test_a_scripted_driver_that_was_turned_away_connects_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,20 +62,3 @@ def test_a_key_that_stays_down_after_the_window_had_lost_the_focus_drives_again(
     result = driven();
     """
     assert page(steps) == [[], ["KeyW"], [], ["KeyW"]]
-
-
-def test_the_banner_says_late_for_a_while_and_names_a_speed() -> None:
-    steps = """
-    begin({ task: "goal1", shown: ["gate"], map: null, cameras: 2, speed: 1.0 });
-    const at = (t, gate) => { draw({ header: { frame: t, t, seconds: 0, gate, corrected: false }, pixels: [] });
-      return [byId("late").hidden, byId("gate").textContent]; };
-    result = [at(0, undefined), at(1, "late"), at(2, "safety"), at(40, "alone")];
-    result.push(byId("late").textContent);
-    """
-    first, late, after, later, text = page(steps)
-    assert first[0]
-    assert not late[0]
-    assert late[1].startswith("Late: the assistant had not answered")
-    assert not after[0], "a while"
-    assert later == [True, "You drive alone."]
-    assert text == "late: you drive alone; try --speed 0.5"

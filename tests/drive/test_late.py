@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import threading
 from pathlib import Path
@@ -15,10 +14,9 @@ from typer.testing import CliRunner
 from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive import block
-from wasp_cli.drive.check import Timing, checked_blocks, recommended, warning
+from wasp_cli.drive.check import Habits, Timing, checked_blocks, warning
 from wasp_cli.drive.command import drive_session
 from wasp_cli.drive.desk import GO, Desk, Frame
-from wasp_cli.drive.script import Habits
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.metrics.episode import GATE_LATE
@@ -111,20 +109,6 @@ def test_a_check_judges_the_decisions_at_which_a_gate_fires() -> None:
     assert not timing(fired_late_share=0.4).in_time, "4 of 250 decisions are few, but they are those that matter"
     assert not timing(pace=1.3).in_time
     assert "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late" in timing().where_gates_fired
-
-
-def test_the_recommended_speed_has_room_for_the_search(imported: Path) -> None:
-    (found,) = checked_blocks(wanted(imported, "wasp", 4.0).prepared(), 5)
-    assert found.decisions == 5
-    driven = _driven(10.0)
-    quick, slow = [0.02] * 200, [0.12] * 3
-    assert recommended([*quick, *slow], [], driven, 0.08, 1.0) == 1.0
-    assert recommended([*quick, *slow], slow, driven, 0.08, 1.0) == 0.6
-    assert math.isfinite(found.pace)
-
-
-def _driven(rest_ms: float) -> Any:
-    return type("Driven", (), {"beats": [type("Beat", (), {"rest_ms": rest_ms})]})
 
 
 def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
 
         def held() -> frozenset[str]:
-            return desk.controls.now().keys
+            return desk.held.keys
 
         def comes(expected: set[str]) -> None:
             eventually(lambda: held() == expected)
@@ -108,24 +108,3 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
     np.testing.assert_array_equal(commands, np.stack([forward, left], 1))
     assert not all(beats["focused"].to_pylist())
     assert desk.lost == 1
-
-
-def test_the_page_fits_a_narrow_window(browser: Browser, imported: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(imported, results)
-    session = wanted(results).prepared()
-    with served(session) as (_, server, _):
-        tab = browser.tab()
-        # Opened again in the middle, the page finds the world waiting.
-        for width, waiting, go in ((500, "ready", "Go"), (1280, "paused", "Go on")):
-            tab.size(width, 900)
-            tab.open(server.address)
-            tab.until(f"phase === '{waiting}'")
-            tab.click(go)
-            tab.until("phase === 'driving' && frame")
-            assert tab.value("document.documentElement.scrollWidth") <= width
-            tab.click("Pause")
-            tab.until("phase === 'paused'")
-        tab.click("End the session")
-        tab.until("phase === 'over'")
-        tab.close()

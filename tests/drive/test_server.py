@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, packed, unpacked
+from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, unpacked
 from wasp_cli.errors import UsageError
 
 
@@ -122,7 +122,7 @@ def test_a_message_that_the_page_does_not_send_ends_the_connection_and_nothing_e
             ws.recv(timeout=300)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == TOO_MUCH
-    assert server.desk.controls.now().stick.tolist() == [0.0, 0.0]
+    assert server.desk.held.stick.tolist() == [0.0, 0.0]
     wait_until(lambda: not server.desk.present)
     with driver(server) as ws:
         assert state(ws)["phase"] == "starting"
@@ -151,7 +151,7 @@ def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == TOO_MUCH
     wait_until(lambda: not server.desk.present)
-    assert server.desk.controls.now().stick.tolist() == [0.0, 0.0], "nothing stays held"
+    assert server.desk.held.stick.tolist() == [0.0, 0.0], "nothing stays held"
 
 
 def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +160,7 @@ def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pyt
         state(ws)
         ws.send(json.dumps({"type": "input", "number": 1, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}))
         wait_until(lambda: not server.desk.present)
-    assert server.desk.controls.now().keys == frozenset()
+    assert server.desk.held.keys == frozenset()
 
 
 def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_out(server: Server) -> None:
@@ -175,12 +175,6 @@ def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_ou
         ws.send(json.dumps({"type": "ack", "frame": 1}))
         assert unpacked(ws.recv(timeout=300))[0] == {"frame": 4}  # type: ignore[arg-type]
         assert 0.0 < server.desk.round_trip < 10.0
-
-
-def test_a_frame_survives_its_packing() -> None:
-    header, pixels = unpacked(packed(Frame({"frame": 7, "robot": [0.5, 1.0]}, bytes(range(256)))))
-    assert header == {"frame": 7, "robot": [0.5, 1.0]}
-    assert pixels == bytes(range(256))
 
 
 def test_a_port_that_is_taken_is_said() -> None:

@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.drive.conftest import harmed, served, swept_before_commit, wanted
 from wasp_cli.cli.app import app
+from wasp_cli.drive.check import Habits, drive, to_the_goal
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.script import Habits, drive, to_the_goal
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.learning.playback import play
 from wasp_cli.metrics.episode import GATE_LATE
@@ -29,7 +29,6 @@ from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file, read_episodes, read_steps
 from wasp_cli.tasks.make import make_task
-from wasp_cli.tasks.registry import TASKS
 
 
 @pytest.fixture(scope="module")
@@ -60,16 +59,6 @@ def test_a_session_is_a_cell_like_any_other(driven: tuple[Path, str]) -> None:
     assert episodes["episode"].to_pylist() == [0, 1]
     assert episodes["tau_c"].to_pylist() == [1.0, 1.0]
     assert not list(layout.works.glob("*/episodes.parquet")), "what is published is nowhere else"
-
-
-def test_rows_know_the_motors_of_their_task(driven: tuple[Path, str]) -> None:
-    rows, steps = read_episodes([cell_of(driven)]), read_steps(cell_of(driven))
-    motors = TASKS["goal1"].motors
-    force, force_h = (motors.force(np.array(steps[name].to_pylist(), np.float64)) for name in ("a", "a_h"))
-    norm = np.linalg.norm(force - force_h, axis=1)
-    effect = [norm[np.array(steps["episode"]) == e].mean() for e in rows["episode"].to_pylist()]
-    assert rows["mag_eff"].to_pylist() == pytest.approx(effect, abs=1e-4)
-    assert sum(effect) != pytest.approx(sum(rows["mag"].to_pylist()), rel=0.01)
 
 
 def test_the_same_actions_lead_to_the_same_bits(driven: tuple[Path, str]) -> None:
@@ -113,21 +102,6 @@ def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[s
     found = CliRunner().invoke(app, [name, "goal1 s0 wasp person=0", *options, "--results", str(driven[0])])
     assert found.exit_code == 0, found.output
     assert "person" in found.output
-
-
-def test_it_can_be_shown_again(driven: tuple[Path, str], tmp_path: Path) -> None:
-    video = tmp_path / "film.webp"
-    options = ["--episode", "0", "--every", "50", "--results", str(driven[0]), "--out", str(video)]
-    found = CliRunner().invoke(app, ["replay", "goal1 s0 wasp person=0", *options])
-    assert found.exit_code == 0, found.output
-    assert video.stat().st_size > 10_000
-
-
-def test_reports_count_it(driven: tuple[Path, str]) -> None:
-    found = CliRunner().invoke(app, ["report", str(driven[0])])
-    assert found.exit_code == 0, found.output
-    table = (driven[0] / "reports" / "drive" / "table1.md").read_text()
-    assert "WASP" in table
 
 
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:

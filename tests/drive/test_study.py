@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
+from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session, withdrawn
-from wasp_cli.drive.script import Habits
 from wasp_cli.errors import UsageError
 from wasp_cli.report.document import TABLES
 from wasp_cli.report.tables.table import who_title

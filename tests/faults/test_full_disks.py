@@ -84,4 +84,4 @@ def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_
     _, layout, plan = prepared(small_spec, results)
     assert not plan.to_run()
     with pytest.raises(StoreError, match="'/dev/full' is not whole: no space left on device"):
-        Session(layout, "", plan, summary).require_complete()
+        Session(layout, "", plan, summary, {}).require_complete()

@@ -9,13 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, group_is_gone, run, start, wait_until
+from tests.run.harness import Fakes, data_of, finished, group_is_gone, run, start, wait_until
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_json_lines
-
-
-def finished(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def end(process: subprocess.Popen[str]) -> tuple[str, str]:

@@ -48,11 +48,3 @@ def test_a_node_that_fails_through_ray_is_named(fakes: Fakes, small_spec: Path, 
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: the loss is not finite" in errors
     assert "Traceback" not in errors
-
-
-def test_no_ray_cluster_is_a_usage_error(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "ray", "--scheduler", "127.0.0.1:1")
-    _, errors = process.communicate(timeout=600)
-    assert process.returncode == 2
-    assert "no ray scheduler answers at '127.0.0.1:1'" in errors
-    assert "Traceback" not in errors

@@ -12,14 +12,8 @@ from tests.run.harness import Fakes, prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import report_run
-from wasp_cli.run.record import read_run, results_of
+from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
-
-
-def test_results_that_are_a_file_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "results").write_text("not a folder")
-    with pytest.raises(StoreError, match="it is a file"):
-        Layout(tmp_path / "results").prepare()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -55,13 +49,6 @@ def test_damaged_records_are_named_not_obeyed(fakes: Fakes, small_spec: Path, tm
     (layout.run(run_id) / "spec.json").write_text('{"name": "../../x"}')
     with pytest.raises(ArtifactError, match="cannot read the spec of run"):
         read_run(layout, run_id)
-
-
-def test_a_folder_without_runs_is_no_results(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="it holds no runs"):
-        results_of(tmp_path)
-    with pytest.raises(StoreError, match="no such folder"):
-        results_of(tmp_path / "absent")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

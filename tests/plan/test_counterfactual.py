@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-from pydantic import ValidationError
-
-from tests.plan.test_grid import by_label, grid, spec
+from tests.plan.test_grid import by_label, grid
 from tests.plan.test_select import labels, ran
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.closure import closure
-from wasp_cli.plan.grid import Grid, together
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.plan import make_plan
-from wasp_cli.plan.select import select
 
 ASKED = ["diagnostics", "counterfactual"]
 
@@ -90,24 +86,3 @@ def test_selectors_name_the_branches_of_cells() -> None:
     plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=counterfactual,method=ida,value=0.6,seed=1"]))
     kinds = ("expert", "dataset", "world_model", "latents", "policies", "heldout", "ida_q", "calibration ida", "ida noisy=0.6")
     assert ran(plan) == {f"goal1 s1 {kind}" for kind in (*kinds, "counterfactual ida noisy=0.6")}
-
-
-def test_a_plan_names_the_branched_cells_for_reports() -> None:
-    laid_out = judged()
-    written = make_plan(laid_out, {}, {}).as_json()
-    assert [entry["key"] for entry in written["branched"]] == [node.key for _, node in laid_out.branched]
-    assert written["branched"][0]["method"] == "ida"
-    assert {part["kind"] for part in written["parts"]}.isdisjoint({"evaluate", "calibration", "counterfactual"})
-
-
-def test_specs_together_share_what_is_branched() -> None:
-    one, other = judged(methods=["ida"]), judged(methods=["ida", "wasp"])
-    assert len(together([one, other]).branched) == len(other.branched) == 12
-    assert together([one, grid(methods=["ida"])]).branched == one.branched
-
-
-def test_without_methods_there_is_nothing_to_branch() -> None:
-    assert judged(methods=[], operators={}).branched == ()
-    with pytest.raises(ValidationError, match="neither methods nor stages"):
-        spec(methods=[], operators={}, stages=["counterfactual"])
-    assert judged(methods=["human", "expert"]).branched == ()

@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-import random
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from wasp_cli.errors import WaspError
 from wasp_cli.plan.grid import Grid, lay_out, stage_class
-from wasp_cli.plan.node import Node, levels
-from wasp_cli.spec.load import load
+from wasp_cli.plan.node import Node
 from wasp_cli.spec.model import Spec, validate
 
 DOCUMENT: dict[str, Any] = {
@@ -198,36 +195,3 @@ def test_parts_are_what_is_trained() -> None:
     named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
     kinds = ("expert", "dataset", "world_model", "latents", "policies", "critics", "heldout", "ida_q", "diagnostics")
     assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}
-
-
-def test_levels_put_what_is_needed_first() -> None:
-    laid_out = grid()
-    nodes = list(laid_out.nodes)
-    random.Random(0).shuffle(nodes)
-    seen: set[str] = set()
-    for level in levels(nodes):
-        for node in level:
-            assert {needed.key for needed in node.needs.values()} <= seen
-        seen |= {node.key for node in level}
-    assert seen == keys(laid_out)
-
-
-def test_levels_of_a_part_start_where_the_rest_is_done() -> None:
-    evaluations = [node for node in grid().nodes if node.kind == "evaluate"]
-    assert levels(evaluations) == [evaluations]
-
-
-def test_what_moves_no_result_moves_no_key() -> None:
-    assert not changed(world_model={"checkpoint_every": 7})
-    other = by_label(grid(world_model={"checkpoint_every": 7}))
-    assert {node.config["checkpoint_every"] for node in other.values() if node.kind == "world_model"} == {7}
-
-
-def test_table_2_and_figure_3_take_their_whole_cells_from_table_1() -> None:
-    folder = Path(__file__).parents[2] / "specs"
-    table1, table2, figure3 = (lay_out(load(folder / f"{name}.yaml").spec) for name in ("table1", "table2", "figure3"))
-    whole = [node.key for cell, node in table2.cells if cell.assistant == "full"]
-    assert whole
-    assert set(whole) <= keys(table1)
-    assert {node.key for node in figure3.nodes if node.kind == "evaluate"} <= keys(table1)
-    assert {node.kind for node in table2.nodes if node.key not in keys(table1)} <= {"evaluate", "calibration"}

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.plan import keys
-from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries, recipe_of
+from wasp_cli.plan import node as keys
+from wasp_cli.plan.node import LENGTH, canonical, key_of, libraries, recipe_of
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),

@@ -49,7 +49,7 @@ def test_a_node_waits_for_all_that_it_needs_and_for_nothing_else() -> None:
     schedule.ended(a)
     assert schedule.pop() is both
     schedule.ended(both)
-    assert schedule.left == 0
+    assert not len(schedule)
 
 
 def test_a_failure_takes_its_dependents_along_each_once_and_no_other() -> None:

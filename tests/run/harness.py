@@ -17,13 +17,13 @@ import pytest
 from tests.run import fake_stages
 from wasp_cli.plan import grid
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.run.job import Pool
-from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.pool import InlinePool, Pool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_json_lines
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -98,6 +98,17 @@ def keys_of(spec: Path, results: Path) -> set[str]:
 def data_of(results: Path) -> dict[str, bytes]:
     """The payload of every artifact in a store."""
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
+
+
+def finished(results: Path) -> set[str]:
+    """The keys of every artifact in a store."""
+    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
+
+
+def events(results: Path) -> list[str]:
+    """What the journal of the only run tells."""
+    (journal,) = results.glob("runs/*/journal.jsonl")
+    return [str(event["event"]) for event in read_json_lines(journal)]
 
 
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:

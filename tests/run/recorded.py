@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 
@@ -54,7 +54,7 @@ def write_run(
     folder = layout.run(run_id)
     for part in ("logs", "running"):
         (folder / part).mkdir(parents=True)
-    write_record(folder / "plan.json", {"spec": spec, "nodes": nodes, "cells": [], "parts": []})
+    write_record(folder / "plan.json", {"spec": spec, "nodes": nodes, "cells": [], "branched": [], "parts": []})
     if events is not None:
         lines = [json.dumps({"at": at(seconds), "event": event, **facts}) for seconds, event, facts in events]
         (folder / "journal.jsonl").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

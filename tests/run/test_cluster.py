@@ -10,11 +10,10 @@ from typing import Any
 import distributed
 import pytest
 
-from tests.run.harness import wait_until
 from wasp_cli.errors import WaspError
-from wasp_cli.run import cluster
-from wasp_cli.run.cluster import DaskPool
-from wasp_cli.run.job import NodeJob, NodeResult, WorkersDied
+from wasp_cli.run import pool as pools
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.pool import DaskPool, WorkersDied
 
 JOB: Any = SimpleNamespace(run_id="run", key="key")
 DONE = NodeResult("key", "done", 1.0)
@@ -60,8 +59,8 @@ class Client:
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(distributed, "Client", Client)
-    monkeypatch.setattr(cluster, "POLL_SECONDS", 0.01)
-    monkeypatch.setattr(cluster, "COUNT_SECONDS", 0.02, raising=False)
+    monkeypatch.setattr(pools, "POLL_SECONDS", 0.01)
+    monkeypatch.setattr(pools, "COUNT_SECONDS", 0.02, raising=False)
     pool = DaskPool("tcp://somewhere:1")
     yield pool
     pool.close()
@@ -69,12 +68,6 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def error_of(found: Future[NodeResult]) -> BaseException | None:
     return found.exception(timeout=300)
-
-
-def test_what_is_finished_is_the_result(pool: Any) -> None:
-    found = pool.submit(JOB)
-    pool._client.task.end("finished")
-    assert found.result(timeout=300) is DONE
 
 
 @pytest.mark.parametrize("status", ["lost", "cancelled", "pending"])
@@ -110,22 +103,3 @@ def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status: str, poo
         assert error.message == f"the dask scheduler is lost ({status})"
     pool._client.task.end("finished")  # too late, and no error
     assert isinstance(error_of(second), WaspError)
-
-
-def test_nothing_is_given_up_while_the_client_connects_again(pool: Any) -> None:
-    found = pool.submit(JOB)
-    pool._client.status = "connecting"
-    with pytest.raises(TimeoutError):
-        found.result(timeout=0.1)
-    pool._client.status = "running"
-    pool._client.task.end("finished")
-    assert found.result(timeout=300) is DONE
-
-
-def test_the_pool_knows_when_its_workers_are_gone_and_when_they_are_back(pool: Any) -> None:
-    assert pool.gone is None
-    pool._client.workers = {}
-    wait_until(lambda: pool.gone is not None)
-    assert pool.gone == "dask worker tcp://somewhere:1 --nthreads 1 --nworkers N"
-    pool._client.workers = {"two": 1}
-    wait_until(lambda: pool.gone is None)

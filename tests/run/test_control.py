@@ -11,20 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
-from wasp_cli.store.plain import read_json_lines
+from tests.run.harness import Fakes, data_of, events, finished, prepared, run, start, wait_until
 
 NODES = 36
 """Of the small spec."""
-
-
-def finished(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
-
-
-def events(results: Path) -> list[str]:
-    (journal,) = results.glob("runs/*/journal.jsonl")
-    return [str(event["event"]) for event in read_json_lines(journal)]
 
 
 def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

@@ -70,9 +70,6 @@ def test_a_run_says_later_what_it_was_to_branch(fakes: Fakes, judged_spec: Path,
     assert {(cell.method, cell.operator) for cell, _ in recorded.branched} == {
         (method, operator) for method in ("ida", "wasp") for operator in ("noisy", "laggy")
     }
-    plan = layout.run(recorded.run_id) / "plan.json"
-    plan.write_text(plan.read_text(encoding="utf-8").replace('"branched"', '"unknown"'), encoding="utf-8")
-    assert read_run(layout, recorded.run_id).branched == []  # a run of an older version
 
 
 def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
@@ -82,27 +79,6 @@ def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec:
     options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
     assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
     assert len(branches(tmp_path / "results")) == 1
-
-
-def test_they_are_published_taken_again_and_kept_while_a_spec_asks(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
-    results, other = tmp_path / "results", tmp_path / "other"
-    run(judged_spec, results)
-    assert run_here("publish", judged_spec, "--results", results, columns=200).exit_code == 0
-    assert {path.name for path in (results / "published" / "store" / KIND).iterdir()} == branches(results)
-    other.mkdir()
-    (results / "published").rename(other / "published")
-    before = len(fakes.executions())
-    run_here("run", judged_spec, "--results", other, "--reuse", "published", "-j", "0", columns=200)
-    assert len(fakes.executions()) == before
-    assert branches(other) == branches(results)
-
-    assert run_here("gc", results, "--yes", columns=80).exit_code == 0
-    assert len(branches(results)) == 4
-    text = judged_spec.read_text(encoding="utf-8").replace(", counterfactual", "")
-    judged_spec.write_text(text, encoding="utf-8")
-    run(judged_spec, results)
-    run_here("gc", results, "--yes", columns=80)
-    assert branches(results) == set()
 
 
 def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, keys_of, run, start, wait_until
+from tests.run.harness import Fakes, finished, keys_of, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
@@ -32,10 +32,6 @@ def other_spec(small_spec: Path) -> Path:
     path = small_spec.with_name("other.yaml")
     path.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
     return path
-
-
-def artifacts(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def collect(results: Path, *options: str | Path) -> str:
@@ -64,14 +60,14 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: P
     run(small_spec, results)
     run(other_spec, results)
     old, new = keys_of(small_spec, results), keys_of(other_spec, results)
-    assert artifacts(results) == old | new
+    assert finished(results) == old | new
     assert "nothing was removed" in collect(results)
     shown = table(collect(results, "--dry-run"))
-    assert artifacts(results) == old | new
+    assert finished(results) == old | new
     unwanted = Counter(path.parent.name for path in results.glob("store/*/*") if path.name not in new)
     assert {what: count for what, (count, _) in shown.items() if what in unwanted} == unwanted
     assert "removed" in collect(results, "--yes").splitlines()[-1]
-    assert artifacts(results) == new
+    assert finished(results) == new
     assert not list((results / "tmp").iterdir())
     assert not list((results / "locks").glob("[0-9a-f]*"))
     assert run(other_spec, results).done == 0
@@ -82,15 +78,15 @@ def test_specs_of_other_names_and_specs_to_keep(fakes: Fakes, small_spec: Path, 
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
-    everything = artifacts(results)
+    everything = finished(results)
     collect(results, "--yes", "--keep", small_spec)
-    assert artifacts(results) == everything
+    assert finished(results) == everything
     named = small_spec.with_name("named.yaml")
     named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
     run(named, results)
     run(other_spec, results)
     collect(results, "--yes")
-    assert artifacts(results) == everything
+    assert finished(results) == everything
     assert run_here("gc", results, "--keep", tmp_path / "absent.yaml", columns=80).exit_code == 3
 
 
@@ -103,11 +99,11 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes,
     plan = json.loads((layout.run(run_id) / "plan.json").read_text())
     plan["nodes"] = [node for node in plan["nodes"] if node["kind"] == "evaluate"]
     write_record(layout.run(run_id) / "plan.json", plan)
-    before = artifacts(results)
+    before = finished(results)
     diagnostics = {path.name for path in results.glob("store/diagnostics/*")}
     collect(results, "--yes")
     assert diagnostics
-    assert before - artifacts(results) == diagnostics  # no evaluation reads them
+    assert before - finished(results) == diagnostics  # no evaluation reads them
 
 
 def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
@@ -115,16 +111,16 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     run(small_spec, tmp_path / "undisturbed")
     fakes.set(seconds=0.1)
     process = start("run", small_spec, "--results", results, "-j", "2")
-    wait_until(lambda: len(artifacts(results)) >= 5)
+    wait_until(lambda: len(finished(results)) >= 5)
     (journal,) = results.glob("runs/*/journal.jsonl")
     process.send_signal(signal.SIGSTOP)  # or it could end before gc looks, and what it computed could go
     fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
     while looked < 4 and process.poll() is None and read_json_lines(journal)[-1]["event"] != "run ended":
-        before = artifacts(results)
+        before = finished(results)
         collect(results, "--yes", "--runs")
-        assert before <= artifacts(results)
+        assert before <= finished(results)
         looked += 1
         process.send_signal(signal.SIGCONT)
         time.sleep(0.1)
@@ -134,7 +130,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     output = process.communicate()
     assert process.returncode == 0, output
     wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/_manifest.json")}
-    assert wanted <= artifacts(results)
+    assert wanted <= finished(results)
 
 
 def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
@@ -146,7 +142,7 @@ def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spe
         events[0] |= facts
         journal.write_text("".join(json.dumps(event) + "\n" for event in events))
         collect(results, "--yes")
-        assert (keys_of(small_spec, results) <= artifacts(results)) == stays
+        assert (keys_of(small_spec, results) <= finished(results)) == stays
 
 
 def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
@@ -160,24 +156,24 @@ def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec
     with held(layout.lock(evaluation.name), lambda: None):
         collect(results, "--yes")
         assert is_held(layout.lock(evaluation.name))
-    assert evaluation.name in artifacts(results)
-    assert reads <= artifacts(results)
+    assert evaluation.name in finished(results)
+    assert reads <= finished(results)
     collect(results, "--yes")
-    assert evaluation.name not in artifacts(results)
+    assert evaluation.name not in finished(results)
 
 
 def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
-    unwanted = sorted(artifacts(results) - keys_of(other_spec, results))
+    unwanted = sorted(finished(results) - keys_of(other_spec, results))
     (old,) = results.glob(f"store/*/{unwanted[0]}")
     before = time.time() - 10 * 86400
     os.utime(old, (before, before))
     collect(results, "--yes", "--older-than", "20")
-    assert unwanted[0] in artifacts(results)
+    assert unwanted[0] in finished(results)
     collect(results, "--yes", "--older-than", "9")
-    assert set(unwanted) - artifacts(results) == {unwanted[0]}
+    assert set(unwanted) - finished(results) == {unwanted[0]}
 
 
 def test_runs_go_only_when_asked(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
@@ -204,7 +200,7 @@ def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) 
     run(small_spec, results)
     layout = Layout(results)
     (failed,) = (path.stem for path in layout.failures.iterdir())
-    done, unreached_key, busy = sorted(artifacts(results))[0], "ab" * 10, "cd" * 10
+    done, unreached_key, busy = sorted(finished(results))[0], "ab" * 10, "cd" * 10
     for key in (done, failed, unreached_key, busy):
         layout.work(key).mkdir(exist_ok=True)
         (layout.work(key) / "checkpoint").write_bytes(b"x" * 1000)
@@ -223,7 +219,7 @@ def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) 
 def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     layout, run_id = two_runs(small_spec, other_spec, results)
-    before, plan = artifacts(results), layout.run(run_id) / "plan.json"
+    before, plan = finished(results), layout.run(run_id) / "plan.json"
     whole = json.loads(plan.read_text())
     for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
         plan.write_text(text)
@@ -232,10 +228,10 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path,
         assert "what it needs is unknown" in done.stderr
     plan.unlink()
     assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
-    assert artifacts(results) == before
+    assert finished(results) == before
     os.utime(layout.run(run_id), (0, 0))  # killed while it began, long ago
     collect(results, "--yes")
-    assert artifacts(results) == keys_of(other_spec, results)
+    assert finished(results) == keys_of(other_spec, results)
 
 
 def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
@@ -253,7 +249,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
     try:
         wait_until(lambda: len(run_ids(layout)) == 3 and any(results.glob("runs/*/running/*.json")))
         remove_unreached(layout, set(), shown, runs=False, before=None)
-        assert keys_of(small_spec, results) & keys_of(spec, results) <= artifacts(results)
+        assert keys_of(small_spec, results) & keys_of(spec, results) <= finished(results)
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate(timeout=600)

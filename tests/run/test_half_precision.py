@@ -83,13 +83,6 @@ def test_nothing_is_claimed_of_cells_that_were_computed_before_their_parts_were_
     assert not any("half_precision" in manifest["provenance"] for manifest in cells(Layout(results)))
 
 
-def test_whole_parts_are_not_called_half(whole: Layout, small_spec: Path, tmp_path: Path) -> None:
-    results = published(small_spec, whole, tmp_path / "results", half=False)
-    assert "half" not in text_of(plan(small_spec, results))
-    run(small_spec, results)
-    assert not any("half_precision" in manifest["provenance"] for manifest in cells(Layout(results)))
-
-
 def test_the_report_and_the_comparison_say_it(tmp_path: Path) -> None:
     write_results(tmp_path / "whole")
     write_results(tmp_path / "half", lambda identity: episodes(identity, risk=0.3), {"half_precision": ["policies", "world_model"]})

@@ -109,10 +109,3 @@ def test_a_damaged_beginning_is_not_taken_over(fakes: Fakes, small_spec: Path, t
     carried_out(whole, layout)
     assert seen.count(None) == 1
     assert layout.artifact("evaluate", bad) not in seen
-
-
-def test_a_limit_over_the_whole_changes_nothing(small_spec: Path) -> None:
-    def nodes(limit: int | None) -> list[str]:
-        return [node.key for node in lay_out(loaded_with(small_spec, limit).spec).nodes]
-
-    assert nodes(99) == nodes(None) != nodes(29)

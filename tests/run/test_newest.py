@@ -8,15 +8,11 @@ import time
 from pathlib import Path
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, keys_of, run, start, wait_until
+from tests.run.harness import Fakes, finished, keys_of, run, start, wait_until
 from tests.run.recorded import planned, write_run
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.layout import Layout
-
-
-def artifacts(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def other(spec: Path) -> Path:
@@ -42,7 +38,7 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes: Fakes, small_spec
     assert json.loads(run_here("status", results, "--json", columns=80).stdout)[0]["run_id"] == newest
     done = run_here("gc", results, "--yes", columns=80)
     assert done.exit_code == 0, done.output
-    assert artifacts(results) == keys_of(later, results)
+    assert finished(results) == keys_of(later, results)
 
 
 def test_a_run_without_a_number_is_older(tmp_path: Path) -> None:
@@ -68,19 +64,19 @@ def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes: Fakes, s
         for _ in range(2):
             done = run_here("gc", results, "--yes", "--runs", columns=80)
             assert done.exit_code == 0, done.output
-        assert before <= artifacts(results)
+        assert before <= finished(results)
     finally:
         gate.touch()
         output = process.communicate(timeout=600)
     assert process.returncode == 0, output
     run_here("gc", results, "--yes", columns=80)
-    assert artifacts(results) == keys_of(later, results)
+    assert finished(results) == keys_of(later, results)
 
 
 def test_an_idle_rerun_counts_what_was_there(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     run(small_spec, results)
-    nodes = [{"key": key, "kind": "expert", "label": key, "state": "cached", "needs": {}} for key in artifacts(results)]
+    nodes = [{"key": key, "kind": "expert", "label": key, "state": "cached", "needs": {}} for key in finished(results)]
     not_asked = {**planned(1, "not asked for", "unneeded")}
     write_run(Layout(results), "20300101-000000-small-0002", [*nodes, not_asked])
     Layout(results).order("20300101-000000-small-0002").write_text("2\n")

@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
 from wasp_cli.run.interrupt import SIGNALS
-from wasp_cli.run.pool import LokyPool, _signals_wait
+from wasp_cli.run.pool import _signals_wait
 
 MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
 
@@ -30,17 +28,3 @@ def test_a_worker_that_is_ready_has_no_signals_waiting() -> None:
     with _signals_wait():
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_a_worker_starts_with_the_signals_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    held = []
-
-    class Executor:
-        def submit(self, *job: object) -> object:
-            held.append(set(SIGNALS) <= signal.pthread_sigmask(signal.SIG_BLOCK, []))
-            raise RuntimeError("no worker here")
-
-    monkeypatch.setattr("wasp_cli.run.pool._new_workers", lambda count: Executor())
-    with pytest.raises(RuntimeError, match="no worker here"):
-        LokyPool(1).submit(object())  # type: ignore[arg-type]
-    assert held == [True]

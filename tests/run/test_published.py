@@ -12,7 +12,7 @@ from tests.plan.test_plan import text_of
 from tests.run.harness import Fakes, data_of
 from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, here, kinds, moved, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.errors import UsageError
-from wasp_cli.plan import grid, reasons, reuse
+from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
@@ -162,23 +162,6 @@ def test_with_the_same_code_a_missing_part_is_computed_and_the_rest_is_used(here
     shutil.rmtree(here / "published/store/world_model")
     run(small_spec, here, MORE)
     assert kinds(fakes.executions()) == {"world_model": 2, "evaluate": 2 * 3}
-
-
-def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked: list[Layout] = []
-    monkeypatch.setattr(reuse, "offers", lambda source: looked.append(source) or ([], []))
-    counted = []
-    real = grid.key_of
-    monkeypatch.setattr(grid, "key_of", lambda identity: counted.append(1) or real(identity))
-    plain = lay_out(load(small_spec).spec)
-    once = len(counted)
-    assert lay_out_over(load(small_spec).spec, Layout(tmp_path)) == plain
-    assert not looked
-    assert len(counted) == 2 * once
-    # With an empty published folder there is one look, and no more work for the nodes.
-    assert lay_out_over(load(small_spec).spec, Layout(tmp_path), "published") == plain
-    assert len(looked) == 1
-    assert len(counted) == 3 * once
 
 
 def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:

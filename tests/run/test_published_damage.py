@@ -16,9 +16,7 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.published import import_artifact
 
 __all__ = ["fresh_console", "here", "moved"]
@@ -135,19 +133,6 @@ def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
     done = run(small_spec, here, MORE)
     assert done.summary.complete
     assert kinds(fakes.executions())["world_model"] == 2
-
-
-def test_what_the_store_has_is_not_brought_in_again(here: Path, fakes: Fakes, small_spec: Path) -> None:
-    reused = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values()))
-    layout = Layout(here)
-    assert import_artifact(layout, reused.offer, lambda: False)
-    assert read_manifest(layout, reused.offer.kind, reused.offer.key) == {
-        **reused.offer.manifest,
-        "provenance": {**reused.offer.manifest["provenance"], "published": True},
-    }
-    assert not import_artifact(layout, reused.offer, lambda: False)
-    with held(layout.lock(reused.offer.key), lambda: False), pytest.raises(Busy):
-        import_artifact(layout, reused.offer, lambda: False)
 
 
 def test_what_changes_after_the_plan_was_made_is_not_brought_in(here: Path, fakes: Fakes, small_spec: Path) -> None:

@@ -72,7 +72,7 @@ def test_a_node_is_done_only_when_its_artifact_is_here(
     summary = runner_here.run(plan)
     assert fakes.executions(), "the worker computed, and told that it was done"
     assert summary.done == summary.shared == 0
-    assert "it is not in" in failures_text(summary.failed)
+    assert "it is not in" in failures_text(summary.failed, {})
     assert not {event["event"] for event in read_json_lines(layout.journal(run_id))} & {"done", "shared"}
     assert not list(layout.store.glob("*/*"))
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.run.harness import Fakes, group_is_gone, start, wait_until
-from wasp_cli.console import err
+from tests.run.layered import fresh_console
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
@@ -19,15 +18,9 @@ from wasp_cli.spec.derived import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
+__all__ = ["fresh_console"]
+
 VARY = "diffusion.ratio=0.2,0.4,0.6"
-
-
-@pytest.fixture(autouse=True)
-def fresh_console() -> Iterator[None]:
-    """The console keeps the stream of its first use, which is closed after the test."""
-    err.cache_clear()
-    yield
-    err.cache_clear()
 
 
 def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> Session:

@@ -9,8 +9,7 @@ import pytest
 from tests.run.fake_stages import Fake
 from tests.run.harness import Fakes, prepared
 from wasp_cli.run import worker
-from wasp_cli.run.heartbeat import forget
-from wasp_cli.run.job import NodeJob
+from wasp_cli.run.job import NodeJob, forget
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner

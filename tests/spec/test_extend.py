@@ -11,9 +11,8 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run
-from wasp_cli.spec.derived import ablation, read_sweep
 from wasp_cli.spec.load import LONGEST_CHAIN, load
-from wasp_cli.spec.places import InvalidSpec
+from wasp_cli.spec.read import InvalidSpec
 from wasp_cli.store.layout import Layout
 
 BASE = """\
@@ -150,12 +149,6 @@ def test_what_cannot_be_extended_is_refused_where_it_is_said(base: Path, value: 
     assert place in ((2, 10), (2, 1))
 
 
-def test_a_file_nearly_so_called_is_suggested(base: Path) -> None:
-    with pytest.raises(InvalidSpec) as caught:
-        load(written(base.parent, "fast", "extends: bsae.yaml\nname: fast\n"))
-    assert caught.value.problems[0].hint == "did you mean 'base.yaml'?"
-
-
 def test_a_base_that_does_not_read_shows_its_own_place(base: Path) -> None:
     path = written(base.parent, "fast", FAST)
     base.write_text("name: }\n", encoding="utf-8")
@@ -203,13 +196,6 @@ def test_options_lie_over_all_files(base: Path) -> None:
     ]
     with pytest.raises(UsageError):
         load(path, ["wasp.elites"])
-
-
-def test_sweeps_and_ablations_take_a_chain(base: Path) -> None:
-    path = written(base.parent, "fast", FAST + "wasp: {elites: 3}\n")
-    sweep = read_sweep(path, "wasp.candidates=6,8")
-    assert [point.loaded.spec.name for point in sweep.points] == ["fast-wasp.candidates-6", "fast-wasp.candidates-8"]
-    assert ablation(path, "no-case2", tasks=["race1"]).spec.operators == {"noisy": {"mild": 0.2, "severe": 0.6}}
 
 
 def test_a_run_records_every_file(base: Path, tmp_path: Path) -> None:

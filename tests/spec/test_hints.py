@@ -7,7 +7,6 @@ import pytest
 from tests.spec.test_load import GOOD, only
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.spec.hints import settings
 from wasp_cli.spec.names import assistant_variants, training_stages
 from wasp_cli.tasks.registry import TASKS
 
@@ -76,12 +75,6 @@ def test_every_registered_name_is_suggested_for_a_slip(known: list[str], text: s
         document = [*lines, *([] if key == "operators" else ["operators: {noisy: {mild: 0.2}}"]), text.format(name=slip)]
         spec = "\n".join(line for number, line in enumerate(document) if line != "operators:" or number == len(document) - 1)
         assert f"'{name}'" in (only(spec + "\n").hint or ""), slip
-
-
-def test_settings_are_named_as_options_name_them() -> None:
-    found = settings()
-    assert {"preset", "seeds", "wasp", "wasp.candidates", "policies.reinforce.interactions", "dataset.mixture.expert"} <= set(found)
-    assert len(found) == len(set(found)) > 200
 
 
 def test_control_characters_of_a_value_do_not_reach_the_terminal() -> None:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 
 from tests.commands import run_here
 from tests.spec.mutations import anything, lay_out_bases
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.spec.load import load
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import lines_of
-
-IN_EACH_COMMAND = 25
-"""One of so many mutated specs is given to the command itself, the others to what it calls."""
+from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
 
 @pytest.fixture(scope="module")
@@ -88,17 +83,3 @@ def test_mutated_specs_are_specs_or_refusals_with_places(folder: Path, text: str
 @given(text=anything())
 def test_the_command_ends_with_0_or_3(folder: Path, text: str) -> None:
     assert exit_code_of(written(folder, text)) in (0, 3)
-
-
-COUNT = itertools.count()
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("error")
-@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
-@given(text=anything())
-def test_ten_thousand_mutated_specs(folder: Path, text: str) -> None:
-    path = written(folder, text)
-    assert misplaced(path) == []
-    if next(COUNT) % IN_EACH_COMMAND == 0:
-        assert exit_code_of(path) in (0, 3)

@@ -12,8 +12,7 @@ import pytest
 
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded, override
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import parse
+from wasp_cli.spec.read import InvalidSpec, Problem, parse
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -45,12 +44,6 @@ def test_one_task_may_be_written_without_a_list() -> None:
     for line in ("task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]", "tasks:\n  - puddle:Puddle-v0"):
         assert read(line).spec.tasks == ("puddle:Puddle-v0",)
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
-
-
-@pytest.mark.parametrize("setting", ["task=goal1", "tasks=[goal1]", "task=[goal1]"])
-@pytest.mark.parametrize("line", ["task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]"])
-def test_an_option_replaces_either_form(line: str, setting: str) -> None:
-    assert read(line, setting).spec.tasks == ("goal1",)
 
 
 @pytest.mark.parametrize(
@@ -96,13 +89,6 @@ gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
     assert (problem.position.line, problem.position.column) == (3, column)
     assert message in problem.message
     assert hint in (problem.hint or "")
-
-
-def test_mistakes_in_options_are_placed_there() -> None:
-    for line in ("task: goal1", "tasks: [goal1]"):
-        for setting in ("task=gaol1", "tasks=[gaol1]"):
-            problem = only(line, setting)
-            assert (problem.place, problem.position) == (f"--set {setting}", None)
 
 
 # -- what a changed environment re-runs --------------------------------------------------------------------------------------------------

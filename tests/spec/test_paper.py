@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from ruamel.yaml import YAML
 
 from tests.commands import run_here
-from tests.spec.mutations import FOLDER, SNIPPETS, VALUES, dumped, marked
-from tests.spec.test_mutated import is_place
+from tests.spec.mutations import FOLDER
 from wasp_cli.spec.paper import Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
-from wasp_cli.spec.places import InvalidSpec
-from wasp_cli.spec.read import parse
+from wasp_cli.spec.read import InvalidSpec, parse
 
-ROOT = FOLDER.parent
 SHIPPED = (FOLDER / "paper.yaml").read_text(encoding="utf-8")
 COLUMNS = ("return", "success", "cost", "viol", "int_rate", "mag")
 METHODS = ("human", "ida", "diffusion", "saferl", "wasp")
@@ -57,12 +50,6 @@ def test_every_row_of_both_tables_is_there(paper: Paper) -> None:
 def test_numbers_are_those_of_the_paper(paper: Paper, task: str, who: str, column: str, printed: Printed) -> None:
     method, _, variant = who.partition("/")
     assert paper.printed(task, Who(method, variant or "full"), column) == printed
-
-
-def test_what_is_not_printed_is_none(paper: Paper) -> None:
-    assert paper.printed("race1", Who("wasp"), "uir") is None
-    assert paper.printed("race1", Who("filter"), "cost") is None
-    assert paper.printed("mars1", Who("wasp"), "cost") is None
 
 
 def so_in_print(paper: Paper, asked: Comparison) -> bool | None:
@@ -145,11 +132,6 @@ claims:
 """
 
 
-def test_a_small_paper_is_valid() -> None:
-    paper = paper_of(parse(GOOD, "paper.yaml"))
-    assert paper.printed("goal1", Who("wasp", "no-case2"), "return") == Printed(-1.5)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -183,32 +165,6 @@ def test_an_id_stands_once() -> None:
 def test_a_list_of_wrong_entries_is_not_called_empty() -> None:
     found = problems(GOOD.replace("lower", "lowr").replace("at_most", "atmost"))
     assert [line for line, *_ in found] == [14, 15]
-
-
-@st.composite
-def mutated(draw: st.DrawFn) -> str:
-    """The shipped paper with other characters, or other values and keys."""
-    text = draw(st.sampled_from([SHIPPED, GOOD]))
-    if draw(st.booleans()):
-        start = draw(st.integers(0, len(text)))
-        return text[:start] + draw(st.sampled_from([*SNIPPETS, *VALUES])) + text[start + draw(st.integers(0, 12)) :]
-    document: dict[str, Any] = YAML(typ="safe").load(text)
-    return dumped(document, marked(draw, document, draw(st.integers(1, 3))))
-
-
-@settings(max_examples=80, deadline=None)
-@given(text=mutated() | st.text(max_size=40))
-def test_any_text_is_a_paper_or_a_refusal_with_places(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    path = tmp_path_factory.mktemp("paper") / "paper.yaml"
-    path.write_bytes(text.encode())
-    try:
-        found, paper = (), load_paper(path)
-    except InvalidSpec as error:
-        found, paper = error.problems, None
-    assert (paper is None) == bool(found)
-    for problem in found:
-        assert problem.position is not None
-        assert is_place(problem.source, problem.position.line, problem.position.column)
 
 
 @pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from wasp_cli.spec.derived import read_sweep
 from wasp_cli.spec.load import load
 from wasp_cli.spec.shipped import copy_specs, published_folder, shipped_names, spec_path, specs_folder
 
@@ -50,15 +49,6 @@ def test_a_file_that_is_there_comes_first(elsewhere: Path) -> None:
     assert spec_path(Path("smoke")) == Path("specs/smoke.yaml")
     Path("smoke").write_text("name: own\n")
     assert spec_path(Path("smoke")) == Path("smoke")
-
-
-def test_a_spec_that_extends_another_is_found_with_it(elsewhere: Path) -> None:
-    assert load(Path("table2")).spec.name == "table2"
-
-
-def test_a_sweep_finds_a_spec_by_its_name(elsewhere: Path) -> None:
-    sweep = read_sweep(Path("quickstart"), "wasp.tau_c=0.5,1")
-    assert (sweep.spec, len(sweep.points)) == ("quickstart", 2)
 
 
 @pytest.mark.parametrize("value", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml"])
@@ -168,9 +158,3 @@ def test_an_installed_wheel_has_the_published_parts(installed: Path, tmp_path: P
         run_here("plan", str(ROOT / "specs" / "quickstart.yaml"), "--results", str(tmp_path / "results"), "--json", columns=200).stdout
     )
     assert states == {node["label"]: node["state"] for node in here["nodes"]}
-
-
-def test_an_installed_wheel_copies_the_specs(installed: Path, tmp_path: Path) -> None:
-    done = wasp(installed, tmp_path, "init")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "specs" / "quickstart.yaml").read_bytes() == (ROOT / "specs" / "quickstart.yaml").read_bytes()

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, split, values_of
+from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, values_of
 from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
-from wasp_cli.spec.places import InvalidSpec
+from wasp_cli.spec.read import InvalidSpec
 
 SPEC = """\
 name: little
@@ -70,33 +70,6 @@ def test_any_list_of_values_is_read_as_it_was_written(values: list[Any], comma: 
         assert json.dumps(found) == json.dumps(as_stored(values))
 
 
-@given(st.text(max_size=40) | st.text("[]{}'\",:\\ab1 #&*!|>-", max_size=16).map("wasp.tau_c=".__add__))
-def test_any_text_is_values_or_a_refusal(text: str) -> None:
-    result = read(text)
-    if isinstance(result, UsageError):
-        assert "--vary" in result.message
-    else:
-        assert len(result) >= 2
-        assert len({json.dumps(option.value) for option in result}) == len(result)
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("1,2", ["1", "2"]),
-        (" 0.2 , null ", ["0.2", "null"]),
-        ("[1,2],[3]", ["[1,2]", "[3]"]),
-        ("{a: [1,2], b: 3},{}", ["{a: [1,2], b: 3}", "{}"]),
-        ('\'a,b\',"c,\\"d",e', ["'a,b'", '"c,\\"d"', "e"]),
-        ("'it''s, so',x", ["'it''s, so'", "x"]),
-        ("['],',1],2", ["['],',1]", "2"]),
-        ("don't,won't", ["don't", "won't"]),  # an apostrophe inside a word opens nothing
-    ],
-)
-def test_values_end_at_commas_outside_of_quotes_and_brackets(text: str, parts: list[str]) -> None:
-    assert [written for written, _ in split(text)] == parts
-
-
 @pytest.mark.parametrize(
     ("vary", "message"),
     [
@@ -121,10 +94,6 @@ def test_what_is_no_sweep_is_refused(vary: str, message: str) -> None:
         values_of(vary)
     assert message in caught.value.message
     assert caught.value.hint or "YAML" in message or "finite" in message
-
-
-def test_one_and_true_are_two_values() -> None:
-    assert [option.value for option in values_of("wasp.recheck=true,1")] == [True, 1]
 
 
 def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path) -> None:

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 import wasp_cli
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.job import boot_id
 from wasp_cli.store import provenance as module
 from wasp_cli.store.provenance import cuda_devices, git_state, provenance
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from wasp_cli import __version__
-from wasp_cli.cli import doctor, drive, inspect, report, run, spec, store  # noqa: F401 (each adds its commands)
+from wasp_cli.cli import doctor, drive, inspect, report, run, spec  # noqa: F401 (each adds its commands)
 from wasp_cli.cli.command import app
 from wasp_cli.cli.options import flag
 

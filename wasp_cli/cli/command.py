@@ -82,11 +82,6 @@ def command(*examples: str, codes: str = "", name: str | None = None) -> Callabl
     """Make a function a command: its docstring is the help, its parameters are the options.
 
     A parameter whose type is a dataclass stands for the fields of it, so that commands share options.
-
-    Args:
-        examples: command lines that the help shows.
-        codes: what its exit codes mean.
-        name: of the command, where that of the function cannot be it.
     """
     shown = "   ·   ".join(f"[bold]{example}[/]" for example in examples)
     epilog = f"{shown}\n\nExit codes: {codes}." if codes else shown

@@ -143,11 +143,7 @@ def _writable(results: Path) -> Finding:
 
 
 def require(findings: list[Finding]) -> None:
-    """Check that nothing is missing which every run needs.
-
-    Raises:
-        WaspError: something is; it is named.
-    """
+    """Check that nothing is missing which every run needs."""
     if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
         raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
 
@@ -159,8 +155,7 @@ def show(findings: list[Finding]) -> None:
 
     table = Table(box=None, padding=(0, 2), show_header=False)
     colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
-    words = {"ok": "ok", "missing": "missing", "broken": "broken", "low": "low", "optional": "none"}
     for finding in findings:
-        state = Text(words[finding.state], style=colours[finding.state])
+        state = Text("none" if finding.state == "optional" else finding.state, style=colours[finding.state])
         table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))
     out().print(table)

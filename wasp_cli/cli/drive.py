@@ -71,8 +71,8 @@ def drive(
         import websockets  # noqa: F401
     except ImportError as error:
         raise UsageError(f"driving needs packages that are not here: {error}", "pip install 'wasp-cli[drive]'") from error
+    from wasp_cli.drive.check import Habits
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
-    from wasp_cli.drive.script import Habits
 
     hidden, settings = tuple(hide or ()), tuple(set_ or ())
     wanted = Wanted(what, method, participant, episodes, number, speed, hidden, preset, settings, results, jobs, simulate)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from wasp_cli.store.find import FoundCell
 
 WIDTH = 140
-"""Columns of `wasp explain` where the output is no terminal."""
 
 
 @command("wasp status", "watch -n 5 wasp status results/", "wasp status --json | jq '.[0]'")

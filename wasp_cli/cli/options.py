@@ -54,7 +54,6 @@ def flag(name: str, text: str, *names: str, **more: Any) -> Any:
 
 
 directory = functools.partial(option, "DIR", parser=parse_folder)
-"""An option that names a folder."""
 
 ResultsOption = Annotated[Path, directory("The results folder.", "--results")]
 ResultsArgument = Annotated[Path | None, argument("[DIR]", "The results folder. (default: what --results says)", parser=parse_folder)]
@@ -90,11 +89,7 @@ class Folder:
 
     @property
     def path(self) -> Path:
-        """The folder.
-
-        Raises:
-            UsageError: both name one, and not the same.
-        """
+        """The folder."""
         if self.folder is not None and self.results not in (self.folder, RESULTS):
             raise UsageError(f"two results folders: '{self.folder}' and --results '{self.results}'", "name one of them")
         return self.results if self.folder is None else self.folder
@@ -121,11 +116,7 @@ class Sized:
 
     @property
     def settings(self) -> list[str]:
-        """What `--preset` and `--set` say, as settings.
-
-        Raises:
-            UnknownName: no such preset.
-        """
+        """What `--preset` and `--set` say, as settings."""
         from wasp_cli.spec.derived import sized
 
         return sized(self.preset, self.set_)
@@ -138,12 +129,7 @@ class SizedSpec(Sized):
     spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=complete.specs)]
 
     def load(self) -> Loaded:
-        """Load the spec that is meant.
-
-        Raises:
-            InvalidSpec: it is not valid.
-            UnknownName: no such task or preset.
-        """
+        """Load the spec that is meant."""
         from wasp_cli.spec.derived import restricted
         from wasp_cli.spec.load import load
 
@@ -179,11 +165,7 @@ class Work:
     scheduler: Annotated[str | None, option("URL", "Address of the dask scheduler or ray cluster.", envvar="WASP_SCHEDULER")] = None
 
     def options(self) -> RunOptions:
-        """Return it as a run takes it.
-
-        Raises:
-            UnknownName: no such backend.
-        """
+        """Return it as a run takes it."""
         from wasp_cli.run.pool import BACKENDS
         from wasp_cli.run.session import RunOptions, cores
 

@@ -40,6 +40,7 @@ def run(
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
     second stops at once. Finished nodes are kept either way.
     """
+    from wasp_cli.run.control import detached
     from wasp_cli.run.session import planned
 
     loaded, options = asked.load(), work.options()
@@ -47,7 +48,11 @@ def run(
         plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, options.jobs)
     elif detach:
-        run_detached()
+        said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
+        if said is None:
+            sys.stderr.write(printed)
+            raise typer.Exit(code or 1)
+        print(json.dumps(said))
     else:
         run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
 
@@ -180,7 +185,7 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
 
 def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.plan.show import show
+    from wasp_cli.plan.plan import show
 
     if json:
         print_json({"spec": name, **plan.as_json()})
@@ -188,25 +193,10 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
         show(plan, err() if aside else out(), max(jobs, 1), every=every)
 
 
-def run_detached() -> None:
-    """Start this command again without a terminal, and print where its run is."""
-    from wasp_cli.run.control import detached
-
-    said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
-    if said is None:
-        sys.stderr.write(printed)
-        raise typer.Exit(code or 1)
-    print(json.dumps(said))
-
-
 def run_and_report(
     loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
-    """Run a spec, then write and print its report.
-
-    Raises:
-        CellsFailed: a selected cell failed, or has no readable rows.
-    """
+    """Run a spec, then write and print its report."""
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded, reported
     from wasp_cli.run.session import run_spec
@@ -224,12 +214,7 @@ def run_and_report(
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
-    """Raise CellsFailed when a cell has no readable rows, though its node ended well.
-
-    Args:
-        missing: the cells without rows.
-        layout: the results folder of the run; damaged cells are invalidated there, so that the next run computes them.
-    """
+    """Raise CellsFailed when cells have no readable rows; damaged ones are invalidated, so that the next run computes them."""
     from wasp_cli.store.artifact import invalidate
 
     if missing:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from wasp_cli.spec.places import Problem
+    from wasp_cli.spec.read import Problem
 
 
 @command(
@@ -36,7 +36,7 @@ def check(
 
     All at once, with file, line and column.
     """
-    from wasp_cli.spec.places import InvalidSpec
+    from wasp_cli.spec.read import InvalidSpec
 
     results: list[dict[str, Any]] = []
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
@@ -121,7 +121,6 @@ def list_names(
 
 
 Rows = Sequence[Mapping[str, Any]]
-"""What is listed, each as `--json` prints it."""
 
 
 def methods() -> Rows:

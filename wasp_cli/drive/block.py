@@ -17,10 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.drive.clock import Clock, Decider
-from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame, action_of
-from wasp_cli.drive.futures import Futures
-from wasp_cli.drive.view import WorldView, camera_bytes
+from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Clock, Decider, Desk, Frame, action_of
+from wasp_cli.drive.view import Futures, WorldView, camera_bytes
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
@@ -63,9 +61,7 @@ class Beat(NamedTuple):
     round_trip_ms: float
     """of the last frame that the page acknowledged"""
     keys: str
-    """what was held down"""
     focused: bool
-    """the window had the focus"""
 
 
 @dataclass
@@ -92,7 +88,6 @@ class Cut:
 
 
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
-"""What there is to show."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +97,7 @@ class How:
     speed: float = 1.0
     """simulated seconds per second"""
     shown: frozenset[str] = frozenset(SHOWN)
-    """what of SHOWN the driver may see"""
     simulated: bool = False
-    """a script drives"""
 
 
 class Block:
@@ -153,15 +146,7 @@ class Block:
     def episode(
         self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None, most: int | None = None
     ) -> Driven | Cut:
-        """Let the driver drive one episode, after a `go`.
-
-        Args:
-            number: of the episode, for people.
-            layout: seed of the world.
-            method_seed: of the assistant's own sampling.
-            facts: further ones for the page.
-            most: decisions after which it ends; None: when the task does.
-        """
+        """Let the driver drive one episode, after a `go`, for `most` decisions at most; `facts` are for the page."""
         running = _Running(self, layout)
         with torch.inference_mode():
             running.reset(method_seed)
@@ -216,7 +201,7 @@ class _Running:
         """Sample the controls, ask the assistant, carry the action out, show what came of it."""
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
-        held = block.desk.controls.now()
+        held = block.desk.held
         command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
@@ -320,15 +305,12 @@ class _Running:
         """Return the episode as an evaluation would have it."""
         stacked = {name: np.stack(values) for name, values in self.rows.items()}
         times = np.array([beat.decision_ms for beat in self.beats], np.float32)
-        loop = Loop(**stacked, decisions=_alike(self.decisions), decision_ms=times, h=None, z=None)
+        # Decisions that were late have an empty plan where the others have plans.
+        plan = next((decision.planned for decision in self.decisions if decision.planned is not None), None)
+        decisions = self.decisions
+        if plan is not None:
+            nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
+            decisions = [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]
+        loop = Loop(**stacked, decisions=decisions, decision_ms=times, h=None, z=None)
         (trajectory,), (decision_ms,) = trajectories(loop)
         return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds)
-
-
-def _alike(decisions: list[Decision]) -> list[Decision]:
-    """The decisions, those that were late with an empty plan where the others have plans."""
-    plan = next((decision.planned for decision in decisions if decision.planned is not None), None)
-    if plan is None:
-        return decisions
-    nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
-    return [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]

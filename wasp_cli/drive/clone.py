@@ -39,7 +39,7 @@ from wasp_cli.run.worker import manifest_of, require_whole
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store import lock
-from wasp_cli.store.artifact import commit, discard, exists, read_manifest, staging_folder, stored_keys
+from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.recorded import read_recorded
@@ -56,14 +56,7 @@ ROUNDS = 50
 def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
 
-    Args:
-        loaded: a spec of one cell, in which the clone drives.
-        results: the results folder.
-        participant: number.
-        options: for models that are not here yet.
-
-    Returns:
-        what was found, as JSON values.
+    `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are not here yet. Returns JSON values.
 
     Raises:
         ArtifactError: a model or a session is damaged.
@@ -84,22 +77,22 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
     skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
     with threads_of_evaluations():
-        episodes = [seen for key in keys for seen in _episodes(layout, key, node, model)]
+        episodes = [episode for key in keys for episode in _episodes(layout, key, node, model)]
         if len(episodes) < FEWEST:
             raise UsageError(
                 f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models, and {FEWEST} are needed",
                 f"wasp drive {node.task} --participant {participant}",
             )
-        held = [seen for number, seen in enumerate(episodes) if number % HELD_OUT == HELD_OUT - 1]
-        learnt = [seen for number, seen in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1]
+        held = episodes[HELD_OUT - 1 :: HELD_OUT]
+        learnt = [episode for number, episode in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1]
         config = CloneConfig.model_validate(node.config)
         torch.manual_seed(derive("clone-weights", node.task, node.seed, PERSON, participant))
         stream = derive("clone", node.task, node.seed, PERSON, participant)
         clone, curve = fit_clone(together(learnt), skills.expert, config, stream, lambda share, text: plain(text) if share == 1 else None)
     document = {
         "participant": participant, "cells": keys,
-        "simulated": any(_session(layout, key).get("simulated", False) for key in keys),
-        "episodes": len(learnt), "heldout_episodes": len(held), "decisions": sum(len(seen.command) for seen in learnt),
+        "simulated": any((read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get("simulated", False) for key in keys),
+        "episodes": len(learnt), "heldout_episodes": len(held), "decisions": sum(len(episode.command) for episode in learnt),
         "ways": dict(zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)),
         "models": judged(clone, skills.expert, together(learnt), together(held)),
     }  # fmt: skip
@@ -148,11 +141,6 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
     return keys
 
 
-def _session(layout: Layout, key: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((layout.artifact("evaluate", key) / SESSION_FILE).read_text(encoding="utf-8"))
-    return found
-
-
 def _require_unused(layout: Layout, node: Node) -> None:
     """See that no result was computed from an earlier clone: it would say that it came from this one."""
     if not exists(layout, node.kind, node.key):
@@ -193,37 +181,32 @@ def together(episodes: Sequence[Issued]) -> Issued:
 
 @torch.no_grad()
 def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[str, dict[str, float]]:
-    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on.
-
-    Returns:
-        by model, `log_density` of a command (mean; larger is better) and `squared_error` of its mean; a baseline's density is a normal
-        around what it foretells and a uniform one, with the shares that fit the learnt episodes best.
-    """
+    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on."""
 
     def later(seen: Issued) -> Issued:
         keep = ~seen.last.isnan().any(-1)
         return Issued(*(values[keep] for values in seen))
 
     learnt, held = later(learnt), later(held)
-    wanted = expert(held.features)
-    found = {
+    right = expert(held.features)
+    scores = {
         "clone": {
-            "log_density": float(clone.log_density(held.command, held.features, held.last, wanted).mean()),
-            "squared_error": _error(clone.mean(held.features, held.last, wanted), held),
+            "log_density": float(clone.log_density(held.command, held.features, held.last, right).mean()),
+            "squared_error": _error(clone.mean(held.features, held.last, right), held),
         }
     }
     foretold: Mapping[str, tuple[Tensor, Tensor]] = {
         "repeat": (learnt.last, held.last),
-        "expert": (expert(learnt.features), wanted),
+        "expert": (expert(learnt.features), right),
     }
     for name, (before, now) in foretold.items():
         spread, share = fitted_mixture(learnt.command - before)
-        found[name] = {
+        scores[name] = {
             "log_density": float(mixture_density(held.command - now, spread, share).mean()), "squared_error": _error(now, held),
         }  # fmt: skip
     actions = held.command.shape[1]
-    found["uniform"] = {"log_density": -actions * math.log(2.0), "squared_error": _error(torch.zeros_like(held.command), held)}
-    return found
+    scores["uniform"] = {"log_density": -actions * math.log(2.0), "squared_error": _error(torch.zeros_like(held.command), held)}
+    return scores
 
 
 def _error(mean: Tensor, seen: Issued) -> float:

@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN, How
-from wasp_cli.drive.check import TOLERATED, warning
+from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import Session, cells_of, free_session, ordered, participants, prepared, shipped
+from wasp_cli.drive.session import Session, cells_of, driven_by, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.tables.table import who_title
@@ -34,6 +32,7 @@ from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.people import SESSION_FILE
+from wasp_cli.store.reached import reached
 from wasp_cli.tasks.registry import TASKS, is_foreign
 
 if TYPE_CHECKING:
@@ -66,12 +65,7 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).exists()
 
     def prepared(self, *, recorded: bool = True) -> Session:
-        """Find the cells and what they need; `recorded` is said by `session.prepared`.
-
-        Raises:
-            UsageError: an option does not fit to the spec.
-            InvalidSpec: the spec is not valid.
-        """
+        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -92,21 +86,16 @@ class Wanted:
         """Return who drives what in which order, without computing anything."""
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
-        found = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
-        table = count_table("participant", *(str(place + 1) for place in range(max(map(len, found.values()), default=0))))
-        for number, cells in found.items():
+        orders = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
+        table = count_table("participant", *(str(place + 1) for place in range(max(map(len, orders.values()), default=0))))
+        for number, cells in orders.items():
             several = len({(cell.task, cell.seed) for cell, _ in cells}) > 1
             names = (f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.assistant) for cell, _ in cells)
             table.add_row(participants(loaded.spec)[number], *names)
         return table
 
     def loaded(self) -> Loaded:
-        """Return the spec: the shipped one for a task, or the one that was named.
-
-        Raises:
-            UsageError: there is no such task or spec, an environment of others' is meant, or an option does not fit.
-            InvalidSpec: the spec is not valid.
-        """
+        """Return the spec: the shipped one for a task, or the one that was named."""
         if not self._is_task:
             self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):
@@ -152,13 +141,7 @@ class Wanted:
 
 
 def drive_session(session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None) -> dict[str, Any]:
-    """Serve the page until the session is over, and say what was recorded.
-
-    Args:
-        session: what is driven.
-        port: of the page; 0: any free one.
-        open_browser: whether a browser is opened.
-        scripted: who drives in the place of a person.
+    """Serve the page until the session is over, and say what was recorded; `scripted` drives in the place of a person.
 
     Raises:
         Interrupted: Ctrl-C; finished episodes are kept.
@@ -168,7 +151,16 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     desk = Desk()
     server = Server(desk, port)
     server.start()
-    clock = threading.Thread(target=_led, args=(session, desk), daemon=True, name="clock")
+
+    def lead() -> None:
+        """Run in the clock's thread: what goes wrong there is told in the main one."""
+        try:
+            session.run(desk)
+        except BaseException as error:
+            session.failure = error
+            desk.state("over", text="Something went wrong; the terminal says what. Finished episodes are kept.", blocks=[])
+
+    clock = threading.Thread(target=lead, daemon=True, name="clock")
     clock.start()
     say(f"drive here: {server.address}")
     if scripted is None:
@@ -206,15 +198,6 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
             f"interrupted: {kept} finished episode{' is' if kept == 1 else 's are'} kept", "the same command goes on where it was"
         )
     return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
-
-
-def _led(session: Session, desk: Desk) -> None:
-    """Run in the clock's thread: what goes wrong there is told in the main one."""
-    try:
-        session.run(desk)
-    except BaseException as error:
-        session.failure = error
-        desk.state("over", text="Something went wrong; the terminal says what. Finished episodes are kept.", blocks=[])
 
 
 def withdrawn(wanted: Wanted) -> int:
@@ -256,15 +239,7 @@ def _left_by(layout: Layout, number: int, tasks: Sequence[str]) -> list[tuple[st
         for kind in sorted(layout.store.glob("*/"))
         for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
     ]
-    found: dict[str, tuple[str, str, str]] = {}
-    for kind, key, manifest in stored:
-        axes = manifest.get("axes", {})
-        if axes.get("operator") == PERSON and axes.get("value") == number and manifest.get("task") in tasks:
-            found[key] = (kind, key, str(manifest.get("label")))
-    before = -1
-    while len(found) > before:
-        before = len(found)
-        for kind, key, manifest in stored:
-            if key not in found and found.keys() & set(manifest.get("upstream", {}).values()):
-                found[key] = (kind, key, str(manifest.get("label")))
-    return list(found.values())
+    own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in tasks]
+    of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
+    gone = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
+    return sorted(gone, key=lambda artifact: artifact[1] not in own)

@@ -1,23 +1,24 @@
-"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown, and whether anyone is there.
+"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown, and who is there; and the clock.
 
 Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes. Nothing here waits for the network.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
 REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
-"""What a driver may ask for."""
 ROUND_TRIPS = 20
 """Frames whose acknowledgement may be outstanding before their times are forgotten."""
 
@@ -33,17 +34,15 @@ class Frame(NamedTuple):
     """What there is to see after a decision."""
 
     header: Mapping[str, Any]
-    """JSON values"""
     pixels: bytes
     """RGB of the cameras, one below the other; empty where they are not shown"""
 
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at one moment."""
+    """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
 
     keys: frozenset[str] = frozenset()
-    """of KEYS"""
     axes: tuple[float, float] = (0.0, 0.0)
     """of a gamepad or a finger: forward, left in [-1, 1]"""
     number: int = 0
@@ -60,35 +59,13 @@ class Held:
         return np.clip(stick, -1.0, 1.0)
 
 
-class Controls:
-    """The latest state of the controls.
-
-    The page sends the whole state of keys and sticks whenever it changes, and a decision samples the latest one, so that nothing queues up
-    behind a slow moment. The socket writes it, the clock reads it: one reference, so that no lock is needed.
-    """
-
-    def __init__(self) -> None:
-        self._held = Held()
-
-    def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state; keys that mean nothing here are left out."""
-        self._held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
-
-    def release(self) -> None:
-        """Let go of everything: the window lost the focus, or the connection broke."""
-        self._held = Held(number=self._held.number, at=time.monotonic())
-
-    def now(self) -> Held:
-        """Return what is held now."""
-        return self._held
-
-
 class Desk:
     """See the module."""
 
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         """`changed` is called from any thread when there is something to send."""
-        self.controls = Controls()
+        self.held = Held()
+        """The latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock."""
         self.changed = changed
         self._lock = threading.Condition()
         self._request: str | None = None
@@ -107,7 +84,7 @@ class Desk:
         self.round_trip = float("nan")
         """Of the last acknowledged frame, in seconds."""
 
-    # -- the clock's side ---------------------------------------------------------------------------------------------------------
+    # The clock's side.
 
     def show(self, frame: Frame) -> None:
         """Let this be the next frame that is sent; one that was not sent yet is never sent."""
@@ -165,7 +142,7 @@ class Desk:
         """Whether a driver is connected."""
         return self._drivers > 0
 
-    # -- the socket's side --------------------------------------------------------------------------------------------------------
+    # The socket's side.
 
     def come(self) -> bool:
         """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
@@ -184,7 +161,7 @@ class Desk:
         with self._lock:
             self._drivers, self.focused = 0, False
             self.lost += self._state.get("phase") == "driving"
-        self.controls.release()
+        self._release()
 
     def ask(self, request: str) -> None:
         """Ask for one of REQUESTS; a later one takes the place of an earlier one that nobody heard, but never that of the end."""
@@ -205,7 +182,14 @@ class Desk:
             self.blurred += self.focused and not there and self._state.get("phase") == "driving"
             self.focused = there
         if not there:
-            self.controls.release()
+            self._release()
+
+    def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
+        """Take a new state of the controls; keys that mean nothing here are left out."""
+        self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
+
+    def _release(self) -> None:
+        self.held = Held(number=self.held.number, at=time.monotonic())
 
     def outgoing(self) -> tuple[list[Mapping[str, Any]], Frame | None]:
         """Return and forget the messages to be sent, and a frame where the last one was acknowledged."""
@@ -239,3 +223,102 @@ def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float
     forward, left = stick
     action = np.array([forward + left, forward - left] if drive == "car" else [forward, left], np.float32)
     return np.clip(action, -1.0, 1.0)
+
+
+T = TypeVar("T")
+KEPT = 50
+"""Decisions by which the time for everything but deciding is judged."""
+RESERVE = 0.15
+"""Share of a period that is left for it before anything is known."""
+
+
+class Clock:
+    """Beats of one period in wall time; what takes longer moves all later beats, so that none is skipped."""
+
+    def __init__(self, period: float) -> None:
+        """`period` is in seconds."""
+        self.period = period
+        self._next = time.monotonic()
+        self._rest: deque[float] = deque(maxlen=KEPT)
+
+    def begin(self) -> None:
+        """Let the next beat be now: an episode begins, or goes on after a pause."""
+        self._next = time.monotonic()
+
+    @property
+    def due(self) -> float:
+        """Return when the next beat is, on the monotonic clock."""
+        return self._next
+
+    def beat(self) -> tuple[float, float]:
+        """Begin a decision now. Returns when it began and how many seconds after its beat."""
+        now = time.monotonic()
+        behind = max(now - self._next, 0.0)
+        # A beat that came late by less than a tenth is caught up with; else the world waits for the assistant.
+        self._next = (self._next if behind < 0.1 * self.period else now) + self.period
+        return now, behind
+
+    def deadline(self) -> float:
+        """Return until when the decision of this beat is wanted: what else is to be done in the period still fits then."""
+        rest = float(np.quantile(self._rest, 0.9)) if self._rest else RESERVE * self.period
+        return self._next - min(rest, self.period)
+
+    def spent(self, seconds: float) -> None:
+        """Note how long everything but deciding took: the step of the world, its images, the filter, the frame."""
+        self._rest.append(seconds)
+
+
+class Decider(Generic[T]):
+    """Asks for one thing at a time in a thread of its own, and does not wait for it for longer than it has patience."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "assistant")
+        self._asked: Future[T] | None = None
+        self._wanted = self._looked = 0.0
+        self.answers: list[tuple[float, bool, T]] = []
+        """Every answer: how many seconds it took, whether it was late, and what it was."""
+
+    def ask(self, question: Callable[[], T], patience: float, wanted: float = -math.inf, least: float = 0.0) -> tuple[T | None, float]:
+        """Return the answer, None where it is late, and the seconds waited for it.
+
+        A late answer is thrown away; while it is still being thought about, nothing new is asked. `patience` and
+        `least` count from when it can be thought about; until `wanted`, on the monotonic clock, a search is to end (`time_is_up`).
+        """
+        begun = time.monotonic()
+        if self._asked is not None:
+            wait([self._asked], patience)
+            if not self._asked.done():
+                return None, time.monotonic() - begun
+            overdue, self._asked = self._asked, None
+            overdue.result()  # thrown away, but not what went wrong there
+        self._wanted = max(wanted, time.monotonic() + least)
+        asked = self._thread.submit(self._timed, question, patience)
+        wait([asked], patience)
+        seconds = time.monotonic() - begun
+        if not asked.done():
+            self._asked = asked
+            return None, seconds
+        return asked.result(), seconds
+
+    def time_is_up(self) -> bool:
+        """Tell a question that is being answered whether a further step, as long as its last one, would end later than is wanted."""
+        now = time.monotonic()
+        step, self._looked = now - self._looked, now
+        return now + step > self._wanted
+
+    def _timed(self, question: Callable[[], T], patience: float) -> T:
+        begun = self._looked = time.monotonic()
+        answer = question()
+        seconds = time.monotonic() - begun
+        self.answers.append((seconds, seconds > patience, answer))
+        return answer
+
+    def finish(self) -> None:
+        """Wait for what is still being thought about: an episode has ended."""
+        if self._asked is not None:
+            wait([self._asked])
+            self._asked = None
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown()

@@ -7,7 +7,7 @@ that it is never taken for whole; the same session continued takes these over.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,16 +38,7 @@ class CellRecord:
     def __init__(
         self, layout: Layout, node: Node, identity: CellIdentity, goals: int, facts: Mapping[str, Any], begun: Path | None = None
     ) -> None:
-        """Go on where the session broke off.
-
-        Args:
-            layout: the results folder.
-            node: of the cell.
-            identity: of its rows.
-            goals: within an episode that count as success.
-            facts: written into the session's file.
-            begun: the folder of the same cell with fewer episodes, where there is one and nothing newer was left unfinished.
-        """
+        """Go on where the session broke off, or from `begun`, the same cell with fewer episodes."""
         self._layout, self._node, self._identity, self._goals = layout, node, identity, goals
         self._folder = layout.work(node.key)
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +47,6 @@ class CellRecord:
                 shutil.copyfile(begun / name, self._folder / name)
         earlier = self._earlier()
         self.finished = 0 if earlier is None else len(earlier.episodes)
-        """Episodes that are on disk."""
         self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
         self._session |= facts
         self._session["sittings"].append({"begun": _now(), "first_episode": self.finished})
@@ -68,7 +58,11 @@ class CellRecord:
     def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
         """Write a finished episode behind the others."""
         row = episode_metrics(driven.trajectory, self._goals, safe_cost, TASKS[self._identity.task].motors.force)
-        beats = pa.concat_tables([self._timing(), _beats(self.finished, driven.beats)])
+        count = len(driven.beats)
+        columns: dict[str, list[Any]] = {"episode": [self.finished] * count, "t": list(range(count))}
+        columns |= {name: [getattr(beat, name) for beat in driven.beats] for name in Beat._fields}
+        rows = pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
+        beats = pa.concat_tables([self._timing(), rows])
         # The timing first: an episode counts once its rows are there, and the timing of one that does not is written again.
         write_table(beats, self._folder / TIMING_FILE)
         write_cell(
@@ -97,11 +91,7 @@ class CellRecord:
         return known.filter(pc.less(known["episode"], self.finished))
 
     def publish(self, run_id: str, node: Node) -> dict[str, Any]:
-        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are.
-
-        Returns:
-            how well decisions were in time, over all finished episodes.
-        """
+        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are."""
         summary = timing_summary(self._timing())
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
@@ -117,12 +107,6 @@ class CellRecord:
             commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
         return summary
-
-
-def _beats(episode: int, beats: Sequence[Beat]) -> pa.Table:
-    columns: dict[str, list[Any]] = {"episode": [episode] * len(beats), "t": list(range(len(beats)))}
-    columns |= {name: [getattr(beat, name) for beat in beats] for name in Beat._fields}
-    return pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
 
 
 def _now() -> str:

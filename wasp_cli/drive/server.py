@@ -94,11 +94,7 @@ class Server(LocalServer):
     """Serves the page of a desk, from a thread of its own or until it is stopped."""
 
     def __init__(self, desk: Desk, port: int = 0) -> None:
-        """Take a port, 0 for any free one.
-
-        Raises:
-            UsageError: the port is taken, or not allowed.
-        """
+        """Take a port, 0 for any free one."""
         self.desk = desk
         routes = [
             Route("/", self._index),
@@ -116,8 +112,6 @@ class Server(LocalServer):
         if loop is not None and wake is not None and not loop.is_closed():
             loop.call_soon_threadsafe(wake.set)
 
-    # -- requests -----------------------------------------------------------------------------------------------------------------
-
     async def _index(self, request: Request) -> Response:
         if not (local(request.headers.get("host")) and self.known(request.query_params.get("token"))):
             return self.forbidden()
@@ -129,8 +123,6 @@ class Server(LocalServer):
         if not local(request.headers.get("host")):
             return self.forbidden()
         return PlainTextResponse("not found", 404) if kind is None else page((PAGE / request.path_params["name"]).read_bytes(), kind)
-
-    # -- the socket ---------------------------------------------------------------------------------------------------------------
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
@@ -197,7 +189,7 @@ class Server(LocalServer):
     def _take(self, message: Any) -> None:
         desk = self.desk
         if isinstance(message, Input):
-            desk.controls.hold(frozenset(message.keys), (message.axes[0], message.axes[1]), message.number)
+            desk.hold(frozenset(message.keys), (message.axes[0], message.axes[1]), message.number)
         elif isinstance(message, Ack):
             desk.acknowledged(message.frame)
         elif isinstance(message, Focus):

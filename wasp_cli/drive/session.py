@@ -64,9 +64,7 @@ class Session:
     study: StudyConfig | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     done: list[dict[str, Any]] = field(default_factory=list)
-    """What became of each block, for people."""
     failure: BaseException | None = None
-    """What ended it from within."""
 
     @property
     def participant(self) -> str:
@@ -89,11 +87,8 @@ class Session:
                 practised = 0
             if not self._block(desk, number, cell, node):
                 break
-        desk.state("over", text="Thank you. You can close this page.", blocks=self._told())
-
-    def _told(self) -> list[dict[str, Any]]:
-        """What the driver is told at the end: in a study nothing that tells the conditions apart."""
-        return self.done if self.study is None else []
+        # In a study the driver is told nothing that tells the conditions apart.
+        desk.state("over", text="Thank you. You can close this page.", blocks=self.done if self.study is None else [])
 
     def _consent(self, desk: Desk) -> bool:
         study = self.study
@@ -186,7 +181,6 @@ class Session:
         self.done.append({"label": of.label, "key": of.key, "episodes": record.finished, "of": node.config["episodes"], **timing})
 
     def _facts(self, number: int, cell: Cell) -> dict[str, Any]:
-        shown = [name for name in SHOWN if name in self.how.shown]
         return {
             "participant": self.participant,
             "number": int(cell.value or 0),
@@ -194,7 +188,7 @@ class Session:
             "simulated": self.how.simulated,
             "block": number,
             "speed": self.how.speed,
-            "shown": shown,
+            "shown": [name for name in SHOWN if name in self.how.shown],
             "spec": self.loaded.spec.name,
             **self.facts,
         }
@@ -213,15 +207,9 @@ class Session:
 
 
 def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True) -> Session:
-    """Find the cells that a participant is to drive, and compute or bring in everything that they need.
+    """Find the cells that a participant (None: the only one) is to drive, and compute or bring in everything that they need.
 
-    Args:
-        loaded: a spec with people among its operators.
-        results: the results folder.
-        options: for what has to be trained before.
-        participant: number; None: the only one of the spec.
-        how: how it is shown and paced.
-        recorded: whether anything is going to be driven; otherwise no run stays behind, only what had to be computed.
+    Unless it is `recorded`, no run stays behind, only what had to be computed.
 
     Raises:
         ArtifactError: a model is damaged; the next session has it computed again.
@@ -249,9 +237,17 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     if not recorded:
         discard(layout.run(made.run_id))
         return Session(loaded, layout, made.run_id, ordered(mine, participant), how, spec.study)
-    _require_one_kind(layout, mine, how)
     for _, node in mine:
-        if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
+        if exists(layout, node.kind, node.key):
+            # No trial of a script passes for a person's session, nor the other way round.
+            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
+            if before.get("simulated", False) != how.simulated:
+                whose = "a script" if before.get("simulated") else "a person"
+                raise UsageError(
+                    f"{node.label} was driven by {whose} in '{layout.root}'",
+                    "use another folder with --results, or delete it: --participant N --withdraw",
+                )
+        else:  # before anybody drives: what is damaged ends no session, and no session replaces it
             driven_before = (layout.artifact(node.kind, node.key) / SESSION_FILE).exists()
             require_whole(layout, [(node.kind, node.key)] if driven_before else node_inputs(node))
     run_id = new_run(layout, loaded, plan_against(grid, layout))
@@ -261,16 +257,7 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
 def shipped(
     task: str, methods: Sequence[str], participant: int, seeds: Sequence[int], preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
-    """Return the spec behind `wasp drive TASK`.
-
-    Args:
-        task: name of the task.
-        methods: the assistants.
-        participant: number of the person.
-        seeds: of the worlds: sessions.
-        preset: sizes of the models; None: those that are published.
-        settings: further KEY=VALUE.
-    """
+    """Return the spec behind `wasp drive TASK`; seeds are sessions, and without a preset the models are those that are published."""
     preset = preset or ("quick" if task in QUICK else "cpu")
     return load(SHIPPED, [
         f"preset={preset}", f"tasks=[{task}]", f"methods=[{', '.join(methods)}]", f"seeds=[{', '.join(map(str, seeds))}]",
@@ -289,19 +276,6 @@ def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
     return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
 
 
-def _require_one_kind(layout: Layout, cells: list[tuple[Cell, Node]], how: How) -> None:
-    """See that no trial of a script passes for a person's session, nor the other way round."""
-    for _, node in cells:
-        if exists(layout, node.kind, node.key):
-            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
-            if before.get("simulated", False) != how.simulated:
-                whose = "a script" if before.get("simulated") else "a person"
-                raise UsageError(
-                    f"{node.label} was driven by {whose} in '{layout.root}'",
-                    "use another folder with --results, or delete it: --participant N --withdraw",
-                )
-
-
 def node_inputs(node: Node) -> list[tuple[str, str]]:
     """Return kind and key of what a cell is driven with."""
     return [(needed.kind, needed.key) for needed in node.needs.values()]
@@ -315,12 +289,17 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
     return [group[place] for group in groups.values() for place in balanced_order(len(group), participant - 1)]
 
 
+def driven_by(manifest: Mapping[str, Any], participant: int) -> bool:
+    """Return whether an artifact is of what a participant drove."""
+    axes = manifest.get("axes", {})
+    return bool(axes.get("operator") == PERSON and axes.get("value") == participant)
+
+
 def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield key and manifest of every cell that a participant drove, in ascending order of keys."""
     for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
         manifest = read_manifest(layout, "evaluate", key)
-        axes = manifest.get("axes", {})
-        if axes.get("operator") == PERSON and axes.get("value") == participant:
+        if driven_by(manifest, participant):
             yield key, manifest
 
 
@@ -330,10 +309,10 @@ def driven_tasks(results: Path, participant: int) -> list[str]:
     Raises:
         UsageError: there is none.
     """
-    found = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
-    if not found:
+    tasks = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
+    if not tasks:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")
-    return sorted(found)
+    return sorted(tasks)
 
 
 def free_session(layout: Layout, of: Callable[[int], Loaded], most: int = 10_000) -> int:

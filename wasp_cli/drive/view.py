@@ -1,19 +1,36 @@
-"""What the page draws of a world: numbers for a map, and the bytes of the cameras. Nothing here is an observation of an assistant."""
+"""What the page draws: a map as numbers, the bytes of the cameras, and what the assistant imagines as lines on the map.
+
+The lines are where the command alone leads, and where its correction does. Nothing here is an observation of an assistant.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
+import time
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
+from torch import Tensor
 
-from wasp_cli.tasks.base import Observation, VectorTask
+from wasp_cli import seeds
+from wasp_cli.learning.closed_loop import Filter
+from wasp_cli.methods.base import Assistant, Decision, Parts
+from wasp_cli.methods.configs import PrintedConfig, WASPConfig
+from wasp_cli.metrics.episode import INTERVENED
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import Operator
+from wasp_cli.tasks.base import Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.imagined import Readout, displacements, fit, following, imagine, integrated, rollout_start
 from wasp_cli.video.map import WIDEST, things_of
+from wasp_cli.video.replay import HORIZON
+from wasp_cli.video.trace import poses_of
 
 GROUND = 2048
 """Px of a side of the picture of the ground at most."""
@@ -80,16 +97,13 @@ class WorldView:
         appearance, scene = self._task.appearance(), self._task.scene(_ROW)
         front = scene.rotation[0, :2, :2] @ np.array(appearance.forward)
         at = scene.position[0, :2]
-        things = {name: _places(of, at) for name, of in scene.things.items()}
+        things: dict[str, list[list[float]]] = {}
+        for name, of in scene.things.items():
+            position, rotation = of.position[0, :, :2], of.rotation[0]
+            near = of.shown[0] & (np.abs(position - at).max(axis=1, initial=0.0) < 4 * WIDEST)  # enough for a map around the robot
+            yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+            things[name] = [_short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
         return {"robot": _short([*at, np.arctan2(front[1], front[0])]), "things": things}
-
-
-def _places(things: Things, at: np.ndarray[Any, Any]) -> list[list[float]]:
-    """[x, y, direction] of what is shown and near enough for a map around the robot."""
-    position, rotation = things.position[0, :, :2], things.rotation[0]
-    near = things.shown[0] & (np.abs(position - at).max(axis=1, initial=0.0) < 4 * WIDEST)
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    return [_short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
 
 
 def _outline(shape: Shape) -> dict[str, Any]:
@@ -110,3 +124,78 @@ def camera_bytes(observation: Observation) -> bytes:
     assert observation.pixels is not None
     images = observation.pixels[0].reshape(-1, 3, *observation.pixels.shape[-2:])
     return np.ascontiguousarray(np.moveaxis(images, 1, -1)).tobytes()
+
+
+WORLDS, DECISIONS = 6, 50
+"""Of the expert's drive from which displacements are read out of latents."""
+ROLE = "drive-readout"
+
+
+class Futures:
+    """See the module. It is never waited for: where there is no time left before the next decision, nothing is drawn."""
+
+    def __init__(self, task: str, parts: Parts, assistant: Assistant, world: VectorTask) -> None:
+        self._model = parts.world_model
+        self._readout = _readout(task, parts, world)
+        config: Any = getattr(assistant, "config", None)
+        self._horizon = int(getattr(config, "horizon", HORIZON))
+        self._hold = isinstance(config, PrintedConfig)
+        self._expert: Operator | None = None
+        if isinstance(config, WASPConfig):
+            self._expert = following(parts.skills.expert, world.action_size, 1)
+        self._seconds = 0.0
+
+    def lines(
+        self, t: int, latent: Latent, a_h: Tensor, operator: Operator, decision: Decision, robot: list[float] | None, seconds: float
+    ) -> dict[str, Any] | None:
+        """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected` where there was a correction.
+
+        `a_h` is [1, A]; `robot` is [x, y, direction]; None is returned where `seconds` was not enough before.
+        """
+        if self._readout is None or robot is None or seconds < self._seconds:
+            # What takes long once, while other work disturbs it, is tried again later.
+            self._seconds *= 0.95
+            return None
+        begun = time.monotonic()
+        with torch.inference_mode():
+            residuals = _correction(a_h, decision)
+            start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), self._expert or operator, residuals, self._horizon)
+            found = imagine(self._model, start, self._horizon, (), hold=self._hold)
+        ways = [integrated(np.array(robot), self._readout(features[0])) for features in found.features]
+        self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)
+        return dict(zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False))
+
+
+def _correction(a_h: Tensor, decision: Decision) -> Any:
+    """[L, A] residuals of the plan, of a method without plans of the one action; None where the command stood."""
+    if decision.planned is not None:
+        chosen = decision.planned.residuals[0].cpu().numpy()
+        return chosen if np.isfinite(chosen).all() and np.abs(chosen).max() > 0 else None
+    residual = (decision.action - a_h).cpu().numpy()
+    return residual if np.abs(residual).max() > INTERVENED else None
+
+
+def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
+    """Fit displacements of the robot to latents on a short drive of the expert; None of a task without a map."""
+    if not isinstance(world, HasScene):
+        return None
+    worlds = make_task(task, WORLDS, action_repeat=world.action_repeat, observe=("pixels",))
+    assert isinstance(worlds, HasScene)
+    filter_ = Filter(parts.world_model, WORLDS)
+    seen = worlds.reset([seeds.derive(ROLE, task, row) for row in range(WORLDS)])
+    first, everyone = torch.ones(WORLDS), np.arange(WORLDS)
+    features: list[Any] = []
+    poses: list[Floats] = []
+    with torch.inference_mode():
+        for _ in range(DECISIONS):
+            latent = filter_.see(seen, first)
+            features.append(latent.features.cpu().numpy().copy())
+            poses.append(poses_of(worlds.appearance(), worlds.scene(everyone)))
+            action = parts.skills.expert(latent.features).clamp(-1, 1)
+            filter_.executed(action)
+            step = worlds.step(action.cpu().numpy())
+            seen, first = step.observation, torch.zeros(WORLDS)
+            if step.ended.any():
+                break
+    arrived, places = np.stack(features)[1:], np.stack(poses)
+    return fit([arrived[:, row] for row in range(WORLDS)], [displacements(places[:, row]) for row in range(WORLDS)])

@@ -19,22 +19,7 @@ from wasp_cli.store.reached import reached
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
-    {
-        "cli",
-        "compare",
-        "console",
-        "drive",
-        "errors",
-        "notebook",
-        "plan",
-        "report",
-        "run",
-        "spec",
-        "video",
-        "view",
-        "web",
-        "__main__",
-    }
+    ["cli", "compare", "console", "drive", "errors", "notebook", "plan", "report", "run", "spec", "video", "view", "web", "__main__"]
 )
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})
@@ -47,13 +32,13 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
     Raises:
         WaspError: a root has no source.
     """
-    found: set[str] = set()
+    modules: set[str] = set()
     for root in roots:
         if _file(root) is None:
             hint = "check the module that the plugin's entry names; its source has to be installed"
             raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", hint)
-        found |= _reach(root)
-    return frozenset(found)
+        modules |= _reach(root)
+    return frozenset(modules)
 
 
 @cache
@@ -76,14 +61,14 @@ def source_hash(module: str) -> str:
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
     """Return the modules whose source is not what `source_hashes` once said; reads again only what was written since."""
-    return [module for module, known in hashes.items() if _fresh_hash(module) != known]
-
-
-def _fresh_hash(module: str) -> str:
-    try:
-        return _hash(module, _stamp(module))
-    except (OSError, SyntaxError, ValueError):  # removed, or half saved
-        return ""
+    changed = []
+    for module, known in hashes.items():
+        try:
+            now = _hash(module, _stamp(module))
+        except (OSError, SyntaxError, ValueError):  # removed, or half saved
+            now = ""
+        changed += [module] if now != known else []
+    return changed
 
 
 def _stamp(module: str) -> tuple[int, int]:
@@ -95,10 +80,7 @@ def _stamp(module: str) -> tuple[int, int]:
 
 @cache
 def _hash(module: str, stamp: tuple[int, int]) -> str:
-    return _digest(module, _tree(module, stamp))
-
-
-def _digest(module: str, tree: ast.Module) -> str:
+    tree = _tree(module, stamp)
     parts = module.split(".")
     configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
     texts: list[str] = []
@@ -117,7 +99,7 @@ def _imports(module: str) -> frozenset[str]:
     file = _file(module)
     package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
     own = module.partition(".")[0]
-    found: set[str] = set()
+    imported: set[str] = set()
     for node in _running(_tree(module, _stamp(module))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -130,9 +112,9 @@ def _imports(module: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
+        imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
     # Importing a.b.c runs a.b as well.
-    return frozenset(found | {parent for name in found for parent in _parents(name) if _counts(parent)})
+    return frozenset(imported | {parent for name in imported for parent in _parents(name) if _counts(parent)})
 
 
 def _counts(module: str) -> bool:
@@ -158,15 +140,10 @@ def _running(tree: ast.AST) -> Iterator[ast.AST]:
         yield node
         if isinstance(node, ast.expr):
             continue  # no import hides in an expression
-        if isinstance(node, ast.If) and _is_type_checking(node.test):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in (getattr(node.test, "attr", ""), getattr(node.test, "id", "")):
             pending.extend(node.orelse)
         else:
             pending.extend(ast.iter_child_nodes(node))
-
-
-def _is_type_checking(test: ast.expr) -> bool:
-    name = test.attr if isinstance(test, ast.Attribute) else test.id if isinstance(test, ast.Name) else ""
-    return name == "TYPE_CHECKING"
 
 
 def _configured(tree: ast.Module) -> ast.Module:

@@ -1,20 +1,19 @@
-"""A spec to its cells, and cells to the nodes that compute them."""
+"""A spec to its cells, cells to the nodes that compute them, and which of them `--select task=race1,method=wasp|ida` means."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
-from wasp_cli.errors import UnknownName
+from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.closure import PACKAGE, closure_hash
-from wasp_cli.plan.keys import key_of, recipe_of
-from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
+from wasp_cli.plan.node import Cell, Node, Part, driver_label, key_of, recipe_of, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
@@ -40,7 +39,6 @@ class Grid:
     nodes: tuple[Node, ...]
     """Each once, needed ones first."""
     named: tuple[Node, ...]
-    """What the spec trains by name."""
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
     recipes: Mapping[str, str] = field(default_factory=dict)
@@ -70,10 +68,7 @@ class Grid:
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     """Return every cell of a spec, every stage that it names, and every node behind them, each node once.
 
-    Args:
-        spec: what is asked for.
-        reuse: by recipe, the key of a published result that stands in the place of a node. What is computed from it has a key that says
-            so.
+    `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys of what is computed from it say so.
     """
     builder = _Builder(spec, reuse or {})
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
@@ -103,7 +98,7 @@ def together(grids: Sequence[Grid]) -> Grid:
         {key: reused for grid in grids for key, reused in grid.reused.items()},
         tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
         tuple(branched.values()),
-        grids[0].preset if grids else "cpu",
+        grids[0].preset,
     )
 
 
@@ -133,7 +128,6 @@ class _Builder:
         self.calibration = cache(self._calibration)
         self.clone = cache(self._clone)
         self.assisted = cache(self._assisted)
-        self.modules = cache(_modules)
 
     def evaluation(self, cell: Cell) -> Node:
         """Return the node that computes a cell, from the training chain of its seed."""
@@ -213,7 +207,7 @@ class _Builder:
         variant: str = "",
     ) -> Node:
         """A node; `roots` are where its code begins beside its stage and its task, `variant` is that of its method."""
-        modules: tuple[str, ...] = self.modules(kind, task, roots)
+        modules = tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *roots}))
         config = self.config(kind, task)
         named = {**axes, "method_config": self.method_identity(axes["method"], variant, task)} if variant else axes
         identity = {
@@ -231,11 +225,6 @@ class _Builder:
         self.recipes[key] = recipe
         sort = sort_of(kind, task, config, axes)
         return Node(kind, task, seed, axes, config, self.settings(kind), needs, modules, key, f"{task} s{seed} {label}", sort)
-
-
-def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
-    """Where the code of a node begins."""
-    return tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *roots}))
 
 
 def _operator_targets(names: Iterable[str]) -> dict[str, str]:
@@ -273,3 +262,77 @@ def stage_class(kind: str) -> type[Stage]:
 @cache
 def _task_facts(task: str) -> Mapping[str, Any]:
     return TASKS[task].facts()
+
+
+FIELDS = ("task", "method", "variant", "operator", "severity", "value", "seed", "stage")
+EXAMPLE = "for example --select 'task=race1,method=wasp' or --select 'stage=world_model'"
+
+
+class Condition(NamedTuple):
+    """One `field=value`, several values with `|` between them, or `field!=value`."""
+
+    field: str
+    values: tuple[str, ...]
+    excluding: bool
+
+    def holds(self, facts: Mapping[str, str]) -> bool:
+        """Return whether a node with these facts is meant; one that has no such field is not."""
+        return self.field in facts and (facts[self.field] in self.values) != self.excluding
+
+
+def _condition(part: str, text: str) -> Condition:
+    name, equals, rest = part.partition("=")
+    excluding = name.endswith("!")
+    name, values = name.removesuffix("!").strip(), tuple(value.strip() for value in rest.split("|"))
+    if not equals or not name or not all(values):
+        raise UsageError(f"--select: '{text}' is not of the form FIELD=VALUE,FIELD=VALUE,...", EXAMPLE)
+    if name not in FIELDS:
+        raise UnknownName("field to select by", name, FIELDS)
+    return Condition(name, values, excluding)
+
+
+def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
+    """Return the keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
+
+    Without selectors it is None.
+
+    Raises:
+        UsageError: a selector has another form, or nothing of the grid is meant.
+        UnknownName: a value that nothing in the grid has.
+    """
+    if not texts:
+        return None
+    # A node has to meet every condition of one of the texts.
+    selectors = [[_condition(part, text) for part in text.split(",")] for text in texts]
+    candidates = list(_candidates(grid))
+    targets = grid.targets
+    for condition in (condition for selector in selectors for condition in selector):
+        known = {facts[condition.field] for _, facts in candidates if condition.field in facts}
+        for value in condition.values:
+            if value not in known:
+                raise UnknownName(f"{condition.field} in this spec", value, known)
+    selected = frozenset(
+        key
+        for key, facts in candidates
+        for selector in selectors
+        if (key in targets or any(condition.field == "stage" for condition in selector))
+        and all(condition.holds(facts) for condition in selector)
+    )
+    if not selected:
+        raise UsageError(f"--select: no node of the spec matches {' or '.join(texts)}", "wasp plan SPEC --all lists them")
+    return selected
+
+
+def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
+    """Each node with what it can be selected by; a cell with two names of one severity comes twice."""
+    of_cells = (*grid.cells, *grid.branched)
+    cells = {node.key for _, node in of_cells}
+    for cell, node in of_cells:
+        facts = {"task": cell.task, "method": cell.method, "variant": cell.assistant, "operator": cell.operator, "seed": str(cell.seed)}
+        if cell.severity is not None and cell.value is not None:
+            facts |= {"severity": cell.severity, "value": f"{cell.value:g}"}
+        yield node.key, facts | {"stage": node.kind}
+    for node in grid.nodes:
+        if node.key not in cells:
+            facts = {"task": node.task, "seed": str(node.seed), "stage": node.kind}
+            yield node.key, facts | ({"method": str(node.axes["method"])} if "method" in node.axes else {})

@@ -1,12 +1,62 @@
-"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and the levels on which nodes stand."""
+"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and their keys.
+
+A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node is, its resolved configuration, the
+keys of what it reads, the source of what it runs, and the major and minor versions of the libraries that compute. Not in it: the name of
+the spec and of its severities, the order of lists, paths, workers, devices.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from wasp_cli.plan.keys import digest
+SCHEMA = 1
+"""Raised when the meaning of artifacts changes in a way that no other part of the key shows."""
+LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
+LENGTH = 20
+
+
+def canonical(value: Any) -> str:
+    """Return JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest(value: Any, length: int = LENGTH) -> str:
+    """Return the first hexadecimal digits of a hash over some content."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:length]
+
+
+def key_of(identity: Mapping[str, Any]) -> str:
+    """Return the key of what `identity` describes."""
+    return digest({**identity, "schema": SCHEMA, "libraries": libraries()})
+
+
+def recipe_of(identity: Mapping[str, Any]) -> str:
+    """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
+    return digest({**{name: value for name, value in identity.items() if name != "code"}, "schema": SCHEMA})
+
+
+@cache
+def libraries() -> dict[str, str]:
+    """Return the major and minor version of each library whose numerics enter the results."""
+    return {name: minor(_installed(name)) for name in LIBRARIES}
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def minor(version: object) -> str:
+    """Return the major and the minor part of a version; `absent` where there is none."""
+    return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
 @dataclass(frozen=True, order=True, slots=True)
@@ -22,7 +72,6 @@ class Cell:
     severity: str | None
     """Name of the severity in the spec; enters no key."""
     value: float | None
-    """Value of the severity."""
     seed: int
 
     def __str__(self) -> str:
@@ -68,9 +117,7 @@ class Node:
     axes: Mapping[str, Any]
     """What else identifies it: method, method_config, operator variant, value (evaluate, calibration)."""
     config: Mapping[str, Any]
-    """The section of its stage, resolved, as JSON values."""
     settings: Mapping[str, Any]
-    """The shared settings that its stage named."""
     needs: Mapping[str, Node]
     """The nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind."""
     modules: tuple[str, ...]
@@ -93,46 +140,20 @@ class Node:
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
     """Return the nodes and everything they need, each once, needed ones first."""
-    found: dict[str, Node] = {}
+    ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
         for needed in node.needs.values():
-            if needed.key not in found:
+            if needed.key not in ordered:
                 visit(needed)
-        found[node.key] = node
+        ordered[node.key] = node
 
     for node in nodes:
-        if node.key not in found:
+        if node.key not in ordered:
             visit(node)
-    return list(found.values())
+    return list(ordered.values())
 
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
     """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
     return digest([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16)
-
-
-def levels(nodes: Iterable[Node]) -> list[list[Node]]:
-    """Split nodes into levels, so that what a node needs lies in an earlier one. Stable: within a level, input order stays.
-
-    Only needs among `nodes` count: what is already computed is left out by the caller, and moves its dependents forward.
-    """
-    members = {node.key: node for node in nodes}
-    known: dict[str, int] = {}
-
-    def place(node: Node) -> int:
-        level = 0
-        for needed in node.needs.values():
-            if needed.key in members:
-                below = known.get(needed.key)
-                level = max(level, 1 + (place(members[needed.key]) if below is None else below))
-        known[node.key] = level
-        return level
-
-    result: list[list[Node]] = []
-    for node in members.values():
-        level = place(node)
-        while len(result) <= level:
-            result.append([])
-        result[level].append(node)
-    return result

@@ -1,4 +1,4 @@
-"""What a run would do: each node with a state and a reason. The run does exactly that."""
+"""What a run would do: each node with a state and a reason, for runs, which do exactly that, and for people."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.node import Cell, Node, Part, levels
+from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, Stored, look_at, measured
-from wasp_cli.plan.schedule import simulated
-from wasp_cli.plan.times import estimated
+from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import precision_of
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
 IDLE = ("cached", "published", "unneeded")
-"""States in which a run computes nothing for a node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +70,17 @@ class Plan:
 
     def counts(self) -> dict[str, Counter[State]]:
         """Return the number of nodes by kind and state; kinds in the order in which they first run."""
-        found: dict[str, Counter[State]] = {}
-        for step in self.steps:
-            found.setdefault(step.node.kind, Counter())[step.state] += 1
-        order = dict.fromkeys(node.kind for level in levels(step.node for step in self.steps) for node in level)
-        return {kind: found[kind] for kind in order}
+        counts: dict[str, Counter[State]] = {}
+        levels: dict[str, int] = {}
+        for step in self.steps:  # needed ones first
+            counts.setdefault(step.node.kind, Counter())[step.state] += 1
+            levels[step.node.key] = max((1 + levels[needed.key] for needed in step.node.needs.values() if needed.key in levels), default=0)
+        order = dict.fromkeys(step.node.kind for step in sorted(self.steps, key=lambda step: levels[step.node.key]))
+        return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
-        people = {node.key for node in self.by_people()}
-        nodes = [node for node in self.to_run() if node.key not in people]
+        nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         known = {node.key: self.seconds.get(node.sort) for node in nodes}
         total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
         return total, sum(seconds is None for seconds in known.values())
@@ -87,7 +91,9 @@ class Plan:
         before: dict[str, Node | None] = {}
         last: Node | None = None
         for node in self.to_run():
-            previous = max((needed for needed in node.needs.values() if needed.key in ends), key=lambda each: ends[each.key], default=None)
+            previous = max(
+                (needed for needed in node.needs.values() if needed.key in ends), key=lambda needed: ends[needed.key], default=None
+            )
             ends[node.key] = (ends[previous.key] if previous else 0.0) + self.seconds.get(node.sort, 0.0)
             before[node.key] = previous
             if last is None or ends[node.key] > ends[last.key]:
@@ -104,25 +110,24 @@ class Plan:
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
-            "cells": _entries(self.grid.cells),
-            "branched": _entries(self.grid.branched),
-            "parts": _entries(self.grid.parts),
-            "nodes": [self._node_json(step) for step in self.steps],
+            "cells": [{**asdict(cell), "key": node.key} for cell, node in self.grid.cells],
+            "branched": [{**asdict(cell), "key": node.key} for cell, node in self.grid.branched],
+            "parts": [{**asdict(part), "key": node.key} for part, node in self.grid.parts],
+            "nodes": [
+                {
+                    "key": step.node.key,
+                    "kind": step.node.kind,
+                    "label": step.node.label,
+                    "state": step.state,
+                    "reason": step.reason,
+                    "needs": {name: needed.key for name, needed in step.node.needs.items()},
+                    "seconds": self.seconds.get(step.node.sort),
+                }
+                for step in self.steps
+            ],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
             "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
-        }
-
-    def _node_json(self, step: Step) -> dict[str, Any]:
-        node = step.node
-        return {
-            "key": node.key,
-            "kind": node.kind,
-            "label": node.label,
-            "state": step.state,
-            "reason": step.reason,
-            "needs": {name: needed.key for name, needed in node.needs.items()},
-            "seconds": self.seconds.get(node.sort),
         }
 
     def of(self, grid: Grid) -> Plan:
@@ -135,25 +140,14 @@ def make_plan(
     grid: Grid,
     stored: Mapping[str, Container[str]],
     failures: Mapping[str, str],
-    seconds: Mapping[str, float] | None = None,
-    damages: Mapping[str, str] | None = None,
+    seconds: Mapping[str, float] = MappingProxyType({}),
+    damages: Mapping[str, str] = MappingProxyType({}),
     *,
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
-    """Give each node its state.
-
-    Args:
-        grid: what the spec asks for.
-        stored: keys in the store, by kind.
-        failures: cause of the last failure, by key.
-        seconds: measured times by sort of node.
-        damages: what is wrong with a stored artifact, by key.
-        changed: why an earlier version of a node does not serve; None where there is none.
-        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
-    """
+    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all targets of the grid by default."""
     targets = grid.targets if wanted is None else wanted
-    damages = damages or {}
     scope, required = set(targets), set(targets)
     steps: list[Step] = []
     for node in reversed(grid.nodes):
@@ -162,13 +156,13 @@ def make_plan(
             scope.update(needed.key for needed in node.needs.values())
         # What is damaged is repaired also where only a finished node has read it: reports show it.
         if step.state != "cached" and node.key not in required and not (node.key in damages and node.key in scope):
-            step = Step(node, "unneeded", _why_not(node, grid, scope))
+            step = Step(node, "unneeded", "everything that needs it is computed" if node.key in scope else "not selected")
         elif step.runs:
             required.update(needed.key for needed in node.needs.values())
             if step.state == "missing" and (reason := changed(node)) is not None:
                 step = Step(node, "changed", reason)
         steps.append(step)
-    return Plan(grid, tuple(reversed(steps)), seconds or {}, wanted)
+    return Plan(grid, tuple(reversed(steps)), seconds, wanted)
 
 
 def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
@@ -185,22 +179,12 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
     return Step(node, "missing", "not computed yet")
 
 
-def _why_not(node: Node, grid: Grid, scope: Container[str]) -> str:
-    return "everything that needs it is computed" if node.key in scope else "not selected"
-
-
-def plan_against(
-    grid: Grid,
-    layout: Layout,
-    *,
-    wanted: frozenset[str] | None = None,
-    failed_only: bool = False,
-) -> Plan:
-    """Return the plan of a grid over the store of a results folder.
+def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
+    """Return the plan of a grid over the store of a results folder, which need not be there.
 
     Args:
         grid: what the spec asks for.
-        layout: the results folder; it need not be there.
+        layout: the results folder.
         wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
         failed_only: of these, only what failed before and what was blocked by it.
 
@@ -212,10 +196,17 @@ def plan_against(
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
     damages = {key: wrong for key, wrong in stored.damaged.items() if key in nodes}
     if failed_only:
-        wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
+        touched: set[str] = set()
+        """What failed, and what needs it."""
+        for node in grid.nodes:
+            if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
+                touched.add(node.key)
+        wanted = frozenset(touched & (grid.targets if wanted is None else wanted))
     reasons = Reasons(layout, stored)
     plan = make_plan(grid, stored.whole, failures, measured(stored), damages, changed=reasons.of, wanted=wanted)
-    begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
+    # Cells that are to run, and of which another version is there.
+    again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
+    begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
     plan = _with_precision(plan, stored)
     guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
     return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
@@ -250,29 +241,11 @@ def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
                 yield node, float(seconds)
 
 
-def _may_begin(step: Step) -> bool:
-    """Whether a cell is to run of which another version is there."""
-    return step.runs and step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
-
-
-def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:
-    """Of the wanted nodes, those that failed or need one that did."""
-    touched: set[str] = set()
-    for node in grid.nodes:
-        if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
-            touched.add(node.key)
-    return frozenset(touched.intersection(wanted))
-
-
 def _cause(path: Path) -> str:
     try:
         return str((read_record(path) or {}).get("message", "unknown cause"))
     except ArtifactError:
         return "its record is damaged"
-
-
-def _entries(pairs: Iterable[tuple[Cell | Part, Node]]) -> list[dict[str, Any]]:
-    return [{**asdict(thing), "key": node.key} for thing, node in pairs]
 
 
 Thing = TypeVar("Thing", Cell, Part)
@@ -281,3 +254,95 @@ Thing = TypeVar("Thing", Cell, Part)
 def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
     """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
     return [(thing, node.key) for thing, node in pairs]
+
+
+COLUMNS: dict[State, str] = {
+    "cached": "cached",
+    "published": "published",
+    "missing": "missing",
+    "changed": "changed",
+    "failed": "failed before",
+    "damaged": "damaged",
+    "unneeded": "not needed",
+}
+SHOWN = 12
+
+
+def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
+    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it takes on so many workers.
+
+    With `every` each node is listed, with its state and reason.
+    """
+    counts = plan.counts()
+    total = sum(counts.values(), Counter())
+    columns = [state for state in COLUMNS if state in ("cached", "missing") or total[state]]
+    table = count_table("stage", "nodes", *(COLUMNS[state] for state in columns))
+    for kind, states in counts.items():
+        table.add_row(kind, str(states.total()), *(str(states[state] or "-") for state in columns))
+    table.add_section()
+    table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
+    console.print(table)
+    cells, branched = (len({node.key for _, node in pairs}) for pairs in (plan.grid.cells, plan.grid.branched))
+    size = f"{plan.grid.points} grid points, {cells} cells to evaluate"
+    if cells < plan.grid.points:
+        size += " (the unimpaired reference is one cell for all operators)"
+    if branched:
+        size += f"; the interventions of {branched} of them are judged by counterfactual branches"
+    console.print(size if cells else "nothing to evaluate: the spec lists no methods")
+    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan)), *_time(plan, workers)):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _reasons(plan: Plan) -> list[str]:
+    """Why nodes run that someone may believe to be done, and what is used that was published: each reason once, with its nodes."""
+    lines = reason_lines(plan, "published", "changed", "failed", "damaged")
+    if len(lines) > SHOWN:
+        lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
+    if any(step.state == "published" and plan.grid.reused[step.node.key].details for step in plan.steps):
+        lines.append("wasp plan --all names what has changed since then")
+    return lines
+
+
+def reason_lines(plan: Plan, *states: State) -> list[str]:
+    """Return the reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
+    labels: dict[str, list[str]] = {}
+    for step in plan.steps:
+        if step.state in states:
+            labels.setdefault(step.reason, []).append(step.node.label)
+    return [f"{first}{f' and {len(more)} more' if more else ''}: {reason}" for reason, (first, *more) in labels.items()]
+
+
+def _every(plan: Plan) -> list[str]:
+    labels = max((len(step.node.label) for step in plan.steps), default=0)
+    lines = [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
+    details = [reused.details if (reused := plan.grid.reused.get(step.node.key)) else "" for step in plan.steps]
+    return [f"{line}; {more}" if more else line for line, more in zip(lines, details, strict=True)]
+
+
+def _time(plan: Plan, workers: int) -> list[str]:
+    if not plan.to_run():
+        copied = plan.count("published")
+        return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
+    people, lines = plan.by_people(), []
+    if people:
+        lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
+        if len(people) == len(plan.to_run()):
+            return lines
+    seconds, unknown = plan.estimate(workers)
+    if not seconds:
+        return [*lines, "no time estimate: neither here nor elsewhere was a node like these measured"]
+    rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
+    longest, path = plan.critical_path()
+    names = [node.label for node in path]
+    if len(names) > SHOWN:
+        names[SHOWN // 2 : -SHOWN // 2] = ["..."]
+    guessed = sum(node.sort in plan.guessed for node in plan.to_run())
+    if plan.begun:
+        count = len(plan.begun)
+        rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
+    source = f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine" if guessed else ""
+    return [
+        *lines,
+        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
+        f"critical path {duration(longest)}: {' > '.join(names)}",
+    ]

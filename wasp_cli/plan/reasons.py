@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.keys import canonical, digest, libraries, minor
-from wasp_cli.plan.node import Node, sort_of
+from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER
@@ -33,7 +32,6 @@ class Facts:
     seconds: float | None = None
     """What it took; None of what took rows over, which says nothing of how long its like takes."""
     at: str = ""
-    """When it was computed."""
     precision: str = ""
     """What of it is not in full precision."""
     episodes: int = 0
@@ -64,15 +62,10 @@ class Stored:
     whole: Mapping[str, Mapping[str, Facts]]
     """By kind and key."""
     damaged: Mapping[str, str]
-    """What is wrong with each other one, by key."""
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
-    """Look at every artifact of some kinds.
-
-    Raises:
-        StoreError: the folder cannot be read.
-    """
+    """Look at every artifact of some kinds."""
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:
@@ -138,8 +131,13 @@ class Reasons:
         return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
 
     def _begins(self, node: Node, key: str) -> bool:
+        """Whether a stored cell differs from this one in its episodes alone."""
         try:
-            return _differs_in_episodes_alone(node, read_manifest(self._layout, node.kind, key))
+            manifest = read_manifest(self._layout, node.kind, key)
+            before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
+            upstream = {name: needed.key for name, needed in node.needs.items()}
+            now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
+            return canonical(before) == canonical(now) and not moved_on(node, manifest)
         except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             return False
 
@@ -153,13 +151,6 @@ class Reasons:
             except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
                 return None
         return self._known[pair]
-
-
-def _differs_in_episodes_alone(node: Node, manifest: Mapping[str, Any]) -> bool:
-    before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
-    upstream = {name: needed.key for name, needed in node.needs.items()}
-    now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
-    return canonical(before) == canonical(now) and not moved_on(node, manifest)
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:

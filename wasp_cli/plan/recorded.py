@@ -1,15 +1,16 @@
 """What a run was to do, from its folder alone: for those who watch it, and for those who clean up.
 
-Read with care: the folder may be of another version, half written, or untrusted. What has no valid form is left out.
+The folder may be half written or untrusted: a run whose plan has another form than ours is left out.
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, FiniteFloat, TypeAdapter
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
@@ -18,24 +19,33 @@ from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import read_plain
 
 
+def _key(text: str) -> str:
+    if not is_key(text):
+        raise ValueError("not a key")
+    return text
+
+
+Key = Annotated[str, AfterValidator(_key)]
+
+
 @dataclass(frozen=True)
 class PlannedNode:
     """A node as the plan of a run has it."""
 
-    key: str
+    key: Key
     kind: str
     label: str
     state: str
-    """When the run was planned: one of `plan.plan.State`."""
-    needs: tuple[str, ...] = ()
-    """Keys of what it reads."""
-    seconds: float | None = None
-    """How long it may take, where that was known."""
+    needs: Annotated[tuple[Key, ...], BeforeValidator(lambda needs: tuple(needs.values()))]
+    seconds: FiniteFloat | None = None
 
     @property
     def runs(self) -> bool:
         """Whether the run was to compute it."""
         return self.state not in IDLE
+
+
+NODES = TypeAdapter(list[PlannedNode])
 
 
 @dataclass(frozen=True)
@@ -45,12 +55,9 @@ class PlannedRun:
     run_id: str
     spec: str
     """Name of the spec; of a sweep with the setting that varies."""
-    nodes: Mapping[str, PlannedNode] = field(default_factory=dict)
-    """By key."""
+    nodes: Mapping[str, PlannedNode]
     parts: tuple[str, ...] = ()
     """The runs of a sweep's values, whose cells it computes."""
-    odd: int = 0
-    """Entries of the plan that were left out."""
 
 
 def run_ids(layout: Layout) -> list[str]:
@@ -78,15 +85,19 @@ def order_of(layout: Layout, run_id: str) -> int:
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
     """Return a run as it was planned; None of a folder whose plan does not read."""
-    swept = _record(layout, run_id, "sweep.json")
-    if swept is not None:
-        values = swept.get("values")
-        named = [value.get("run") for value in values if isinstance(value, dict)] if isinstance(values, list) else []
-        parts = tuple(run for run in named if isinstance(run, str) and is_name(run))
-        plans = [_record(layout, run, "plan.json") or {} for run in parts]
-        return _planned(run_id, f"{swept.get('spec')} --vary {swept.get('setting')}", plans, parts)
-    plan = _record(layout, run_id, "plan.json")
-    return _planned(run_id, plan["spec"], [plan]) if plan is not None and isinstance(plan.get("spec"), str) else None
+    try:
+        sweep = _record(layout, run_id, "sweep.json")
+        if sweep is not None:
+            parts = tuple(value["run"] for value in sweep["values"] if is_name(value["run"]))
+            plans = [plan for part in parts if (plan := _record(layout, part, "plan.json")) is not None]
+            spec = f"{sweep['spec']} --vary {sweep['setting']}"
+        else:
+            parts, plans = (), [_record(layout, run_id, "plan.json") or {}]
+            spec = plans[0]["spec"]
+        nodes = [node for plan in plans for node in NODES.validate_python(plan["nodes"])]
+    except (ArtifactError, StoreError, KeyError, TypeError, ValueError, AttributeError):
+        return None
+    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts) if isinstance(spec, str) else None
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
@@ -116,15 +127,11 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     Raises:
         UnknownName: there is none.
     """
-    for run in runs:
-        if run.run_id == text:
-            return run
-    for run in runs:
-        if text and run.run_id.endswith(text):
-            return run
-    for run in runs:
-        if run.spec == text:
-            return run
+    named = [run for run in runs if run.run_id == text]
+    named += [run for run in runs if text and run.run_id.endswith(text)]
+    named += [run for run in runs if run.spec == text]
+    if named:
+        return named[0]
     raise UnknownName("run", text, [run.run_id for run in runs])
 
 
@@ -140,52 +147,18 @@ def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
 
 def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:
     """Yield the nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     for key in nodes:
         pending = [(key, False)]
         while pending:
             current, expanded = pending.pop()
             if expanded:
                 yield nodes[current]
-            elif current not in seen and current in nodes:
-                seen.add(current)
+            elif current not in visited and current in nodes:
+                visited.add(current)
                 pending.append((current, True))
                 pending.extend((needed, False) for needed in nodes[current].needs)
 
 
 def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:
-    try:
-        return read_record(layout.within(layout.run(run_id)) / name)
-    except (ArtifactError, StoreError):
-        return None
-
-
-def _planned(run_id: str, spec: str, plans: Iterable[Mapping[str, Any]], parts: tuple[str, ...] = ()) -> PlannedRun:
-    entries = [entry for plan in plans if isinstance(plan.get("nodes"), list) for entry in plan["nodes"]]
-    nodes = [node for entry in entries if isinstance(entry, dict) and (node := _node(entry)) is not None]
-    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, len(entries) - len(nodes))
-
-
-def _node(entry: Mapping[str, Any]) -> PlannedNode | None:
-    texts = [entry.get(name) for name in ("key", "kind", "label", "state")]
-    if not all(isinstance(text, str) for text in texts):
-        return None
-    key, kind, label, state = map(str, texts)
-    needs = entry.get("needs")
-    keys: Iterable[Any] = needs.values() if isinstance(needs, dict) else ()
-    if not is_key(key) or not is_name(kind):
-        return None
-    return PlannedNode(
-        key, kind, label, state, tuple(key for key in keys if isinstance(key, str) and is_key(key)), number(entry, "seconds")
-    )
-
-
-def number(record: Mapping[str, Any], name: str) -> float | None:
-    """Return a finite number of a record; None where it has none."""
-    value = record.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        return float(value) if math.isfinite(value) else None
-    except OverflowError:
-        return None
+    return read_record(layout.within(layout.run(run_id)) / name)

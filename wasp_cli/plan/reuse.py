@@ -23,8 +23,7 @@ from typing import Any
 from wasp_cli.errors import UsageError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
-from wasp_cli.plan.keys import LENGTH
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import LENGTH, Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.derived import with_episodes
 from wasp_cli.spec.model import Spec
@@ -42,30 +41,25 @@ HELDOUT = "heldout"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """Return the published layer that `--reuse`, or a spec, means; None without reuse.
-
-    Raises:
-        UsageError: a folder is meant that holds no published results.
-        StoreError: that of the results folder is a link.
-    """
+    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
         own, shipped = Layout(layout.within(layout.published)), published_folder()
         # A new results folder has none: then those that come with the package.
         return own if own.store.is_dir() or shipped is None else Layout(shipped)
-    found = Layout(Path(choice).absolute())
-    if not choice.strip() or not found.store.is_dir():
+    layer = Layout(Path(choice).absolute())
+    if not choice.strip() or not layer.store.is_dir():
         raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")
-    return found
+    return layer
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes.
+    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there.
 
     Args:
         spec: what is asked for.
-        layout: the results folder; it need not be there.
+        layout: the results folder.
         reuse: what may be reused, instead of what the spec says.
 
     Raises:
@@ -155,10 +149,6 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
     """Return, by recipe, the published results that are reused.
 
     Of several, first that of this very code, then one that was computed from what else is reused, then the newest.
-
-    Args:
-        own: the grid with its recipes and without reuse.
-        offered: what may be reused; each key once.
     """
     by_recipe: dict[str, list[Offer]] = {}
     for offer in offered:
@@ -198,11 +188,14 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
         elif node.key in computed and (node.key in read or id(node.needs) not in judged):  # the cells of an assistant share what they read
             judged.add(id(node.needs))
             needed_here = (own.recipes[needed.key] for needed in node.needs.values())
-            yield from (each for each in needed_here if each in chosen and without_steps(chosen[each].manifest))
-            merged, twofold = _merged(versions[own.recipes[needed.key]] for needed in node.needs.values())
+            yield from (needed for needed in needed_here if needed in chosen and without_steps(chosen[needed].manifest))
+            parts = [versions[own.recipes[needed.key]] for needed in node.needs.values()]
+            merged: dict[str, str] = {}
+            twofold = {name for part in parts for name, key in part.items() if merged.setdefault(name, key) != key} - free
             versions[recipe] = {**merged, recipe: keys[recipe]}
-            twofold -= free
-            for reused in _nearest(own, node, chosen) if twofold else ():
+            # The reused results that the node reads, directly or through what is computed for it.
+            nearest = {own.recipes[read.key] for read in _looked_at(own, node.needs.values(), chosen)} & chosen.keys() if twofold else ()
+            for reused in nearest:
                 behind = chosen[reused].behind
                 if any(name in behind and behind[name] != keys.get(name) for name in twofold):
                     yield reused
@@ -220,13 +213,6 @@ def _looked_at(own: Grid, nodes: Iterable[Node], chosen: Mapping[str, Offer]) ->
     return reached(nodes, lambda node: () if own.recipes[node.key] in chosen else node.needs.values())
 
 
-def _merged(parts: Iterable[Mapping[str, str]]) -> tuple[dict[str, str], set[str]]:
-    """Versions by recipe, and the recipes of which there are several."""
-    merged: dict[str, str] = {}
-    twofold = {name for part in parts for name, key in part.items() if merged.setdefault(name, key) != key}
-    return merged, twofold
-
-
 def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
     """By recipe, the key that a node would have; of one that is to be computed from other versions, a text that is no key."""
     keys: dict[str, str] = {}
@@ -238,11 +224,6 @@ def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
             same = all(keys[own.recipes[needed.key]] == needed.key for needed in node.needs.values())
             keys[recipe] = node.key if same else f"new {recipe}"
     return keys
-
-
-def _nearest(own: Grid, node: Node, chosen: Mapping[str, Offer]) -> set[str]:
-    """The recipes of the reused results that a node reads, directly or through what is computed for it."""
-    return {own.recipes[needed.key] for needed in _looked_at(own, node.needs.values(), chosen)} & chosen.keys()
 
 
 def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:

@@ -1,22 +1,27 @@
-"""The order in which nodes run: each as soon as what it needs is there, the longest remaining path first."""
+"""The order in which nodes run (each as soon as what it needs is there, the longest remaining path first), and how long they take.
+
+Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled by the speed of this one. The figures
+are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS`
+makes them. A variant that nobody measured is taken for its method, and a method that nobody measured for WASP, the slowest.
+"""
 
 from __future__ import annotations
 
 import heapq
+import json
+import time
 from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
 from statistics import median
+from typing import Any
 
 from wasp_cli.plan.node import Node
 from wasp_cli.stages.registry import STAGES
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
-    """Return how long each node will take, by key: as measured where its sort was, else by the weight of its stage.
-
-    Args:
-        nodes: any.
-        seconds: measured times by sort of node.
-    """
+    """Return how long each node will take, by key: as measured where its sort was, else by the weight of its stage."""
     nodes = list(nodes)
     per_weight = [seconds[node.sort] / weight for node in nodes if node.sort in seconds and (weight := STAGES[node.kind].weight)]
     unit = median(per_weight) if per_weight else 1.0
@@ -27,12 +32,7 @@ class Schedule:
     """The nodes that are still to run, and which of them can begin. Only needs among them count: the rest is computed."""
 
     def __init__(self, nodes: Iterable[Node], lasting: Mapping[str, float]) -> None:
-        """Schedule nodes.
-
-        Args:
-            nodes: needed ones first; among equals this order counts.
-            lasting: seconds by key (`durations`).
-        """
+        """`nodes` come needed ones first, which counts among equals; `lasting` has their seconds by key (`durations`)."""
         members = {node.key: node for node in nodes}
         self._needs = {key: {needed.key for needed in node.needs.values()} & members.keys() for key, node in members.items()}
         self._dependents: dict[str, list[Node]] = {key: [] for key in members}
@@ -52,11 +52,6 @@ class Schedule:
     def __len__(self) -> int:
         """Return the number of nodes that can begin."""
         return len(self._ready)
-
-    @property
-    def left(self) -> int:
-        """Nodes that have not ended."""
-        return len(self._left)
 
     def pop(self) -> Node:
         """Take the ready node from which the longest path begins."""
@@ -92,7 +87,7 @@ class Schedule:
                     self._left.discard(dependent.key)
                     lost[dependent.key] = dependent
                     waiting.append(dependent)
-        return sorted(lost.values(), key=lambda each: self._rank[each.key][1])
+        return sorted(lost.values(), key=lambda node: self._rank[node.key][1])
 
 
 def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:
@@ -109,3 +104,79 @@ def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int 
             return now, most
         now, _, node = heapq.heappop(running)
         schedule.ended(node)
+
+
+FIGURES = Path(__file__).parent / "times.json"
+SLICES, SLICE_SECONDS = 25, 0.01
+SIZE = 65_536
+SIZES = {
+    "expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions",
+    "evaluate": "episodes",
+}  # fmt: skip
+"""By stage the setting that its time grows with."""
+SLOWEST = "wasp"
+
+
+def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
+    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that stand for it, nearest first."""
+    method, config = axes.get("method"), axes.get("method_config")
+    if not method:
+        return [f"{kind} {task}"]
+    variant = config.get("variant", "full") if isinstance(config, Mapping) else "full"
+    own = [f"{method}/{variant}"] if variant != "full" else []
+    return [f"{kind} {task} {assistant}" for assistant in dict.fromkeys((*own, method, SLOWEST))]
+
+
+@cache
+def speed() -> float:
+    """Return how much one core does, in rounds of arithmetic and Python per second. Without BLAS, whose threads are no part of it."""
+    import numpy as np
+
+    values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
+
+    def rounds_per_second() -> float:
+        rounds, begun, until = 0, time.thread_time(), time.perf_counter() + SLICE_SECONDS
+        while time.perf_counter() < until or not rounds:
+            np.tanh(values * np.float32(1.5)) + np.float32(0.1)
+            sum(number * number for number in range(2000))
+            rounds += 1
+        return rounds / max(time.thread_time() - begun, 1e-9)
+
+    return max(rounds_per_second() for _ in range(SLICES))  # the fastest: others may use the machine too
+
+
+def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
+    """Return the figures: `speed` of the machine that they were measured on, and `seconds` by preset and name."""
+    figures: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return figures
+
+
+def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
+    """Return the seconds by sort that nodes will take here, where there is a figure for them or for something like them.
+
+    `near` are nodes of the same spec that were computed, each with its seconds.
+    """
+    figures = shipped()
+    known: Mapping[str, float] = figures["seconds"].get(preset, {})
+    times: dict[str, list[float]] = {}
+    for node, seconds in near:
+        times.setdefault(figures_like(node.kind, node.task, node.axes)[0], []).append(seconds / units(node.kind, node.config))
+    here: dict[str, float] = {}
+    elsewhere: dict[str, float] = {}
+    for node in nodes:
+        size = units(node.kind, node.config)
+        for name in figures_like(node.kind, node.task, node.axes):
+            if name in times:
+                here[node.sort] = median(times[name]) * size
+            elif name in known:
+                elsewhere[node.sort] = known[name] * size
+            else:
+                continue
+            break
+    scale = figures["speed"] / speed() if elsewhere else 1.0
+    return here | {sort: seconds * scale for sort, seconds in elsewhere.items()}
+
+
+def units(kind: str, config: Mapping[str, Any]) -> int:
+    """Return how many times a figure a node of this size takes."""
+    return int(config.get(SIZES.get(kind, ""), 1))

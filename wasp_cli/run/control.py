@@ -45,38 +45,25 @@ def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: 
         raise UsageError("cancel which node?", "wasp control cancel NODE; wasp status shows what runs")
     if node is not None and action != "cancel":
         raise UsageError(f"'{node}' is too much: {action} is for whole runs", "--run ID names a run, --results DIR a results folder")
-    runs = live_runs(layout, planned_runs(layout), name)
-    if node is not None:
-        return _cancel(layout, runs, " ".join(node.split()))
-    return [f"{run.spec}: {_paused(layout, run) if action == 'pause' else _resumed(layout, run)} (run {run.run_id})" for run in runs]
-
-
-def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> list[PlannedRun]:
-    """Return the runs that go on now, newest first; the named one alone where there is a name.
-
-    Raises:
-        UsageError: none goes on, or the named one does not.
-        UnknownName: there is no run of this name.
-    """
-    meant = list(runs) if name is None else [named_run(runs, name)]
-    live = [run for run in meant if state_of(layout, run).state == "running"]
-    if not live:
+    planned = planned_runs(layout)
+    meant = planned if name is None else [named_run(planned, name)]
+    runs = [run for run in meant if state_of(layout, run).state == "running"]
+    if not runs:
         what = "no run goes on" if name is None else f"the run '{meant[0].run_id}' is over"
         raise UsageError(f"{what} in '{layout.root}'", "wasp status shows the runs")
-    return live
-
-
-def _paused(layout: Layout, run: PlannedRun) -> str:
-    layout.pause(run.run_id).touch()
-    return "paused; running nodes finish"
-
-
-def _resumed(layout: Layout, run: PlannedRun) -> str:
-    try:
-        layout.pause(run.run_id).unlink()
-    except FileNotFoundError:
-        return "was not paused"
-    return "goes on"
+    if node is not None:
+        return _cancel(layout, runs, " ".join(node.split()))
+    answers = []
+    for run in runs:
+        pause = layout.pause(run.run_id)
+        if action == "pause":
+            pause.touch()
+            answer = "paused; running nodes finish"
+        else:
+            answer = "goes on" if pause.exists() else "was not paused"
+            pause.unlink(missing_ok=True)
+        answers.append(f"{run.spec}: {answer} (run {run.run_id})")
+    return answers
 
 
 def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
@@ -96,7 +83,7 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
         if key in run.nodes and run.nodes[key].runs and key not in ended:
             layout.cancelled(run.run_id).mkdir(exist_ok=True)
             layout.cancel(run.run_id, key).touch()
-            count = len(_dependents(run, key) - ended)
+            count = len(_with_dependents(run, key) - {key} - ended)
             also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
             taken_back.append(f"{node.label} is taken back{also} (run {run.run_id})")
     if not taken_back:
@@ -104,9 +91,9 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
     return taken_back
 
 
-def _dependents(run: PlannedRun, key: str) -> set[str]:
-    """The keys of what needs a node, through others too."""
-    return reached([key], lambda needed: [other.key for other in run.nodes.values() if other.runs and needed in other.needs]) - {key}
+def _with_dependents(run: PlannedRun, key: str) -> set[str]:
+    """The keys of a node and of what needs it, through others too."""
+    return reached([key], lambda needed: [node.key for node in run.nodes.values() if node.runs and needed in node.needs])
 
 
 def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, str]:

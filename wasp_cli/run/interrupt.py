@@ -27,11 +27,7 @@ class Stop:
         self.asked = False
 
     def ask(self) -> None:
-        """Let nothing new begin.
-
-        Raises:
-            KeyboardInterrupt: it was asked before.
-        """
+        """Let nothing new begin."""
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
@@ -61,7 +57,6 @@ def listening(stop: Stop) -> Iterator[None]:
 GRACE = 10.0
 """Seconds that a node has to react; one with a shorter limit gets as long again."""
 LOOK_SECONDS = 0.5
-"""Between two looks for a file that takes a node back."""
 HINT = "allow more time with --timeout; the log shows where it was"
 
 
@@ -78,13 +73,8 @@ def interruptible(limit: float | None, cancel: Path, marker: Path, own_process: 
     """Raise TimeLimitExceeded in the block after `limit` seconds, and Cancelled soon after a file appears.
 
     In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
-    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours.
-
-    Args:
-        limit: seconds; None for no limit.
-        cancel: the file that takes the node back.
-        marker: a file that has text when the process was ended over its limit, so that whoever finds it gone knows why.
-        own_process: whether this process does nothing else.
+    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours;
+    `marker` then has text, so that whoever finds it gone knows why.
     """
     over, thread = threading.Event(), threading.get_ident()
     main = threading.current_thread() is threading.main_thread()

@@ -1,11 +1,22 @@
-"""What travels to a worker and what comes back (names and plain values, never tensors), and what every pool of workers offers."""
+"""What travels to a worker and what comes back (names and plain values, never tensors), and what a running node says of itself."""
 
 from __future__ import annotations
 
+import os
+import platform
+import resource
+import sys
+import threading
 from collections.abc import Mapping
-from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.store.artifact import dumps, read_record, replace_file
 
 
 @dataclass(frozen=True)
@@ -56,39 +67,91 @@ class NodeResult:
     seconds: float
     summary: Mapping[str, Any] = field(default_factory=dict)
     message: str = ""
-    """Cause of a failure, in one line."""
     hint: str | None = None
     log: str = ""
     by_chance: bool = False
     """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck), so that another attempt may succeed."""
 
 
-class WorkersDied(Exception):
-    """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
+SECONDS = 1.0
 
 
-class Pool(Protocol):
-    """Computes nodes side by side."""
+class Heartbeat:
+    """Keeps the file of a running node until the node ends, however it does. After a kill the file stays, and tells who was running."""
 
-    jobs: int
-    """Nodes at once; 0 is counted as 1, in this process."""
-    name: str
-    """As the journal has it."""
+    def __init__(self, path: Path, job: NodeJob) -> None:
+        self._path = path
+        self.deaths = 0
+        """Processes that died in this run while they computed the node. A scheduler of somebody else's gives it to the next one."""
+        try:
+            if (left := read_record(path)) is not None:  # an earlier attempt did not live to remove it
+                self.deaths = 1 + int(left.get("deaths", 0))
+        except ArtifactError:
+            self.deaths = 1
+        self.fixed: dict[str, object] = {
+            "label": job.label,
+            "kind": job.kind,
+            **this_process(),
+            "started": _now(),
+            "deaths": self.deaths,
+        }
+        """What does not change while it runs."""
+        self._share, self._text = 0.0, ""
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")
 
-    gone: str | None
-    """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
+    def tell(self, share: float, text: str) -> None:
+        """Note how far it is, from 0 to 1, and what it does; written with the next beat."""
+        self._share, self._text = min(max(float(share), 0.0), 1.0), text
 
-    def submit(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node; nobody submits more than `jobs` at a time.
+    def write(self) -> None:
+        """Write it now. A full disk, or a folder that was moved, must not end the node here: its own writing will."""
+        record = {**self.fixed, "share": self._share, "text": self._text, "at": _now(), "memory_mb": memory_mb()}
+        with suppress(OSError):
+            replace_file(self._path, dumps(record))
 
-        The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
-        """
-        ...
+    def __enter__(self) -> Heartbeat:
+        self.write()
+        self._thread.start()
+        return self
 
-    def alone(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node in a process of its own. The future ends with WorkersDied where that process was killed."""
-        ...
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
 
-    def close(self, *, kill: bool = False) -> None:
-        """End the workers; with `kill`, at once."""
-        ...
+    def _beat(self) -> None:
+        while not self._ended.wait(SECONDS):
+            self.write()
+
+
+def forget(path: Path) -> None:
+    """Remove what a killed node left to say that it runs: its file, and the half-written next one where it died while it wrote."""
+    for left in (path, *path.parent.glob(f".{path.name}-*")):
+        left.unlink(missing_ok=True)
+
+
+def memory_mb() -> float:
+    """Return the memory of this process that is in use, in MB; where the system does not tell, the most that it ever was."""
+    with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as file:
+        return round(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(largest / (1e6 if sys.platform == "darwin" else 1e3), 1)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def this_process() -> dict[str, object]:
+    """Name this process, so that others can see whether it lives."""
+    return {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()}
+
+
+def boot_id() -> str | None:
+    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
+    except (OSError, ValueError):
+        return None

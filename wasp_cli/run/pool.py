@@ -1,50 +1,126 @@
-"""The workers of a run: processes of loky, or this process. Those of other machines are in `run.cluster`."""
+"""The workers of a run: processes of loky, this process, or those of a dask scheduler or a ray cluster on other machines.
+
+Only jobs travel, which are keys, paths and plain values. Each node is a task of its own: `joblib.Parallel` takes a list, and what a node
+needs is only known to be there when another one ends. Every machine of a cluster has to see the results folder under the same path and to
+run the same source: a worker that does not refuses to publish.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
+import socket
 import threading
 import time
 import warnings
-from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Future
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future, InvalidStateError
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from itertools import count
 from typing import Any
 
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UnknownName, UsageError, WaspError
 from wasp_cli.run.interrupt import SIGNALS
-from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
-from wasp_cli.run.worker import execute
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.worker import execute, execute_here
+
+BACKENDS = ("loky", "dask", "ray")
+PACKAGES = {"dask": "distributed", "ray": "ray"}
+EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
+STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
+CONNECT_SECONDS = 20
+CLOSE_SECONDS = 5
+POLL_SECONDS = 0.1
+COUNT_SECONDS = 2.0
+"""Between two looks at the workers of a dask scheduler."""
 
 
-class InlinePool:
-    """This process, one node after the other: for tests and debuggers."""
+class WorkersDied(Exception):
+    """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
+
+
+class Pool:
+    """Computes nodes side by side."""
 
     jobs = 1
-    name = "inline"
+    """Nodes at once."""
+    name = ""
     gone: str | None = None
+    """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        done: Future[NodeResult] = Future()
-        done.set_result(execute(job, own_process=False))
-        return done
+        """Begin to compute a node; nobody submits more than `jobs` at a time.
+
+        The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
+        """
+        raise NotImplementedError
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node in a process that computes nothing else."""
         return self.submit(job)
 
     def close(self, *, kill: bool = False) -> None:
-        pass
+        """End the workers; with `kill`, at once."""
 
 
-class LokyPool:
-    """joblib's loky workers: started on first use, so that torch is imported once in each.
+def require_backend(backend: str, scheduler: str | None) -> None:
+    """See that a backend can be used, before anything is planned for it."""
+    if backend not in BACKENDS:
+        raise UnknownName("backend", backend, BACKENDS)
+    if backend == "loky":
+        if scheduler is not None:
+            raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
+        return
+    package = PACKAGES[backend]
+    if find_spec(package) is None:
+        raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
+    if scheduler is not None:
+        _require_answer(backend, scheduler)
+    elif backend == "dask":  # ray starts one of its own on this machine
+        raise UsageError("the backend dask needs the address of its scheduler", EXAMPLES["dask"])
 
-    Its executor, and not `joblib.Parallel`, which takes a list: what a node needs is only known to be there when another one ends.
-    """
+
+def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
+    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. Others bring their own number."""
+    if backend == "dask":
+        return DaskPool(scheduler)
+    if backend == "ray":
+        return RayPool(scheduler)
+    return LokyPool(jobs) if jobs else InlinePool()
+
+
+def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException], BaseException]) -> Future[NodeResult]:
+    """A future that ends as another one does, its errors as the runner knows them."""
+    result: Future[NodeResult] = Future()
+
+    def told(ended: Future[NodeResult]) -> None:
+        error = ended.exception()
+        if error is None:
+            result.set_result(ended.result())
+        else:
+            result.set_exception(translated(error))
+
+    running.add_done_callback(told)
+    return result
+
+
+class InlinePool(Pool):
+    """This process, one node after the other: for tests and debuggers."""
+
+    name = "inline"
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        done: Future[NodeResult] = Future()
+        done.set_result(execute_here(job))
+        return done
+
+
+class LokyPool(Pool):
+    """joblib's loky workers: started on first use, so that torch is imported once in each."""
 
     name = "loky"
-    gone: str | None = None
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
@@ -61,80 +137,34 @@ class LokyPool:
             return self._begun(self._workers, job)
         except BrokenExecutor as error:
             self._workers = None
-            return _died(error)
+            lost: Future[NodeResult] = Future()
+            lost.set_exception(WorkersDied(str(error)))
+            return lost
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
         worker = _new_workers(1)
         self._single.append(worker)
-        found = self._begun(worker, job)
-        found.add_done_callback(lambda _: worker.shutdown(wait=False, kill_workers=True))
-        return found
+        result = self._begun(worker, job)
+        result.add_done_callback(lambda _: worker.shutdown(wait=False, kill_workers=True))
+        return result
 
     def _begun(self, workers: Any, job: NodeJob) -> Future[NodeResult]:
+        def translated(error: BaseException) -> BaseException:
+            if not isinstance(error, BrokenExecutor):
+                return error
+            if workers is self._workers:
+                self._workers = None  # the next node starts new ones
+            return WorkersDied(str(error))
+
         with _signals_wait():
             running: Future[NodeResult] = workers.submit(execute, job)
-        result: Future[NodeResult] = Future()
-
-        def told(ended: Future[NodeResult]) -> None:
-            error = ended.exception()
-            if isinstance(error, BrokenExecutor):
-                if workers is self._workers:
-                    self._workers = None  # the next node starts new ones
-                result.set_exception(WorkersDied(str(error)))
-            elif error is not None:
-                result.set_exception(error)
-            else:
-                result.set_result(ended.result())
-
-        running.add_done_callback(told)
-        return result
+        return _passed_on(running, translated)
 
     def close(self, *, kill: bool = False) -> None:
         for workers in (self._workers, *self._single):
             if workers is not None:
                 workers.shutdown(wait=not kill, kill_workers=kill)
         self._workers, self._single = None, []
-
-
-def _died(error: BaseException) -> Future[NodeResult]:
-    lost: Future[NodeResult] = Future()
-    lost.set_exception(WorkersDied(str(error)))
-    return lost
-
-
-BACKENDS = ("loky", "dask", "ray")
-
-
-def require_backend(backend: str, scheduler: str | None) -> None:
-    """See that a backend can be used, before anything is planned for it.
-
-    Raises:
-        UnknownName: there is none of this name.
-        UsageError: its package is not installed, or its scheduler does not answer.
-    """
-    if backend not in BACKENDS:
-        raise UnknownName("backend", backend, BACKENDS)
-    if backend != "loky":
-        from wasp_cli.run.cluster import require_cluster
-
-        require_cluster(backend, scheduler)
-    elif scheduler is not None:
-        raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
-
-
-def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
-    """Return the workers of a backend.
-
-    Args:
-        backend: one of `BACKENDS`.
-        jobs: worker processes on this machine at most; 0 computes in this process. Others bring their own number.
-        scheduler: address of the others' scheduler.
-    """
-    if backend != "loky":
-        from wasp_cli.run.cluster import cluster_pool
-
-        return cluster_pool(backend, scheduler)
-    return LokyPool(jobs) if jobs else InlinePool()
 
 
 def _new_workers(count: int) -> Any:
@@ -168,3 +198,121 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
+
+
+class DaskPool(Pool):
+    """The workers of a dask scheduler."""
+
+    name = "dask"
+
+    def __init__(self, scheduler: str | None) -> None:
+        from distributed import Client
+
+        self._starts = f"dask worker {scheduler} --nthreads 1 --nworkers N"
+        try:
+            self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise _no_answer(self.name, str(scheduler), error) from error
+        threads = self._client.nthreads()
+        if not threads:
+            self._client.close()
+            raise UsageError(f"the dask scheduler at '{scheduler}' has no workers", self._starts)
+        if max(threads.values()) > 1:
+            self._client.close()
+            raise UsageError(
+                "a dask worker has several threads; nodes set threads, logs and memory of their whole process", "start it with --nthreads 1"
+            )
+        self.jobs = sum(threads.values())
+        self._pending: set[Future[NodeResult]] = set()
+        self._number = count()
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True, name="dask-watch").start()
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        from distributed import KilledWorker
+
+        result: Future[NodeResult] = Future()
+        self._pending.add(result)
+
+        def told(ended: Any) -> None:
+            if result.done():  # the scheduler was given up meanwhile
+                return
+            self._pending.discard(result)
+            error = ended.exception() if ended.status == "error" else None
+            if isinstance(error, KilledWorker):
+                result.set_exception(WorkersDied(str(error)))
+            elif error is not None or ended.status != "finished":
+                result.set_exception(_lost(f"{type(error).__name__}: {error}" if error else ended.status))
+            else:
+                result.set_result(ended.result())
+
+        self._client.submit(execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False).add_done_callback(told)
+        return result
+
+    def _watch(self) -> None:
+        """Give up what is pending where the scheduler is gone: its futures would wait for ever. Look whether there are workers."""
+        looked = time.monotonic()
+        while not self._closed.wait(POLL_SECONDS):
+            status = self._client.status
+            if status not in ("running", "connecting"):
+                for result in list(self._pending):
+                    self._pending.discard(result)
+                    with suppress(InvalidStateError):
+                        result.set_exception(_lost(status))
+            elif status == "running" and time.monotonic() - looked > COUNT_SECONDS:
+                with suppress(Exception):  # whatever it says of a scheduler that goes away just now: the next look tells
+                    self.gone = None if self._client.nthreads() else self._starts
+                looked = time.monotonic()
+
+    def close(self, *, kill: bool = False) -> None:
+        self._closed.set()
+        with suppress(OSError, TimeoutError):
+            self._client.close(timeout=CLOSE_SECONDS)
+
+
+def _lost(reason: str) -> WaspError:
+    return WaspError(f"the dask scheduler is lost ({reason})", "start it again, then run again: finished nodes are kept")
+
+
+def _require_answer(backend: str, address: str) -> None:
+    """See that something listens at an address: the libraries' own attempts take minutes, and print what helps nobody."""
+    match = re.fullmatch(r"(?:\w+://)?\[?([^/\]]+)\]?:(\d+)/?", address)
+    if match is None:
+        raise UsageError(f"'{address}' is not the address of a {backend} scheduler", EXAMPLES[backend])
+    try:
+        socket.create_connection((match[1], int(match[2])), timeout=CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise _no_answer(backend, address, error) from error
+
+
+def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
+    reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
+    return UsageError(f"no {backend} scheduler answers at '{address}': {reason[:200].lower()}", STARTS[backend])
+
+
+class RayPool(Pool):
+    """The workers of a ray cluster."""
+
+    name = "ray"
+
+    def __init__(self, scheduler: str | None) -> None:
+        import ray
+
+        try:
+            ray.init(address=scheduler, log_to_driver=False, configure_logging=False)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise _no_answer(self.name, str(scheduler), error) from error
+        self._ray = ray
+        # The runner asks what a killed node did; ray would run it again by itself.
+        self._execute = ray.remote(num_cpus=1, max_retries=0)(execute_here)
+        self.jobs = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        def translated(error: BaseException) -> BaseException:
+            # ray has many ways to say that a worker or its machine is gone
+            return error if isinstance(error, self._ray.exceptions.RayTaskError) else WorkersDied(str(error))
+
+        return _passed_on(self._execute.remote(job).future(), translated)
+
+    def close(self, *, kill: bool = False) -> None:
+        self._ray.shutdown()

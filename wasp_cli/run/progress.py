@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError
 from wasp_cli.run.record import Tail
-from wasp_cli.run.watch import deserted
+from wasp_cli.run.watch import desertion
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 POLL_SECONDS = 0.25
 SHARE = 0.05
 """Of one core, that drawing the board may take: a long journal is read less often."""
-NAMES: Mapping[str, str] = MappingProxyType({})
-"""What people call a node, by its key, where that is not its label: nowhere."""
 
 
 class Lines:
@@ -31,7 +29,7 @@ class Lines:
     starts = True
     """Whether a node's start is worth a line."""
 
-    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> None:
+    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
         self._layout, self._run_id, self._total, self._names = layout, run_id, total, names
         self._tail = Tail(layout.journal(run_id))
         self._count = 0
@@ -59,14 +57,15 @@ class Lines:
             self._event(event)
 
     def _event(self, event: Mapping[str, Any]) -> None:
-        key, name, kind = str(event.get("key")), self._name(event), str(event["event"])
+        key, kind = str(event.get("key")), event["event"]
+        name = self._names.get(key, str(event.get("label")))
         if kind in ("done", "shared", "failed"):
             self._shown.add(key)
             detail = event.get("message" if kind == "failed" else "numbers")
-            what = {"done": "done   ", "shared": "shared ", "failed": "FAILED "}[kind]
-            plain(f"{self._counter()} {what} {name}  {duration(float(event['seconds']))}" + (f"  {detail}" if detail else ""))
+            what = "FAILED" if kind == "failed" else kind
+            plain(f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}" + (f"  {detail}" if detail else ""))
         elif kind == "blocked":
-            plain(f"{self._counter()} blocked {name}  (needs {self._names.get(str(event['by']), str(event['by_label']))})")
+            plain(f"{self._counter()} blocked {name}  (needs {self._names.get(event['by'], event['by_label'])})")
         elif kind == "cancelled":
             self._shown.add(key)
             plain(f"{self._counter()} cancelled {name}")
@@ -75,11 +74,11 @@ class Lines:
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
-            labels = [self._names.get(str(one), str(label)) for one, label in zip(event["suspects"], event["labels"], strict=True)]
+            labels = [self._names.get(suspect, label) for suspect, label in zip(event["suspects"], event["labels"], strict=True)]
             after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
             self._note(f"a worker process was killed{after}")
         elif kind == "workers gone":
-            self._note(f"{deserted(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
+            self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
         elif kind == "workers back":
             self._note("workers are back; the run goes on")
         elif kind == "draining":
@@ -100,9 +99,6 @@ class Lines:
     def _note(self, text: str) -> None:
         plain(f"        note    {text}")
 
-    def _name(self, event: Mapping[str, Any]) -> str:
-        return self._names.get(str(event.get("key")), str(event.get("label")))
-
     def _counter(self) -> str:
         self._count += 1
         return f"[{self._count:>{len(str(self._total))}}/{self._total}]"
@@ -113,7 +109,7 @@ class Live(Lines):
 
     starts = False
 
-    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> None:
+    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
         from rich.live import Live as RichLive
 
         from wasp_cli.plan.recorded import planned_run
@@ -145,17 +141,13 @@ class Live(Lines):
         return self._drawn
 
 
-def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> Lines:
-    """Return the board that fits where stderr goes."""
+def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
+    """Return the board that fits where stderr goes; `names` are what people call a node, by its key, where that is not its label."""
     fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
     return fitting(layout, run_id, total, names)
 
 
-def numbers(summary: Mapping[str, Any], limit: int = 6) -> str:
+def numbers(summary: Mapping[str, Any]) -> str:
     """Return the first numbers of a summary on one line."""
-    shown = [f"{name} {_number(value)}" for name, value in summary.items() if isinstance(value, int | float)]
-    return ", ".join(shown[:limit])
-
-
-def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
+    return ", ".join(f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}" for name, value in values[:6])

@@ -9,7 +9,7 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +18,10 @@ from typing import Any
 import wasp_cli
 from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import ArtifactError, first
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import Step, plan_against
+from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import (
     commit,
@@ -58,7 +57,6 @@ class Item:
 
     node: Node
     size: int
-    """Bytes of its files."""
     manifest: Mapping[str, Any]
     """As it will be published."""
 
@@ -71,11 +69,9 @@ class Publication:
     there: tuple[Item, ...]
     """Those that the published layer has already, byte for byte."""
     large: tuple[Item, ...]
-    """Those that are left out for their size."""
     absent: tuple[Node, ...]
     """What was not computed because nothing needs it."""
     reports: tuple[Path, ...]
-    """Files of the spec's report that the published layer does not have."""
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
@@ -87,7 +83,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         target: the published layer.
         selectors: texts of `--select`; all cells and all trained parts without any.
         largest: bytes of an artifact at most.
-        reuse: which results stand for nodes, as for a run: with `none`, those of this code.
+        reuse: as for a run; with `none`, results of this code alone.
 
     Raises:
         UsageError: the selection means nothing.
@@ -107,8 +103,12 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None:
             refused.append(f"{step.node.label}: it was published elsewhere, and is not in '{layout.root}'")
         elif step.state in ("cached", "published"):
-            source = layout if step.state == "cached" else target
-            item = _item(step, source, grid.recipes[step.node.key], behind[step.node.key])
+            source, node = layout if step.state == "cached" else target, step.node
+            manifest = read_manifest(source, node.kind, node.key)
+            size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
+            provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
+            manifest = {**manifest, "provenance": provenance, RECIPE: grid.recipes[node.key], BEHIND: behind[node.key]}
+            item = Item(node, size, manifest)
             if item.size > largest:
                 large.append(item)
             elif corruption(target, item.node.kind, item.node.key) is None:
@@ -116,7 +116,11 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
             else:
                 new.append(item)
                 refused += [f"{item.node.label}: {why}"] if (why := _why_not(item, source, private)) else []
-    reports = [path for path in _reports(spec, layout) if not _same(path, target.reports(spec.name) / path.name)]
+    reports = []
+    for path in _reports(spec, layout):
+        there_already = target.reports(spec.name) / path.name
+        if not there_already.is_file() or there_already.read_bytes() != path.read_bytes():
+            reports.append(path)
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
     if refused:
         lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
@@ -127,24 +131,15 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
     """By key of a node, everything that it was computed from: key by recipe."""
-    found: dict[str, dict[str, str]] = {}
+    behind: dict[str, dict[str, str]] = {}
     for node in grid.nodes:
         if node.key in grid.reused:
-            found[node.key] = dict(grid.reused[node.key].offer.behind)
+            behind[node.key] = dict(grid.reused[node.key].offer.behind)
         else:
-            own: dict[str, str] = {}
+            behind[node.key] = {}
             for needed in node.needs.values():
-                own |= found[needed.key] | {grid.recipes[needed.key]: needed.key}
-            found[node.key] = own
-    return found
-
-
-def _item(step: Step, source: Layout, recipe: str, behind: Mapping[str, str]) -> Item:
-    node = step.node
-    manifest = read_manifest(source, node.kind, node.key)
-    size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
-    provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
-    return Item(node, size, {**manifest, "provenance": provenance, RECIPE: recipe, BEHIND: dict(behind)})
+                behind[node.key] |= behind[needed.key] | {grid.recipes[needed.key]: needed.key}
+    return behind
 
 
 def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:
@@ -183,24 +178,14 @@ def _reports(spec: Spec, layout: Layout) -> list[Path]:
     folder = layout.within(layout.reports(spec.name))
     try:
         with os.scandir(folder) as entries:
-            return [folder / name for name in sorted(each.name for each in entries if each.is_file(follow_symlinks=False)) if is_name(name)]
+            names = [entry.name for entry in entries if is_name(entry.name) and entry.is_file(follow_symlinks=False)]
     except FileNotFoundError:
         return []
+    return [folder / name for name in sorted(names)]
 
 
-def _same(one: Path, other: Path) -> bool:
-    return other.is_file() and one.read_bytes() == other.read_bytes()
-
-
-def carry_publication(found: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed.
-
-    Args:
-        found: what to copy, from `publication`.
-        spec: whose results.
-        layout: the results folder.
-        target: the published layer.
-        slimming: what the copies leave out.
+def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
+    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out.
 
     Raises:
         ArtifactError: a file has changed since it was looked at, or half precision cannot hold a weight.
@@ -208,7 +193,7 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
     """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
-    if not found.new and not found.reports:
+    if not publication.new and not publication.reports:
         return
     target.root.mkdir(parents=True, exist_ok=True)
     with held(target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")):
@@ -217,9 +202,13 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
         discard(staged)
         try:
             staged.mkdir(parents=True)
-            for item in found.new:
+            for item in publication.new:
                 _copy(item, layout, target, staged, slimming)
-            _copy_reports(found.reports, target.reports(spec.name), staged)
+            reports = target.reports(spec.name)
+            for path in publication.reports:
+                reports.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, staged / path.name, follow_symlinks=False)
+                os.replace(staged / path.name, reports / path.name)
         finally:
             discard(staged)
             with suppress(OSError):  # a run uses the folder too
@@ -238,10 +227,3 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
     commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
-
-
-def _copy_reports(files: Iterable[Path], folder: Path, staged: Path) -> None:
-    for path in files:
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, staged / path.name, follow_symlinks=False)
-        os.replace(staged / path.name, folder / path.name)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 
 from wasp_cli.console import waiting_aloud
@@ -39,14 +39,6 @@ BEGINS_SECONDS = 3600.0
 """How long a run may take from making its folder to the first line of its journal."""
 
 
-@dataclass(frozen=True)
-class Reach:
-    """The runs that count, and the keys that they reach."""
-
-    keys: frozenset[str]
-    other_runs: tuple[str, ...]
-
-
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
     """Return the keys of everything that specs ask for now, with published results in the place of nodes and without.
 
@@ -57,17 +49,12 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
     return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
 
-def reach_of_runs(layout: Layout, own: Set[str]) -> Reach:
-    """Return what the newest run of each spec name reaches, what the runs reach that are not over, and what people did.
+def reach_of_runs(layout: Layout, own: Set[str]) -> tuple[set[str], list[str]]:
+    """Return the keys that count, and the runs that do not.
 
-    Args:
-        layout: the results folder.
-        own: keys of what people did.
-
-    Raises:
-        StoreError: a run does not say what it reaches, so that nothing can be called unreached.
+    Those are reached by the newest run of each spec name, by the runs that are not over, and by what people did (`own`).
     """
-    wanted: dict[str, PlannedRun] = {}
+    counting: dict[str, PlannedRun] = {}
     of_people: set[str] = set()
     keys: set[str] = set()
     newest: set[str] = set()
@@ -75,20 +62,23 @@ def reach_of_runs(layout: Layout, own: Set[str]) -> Reach:
     for run_id in ids:
         run = planned_run(layout, run_id)
         if run is None:
-            _require_old(layout, run_id)
+            folder = layout.run(run_id)
+            if os.path.lexists(folder / "plan.json") or os.path.lexists(folder / "sweep.json"):
+                why = f"the plan of '{folder}' cannot be read, so what it needs is unknown"
+                raise StoreError(why, "remove that folder if nobody needs the run")
+            if _age(layout, run_id) < BEGINS_SECONDS:  # an older one was killed while it began
+                raise StoreError(f"run '{run_id}' is being planned", "try again once it runs")
             continue
-        if run.odd:
-            raise _unclear(layout, run_id)
         if run.spec not in newest or _goes_on(layout, run):
-            wanted[run_id] = run
+            counting[run_id] = run
         newest.add(run.spec)
         if own & run.nodes.keys():  # a report finds a session by the run that asked for it
             of_people.add(run_id)
             keys |= _read_by(run, own)
     # A sweep that counts keeps the runs of its values: its reports are made from them.
-    kept = {*wanted, *of_people, *(part for run in wanted.values() for part in run.parts)}
-    keys |= {key for run in wanted.values() for key in run.nodes}
-    return Reach(frozenset(keys), tuple(run_id for run_id in ids if run_id not in kept))
+    kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
+    keys |= {key for run in counting.values() for key in run.nodes}
+    return keys, [run_id for run_id in ids if run_id not in kept]
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
@@ -105,29 +95,20 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
     """
     there = stored(layout)
     own = _of_people(layout, there)
-    reach = reach_of_runs(layout, own | unfinished_sessions(layout))
-    needed = with_inputs(layout, {*reach.keys, *keep, *locked(layout), *own, *computed_from(layout, own, there)}, there)
-    return rubbish(layout, needed, there, before) + (run_rubbish(layout, reach.other_runs, before) if runs else [])
+    keys, other_runs = reach_of_runs(layout, own | unfinished_sessions(layout))
+    needed = with_inputs(layout, {*keys, *keep, *locked(layout), *own, *computed_from(layout, own, there)}, there)
+    return rubbish(layout, needed, there, before) + (run_rubbish(layout, other_runs, before) if runs else [])
 
 
 def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:
     """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
 
-    Args:
-        layout: the results folder.
-        keep: as for `unreached`.
-        shown: what was agreed to.
-        runs: as for `unreached`.
-        before: as for `unreached`.
-
-    Returns:
-        How many things went, and their bytes.
+    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many things went, and their bytes.
     """
-    agreed = {each.path for each in shown}
+    agreed = {item.path for item in shown}
     # While it is held, no run looks for what is there; what has looked before has written down what it reaches.
     with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
-        still = [each for each in unreached(layout, keep, runs=runs, before=before) if each.path in agreed]
-        return remove(layout, still)
+        return remove(layout, [item for item in unreached(layout, keep, runs=runs, before=before) if item.path in agreed])
 
 
 def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
@@ -151,33 +132,13 @@ def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
-    if _reports(layout, run.run_id):
-        return True
+    """Whether a run computes, or a living process is to write its report."""
+    with suppress(ArtifactError):  # a full disk
+        record = read_record(layout.reporting(run.run_id))
+        if record is not None and not is_gone(record):
+            return True
     state = state_of(layout, run).state
     return state == "running" or (state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS)
-
-
-def _reports(layout: Layout, run_id: str) -> bool:
-    """Whether a living process is to write the report of a run."""
-    try:
-        record = read_record(layout.reporting(run_id))
-    except ArtifactError:  # a full disk
-        return False
-    return record is not None and not is_gone(record)
-
-
-def _require_old(layout: Layout, run_id: str) -> None:
-    """A run without a readable plan has been killed while it began, begins just now, or is damaged."""
-    folder = layout.run(run_id)
-    if os.path.lexists(folder / "plan.json") or os.path.lexists(folder / "sweep.json"):
-        raise _unclear(layout, run_id)
-    if _age(layout, run_id) < BEGINS_SECONDS:
-        raise StoreError(f"run '{run_id}' is being planned", "try again once it runs")
-
-
-def _unclear(layout: Layout, run_id: str) -> StoreError:
-    folder = layout.run(run_id)
-    return StoreError(f"the plan of '{folder}' cannot be read, so what it needs is unknown", "remove that folder if nobody needs the run")
 
 
 def _age(layout: Layout, run_id: str) -> float:

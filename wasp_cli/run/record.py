@@ -22,7 +22,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
-from wasp_cli.run.heartbeat import this_process
+from wasp_cli.run.job import this_process
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -33,7 +33,6 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
-"""A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
 
 
 @dataclass(frozen=True)
@@ -45,24 +44,18 @@ class Recorded:
     cells: list[tuple[Cell, str]]
     """Each cell with the key of its artifact."""
     parts: list[tuple[Part, str]]
-    """Each trained part with the key of its artifact."""
     branched: list[tuple[Cell, str]] = field(default_factory=list)
     """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
     unknown: tuple[str, ...] = ()
     """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
     absent: tuple[str, ...] = ()
-    """Whose cells are left out, since it is not installed here, each as a sentence."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False, aside: bool = False) -> str:
     """Make the folder of a new run and write down what it is asked for.
 
-    Args:
-        layout: the results folder.
-        loaded: the spec.
-        plan: what it asks for.
-        reports: whether this process writes a report afterwards, and says with `reported` that it has.
-        aside: whether it is reported only where it is named.
+    With `reports` this process writes a report afterwards, and says with `reported` that it has; with `aside` it is reported only where it
+    is named.
     """
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
@@ -78,15 +71,7 @@ def reported(layout: Layout, run_id: str) -> None:
 
 
 def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:
-    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells.
-
-    Args:
-        layout: the results folder.
-        sweep: the setting and its values.
-        plan: of all values together.
-        grids: what each value asks for.
-        reports: as for `new_run`.
-    """
+    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells."""
     runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
     with _new_folder(layout, sweep.name, reports) as folder:
         values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
@@ -121,40 +106,33 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
-    record: dict[str, Any] = {"branched": (), "parts": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
     try:
+        record = read_record(folder / "plan.json") or {}
         cells, branched = (_read(CELL, record[name]) for name in ("cells", "branched"))
         parts = [(part, key) for part, key in _read(PART, record["parts"]) if part.kind in STAGES]
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
-    there = [[(cell, key) for cell, key in part if _is_known(cell)] for part in (cells, branched)]
-    left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if not _is_known(cell))
+    known = {cell for cell, _ in cells if cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)}
+    left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if cell not in known)
     absent = [
         f"{name}: not installed here; {'its cell is' if count == 1 else f'its {count} cells are'} left out."
         for name, count in sorted(left_out.items())
     ]
-    return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown), tuple(absent))
-
-
-def _is_known(cell: Cell) -> bool:
-    return cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)
+    cells, branched = ([(cell, key) for cell, key in part if cell in known] for part in (cells, branched))
+    return Recorded(run_id, spec, cells, parts, branched, tuple(unknown), tuple(absent))
 
 
 def _known_part(document: Any) -> tuple[Spec, list[str]]:
-    """The spec without what is not known here (another version wrote it, or a plugin that is absent now), and what that was.
-
-    Raises:
-        ValidationError: what is left is no spec.
-    """
+    """The spec without what is not known here (another version wrote it, or a plugin that is absent now), and what that was."""
     unknown: list[str] = []
     while True:
         try:
             return spec_type().model_validate_json(json.dumps(document), strict=True, context={RECORDED: True}), unknown
         except ValidationError as error:
             # One at a time: taking an entry out of a list moves those behind it.
-            found = (_taken_out(document, each["loc"]) for each in error.errors(include_url=False))
-            name = next((name for name in found if name is not None), None)
+            names = (_taken_out(document, problem["loc"]) for problem in error.errors(include_url=False))
+            name = next((name for name in names if name is not None), None)
             if name is None or len(unknown) > UNKNOWN_MOST:
                 raise
             unknown.append(f"The spec has `{name}`, which is not known here: an absent plugin's, or another version's.")
@@ -185,8 +163,7 @@ UNKNOWN_MOST = 200
 
 def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:
     """Cells or parts of a plan, each with its key."""
-    fields = [({name: value for name, value in entry.items() if name != "key"}, str(entry["key"])) for entry in entries]
-    return [(adapter.validate_python(values), key) for values, key in fields]
+    return [(adapter.validate_python(entry), str(entry["key"])) for entry in entries]
 
 
 def _first_line(error: Exception) -> str:

@@ -12,12 +12,11 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
-from wasp_cli.plan.recorded import number
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.heartbeat import forget, this_process
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
-from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
-from wasp_cli.run.progress import NAMES, numbers
+from wasp_cli.run.job import NodeJob, NodeResult, forget, this_process
+from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.progress import numbers
 from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
 from wasp_cli.stages.registry import STAGES
@@ -30,7 +29,6 @@ UNEXPLAINED = 5
 DEATH_SECONDS = 2.0
 """Within which the whole pool learns that one of its workers was killed."""
 LOOK_SECONDS = 0.5
-"""Between two looks at what was asked from elsewhere."""
 ASK_SECONDS = 2.0
 """Between two looks at a node that another run computes."""
 POLL_SECONDS = 0.1
@@ -46,7 +44,6 @@ class Flight:
     node: Node
     job: NodeJob
     alone: bool = False
-    """In a process of its own."""
     memory: float | None = None
     """What it held when its worker was killed before, in MB."""
 
@@ -69,7 +66,6 @@ class Summary:
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
     """Nodes that could not run, each with the failed or cancelled node that it needs."""
     cancelled: list[Node] = field(default_factory=list)
-    """Nodes that were taken back."""
     seconds: float = 0.0
     busy: float = 0.0
     """Seconds that workers spent on nodes, all together."""
@@ -92,16 +88,7 @@ class Runner:
     """One run over one store."""
 
     def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, limit: float | None = None, retries: int = 0) -> None:
-        """Prepare a run.
-
-        Args:
-            layout: the results folder.
-            run_id: the run, whose folder is there.
-            pool: who computes.
-            cores: of this machine; what nodes side by side leave free goes to physics and cameras.
-            limit: seconds that a node may take; None for no limit.
-            retries: further attempts at a node that fails by chance.
-        """
+        """`cores` of this machine that nodes side by side leave free go to physics and cameras; `limit` is in seconds for each node."""
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._limit, self._retries = cores, limit, retries
         self._journal = Journal(layout.journal(run_id))
@@ -129,16 +116,12 @@ class Runner:
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
-        """Compute what the plan says, and nothing else.
-
-        Raises:
-            KeyboardInterrupt: it was asked to stop; what was finished is kept.
-        """
+        """Compute what the plan says, and nothing else."""
         started = time.monotonic()
         nodes = plan.to_run()
         self._nodes = {node.key: node for node in nodes}
         self._begun = plan.begun
-        self.summary.workers = max(self._pool.jobs, 1)
+        self.summary.workers = self._pool.jobs
         self._journal.write("run started", nodes=len(nodes), **this_process(), jobs=self._pool.jobs, backend=self._pool.name)
         try:
             self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
@@ -186,7 +169,7 @@ class Runner:
 
     def _begin(self, schedule: Schedule) -> None:
         """Give ready nodes to idle workers."""
-        jobs = max(self._pool.jobs, 1)
+        jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:
                 flight = self._suspects.pop(0)
@@ -282,7 +265,7 @@ class Runner:
             return self._killed(job, KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None)
         self._unexplained += not was_running
         # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
-        if was_running or self._unexplained > UNEXPLAINED * max(self._pool.jobs, 1):
+        if was_running or self._unexplained > UNEXPLAINED * self._pool.jobs:
             self._suspects.append(replace(flight, memory=memory))
         else:
             self._jobs[job.key] = job
@@ -360,7 +343,7 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
 
 def _memory(path: Path) -> float | None:
     try:
-        return number(read_record(path) or {}, "memory_mb")
+        return (read_record(path) or {}).get("memory_mb")
     except ArtifactError:  # killed while it wrote
         return None
 
@@ -369,7 +352,7 @@ def _killed(future: Future[NodeResult]) -> bool:
     return future.done() and isinstance(future.exception(), WorkersDied)
 
 
-def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:
+def failures_text(failures: Iterable[Failure], names: Mapping[str, str]) -> str:
     """Describe failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
     parts = []
     for failure in failures:

@@ -7,24 +7,21 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, together
-from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.grid import Grid, select, together
+from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.plan.select import select
-from wasp_cli.plan.show import reason_lines
 from wasp_cli.run.control import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
-from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
-from wasp_cli.run.progress import NAMES, board
+from wasp_cli.run.progress import board
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.derived import Sweep
@@ -58,7 +55,7 @@ class Session:
     run_id: str
     plan: Plan
     summary: Summary
-    names: Mapping[str, str] = field(default_factory=dict)
+    names: Mapping[str, str]
     """What people call a node, by its key, where that is not its label."""
 
     def require_complete(self) -> None:
@@ -81,11 +78,8 @@ class RunOptions:
     limit: float | None = None
     """Seconds that a node may take."""
     retries: int = 0
-    """Further attempts at a node that fails by chance."""
     backend: str = "loky"
-    """Who provides the workers: one of `pool.BACKENDS`."""
     scheduler: str | None = None
-    """Address of a dask scheduler or a ray cluster."""
     reports: bool = False
     """Whether this process writes a report afterwards, and then calls `record.reported`."""
 
@@ -106,9 +100,9 @@ def run_spec(
         loaded: the spec.
         results: the results folder.
         options: how it is carried out.
-        chosen: texts of `--select`, which say what of the spec is meant; all of it without any.
+        chosen: texts of `--select`.
         reuse: what of published results may be used, instead of what the spec says.
-        failed: of what is meant, only what failed before, and what waits for it.
+        failed: only what failed before, and what waits for it.
         aside: whether reports show it only where it is named.
 
     Raises:
@@ -117,15 +111,14 @@ def run_spec(
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
-    wanted = select(grid, chosen)
-    layout = prepared(results, options)
-    with planning(layout):
-        plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
+    selected = select(grid, chosen)
+    with planning(results, options) as layout:
+        plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
         if _without_slim_inputs(plan, layout):
-            plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
+            plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
         run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
     announce(layout, run_id, loaded.spec.name)
-    return carry_out(plan, layout, run_id, options)
+    return carry_out(plan, layout, run_id, options, {})
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
@@ -142,89 +135,68 @@ def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | 
 def _without_slim_inputs(plan: Plan, layout: Layout) -> bool:
     """Take back cells that were published without all their steps and that a node is to read now; whether there were any."""
     read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.kind == "evaluate"}
-    slim = [each for each in sorted(read) if exists(layout, *each) and without_steps(read_manifest(layout, *each))]
+    slim = [cell for cell in sorted(read) if exists(layout, *cell) and without_steps(read_manifest(layout, *cell))]
     for kind, key in slim:
         invalidate(layout, kind, key, "it was published without the steps of all its episodes, and they are needed")
     return bool(slim)
 
 
-def planning(layout: Layout) -> AbstractContextManager[None]:
-    """Hold off `wasp gc` from looking into the store until the plan is written: meanwhile nothing is removed that no plan reaches."""
-    return held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
+@contextmanager
+def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
+    """Yield a results folder that can be written, without what killed runs have left, for workers that are there.
 
-
-def prepared(results: Path, options: RunOptions) -> Layout:
-    """Return a results folder that can be written, without what killed runs have left, for workers that are there."""
+    Until the plan is written `wasp gc` waits: nothing is removed that no plan reaches.
+    """
     require_backend(options.backend, options.scheduler)
     layout = Layout(results.absolute())
     layout.prepare()
     sweep(layout)
-    return layout
+    with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
+        yield layout
 
 
-def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str] = NAMES) -> Session:
-    """Compute what a plan says, and say how it ended.
-
-    Args:
-        plan: what to compute.
-        layout: the results folder.
-        run_id: the run whose folder has the logs.
-        options: how it is carried out.
-        names: what people call a node, by its key, where that is not its label.
-    """
-    _import_published(plan, layout)
-    summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
-    plain(_summary_line(plan, summary))
-    return Session(layout, run_id, plan, summary, names)
-
-
-def _import_published(plan: Plan, layout: Layout) -> None:
-    """Copy the published results that are needed into the store, so that no worker has to know of them."""
+def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Session:
+    """Compute what a plan says, and say how it ended."""
     for note in plan.grid.notes:
         plain(note)
+    # Into the store, so that no worker has to know of them.
     offers = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
     for offer in offers:
         import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
     if offers:
         lines = reason_lines(plan, "published")
         plain("\n  ".join([f"{len(offers)} published results are used:", *lines]))
+    summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
+    plain(_summary_line(plan, summary))
+    return Session(layout, run_id, plan, summary, names)
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:
     nodes = len(plan.to_run())
     pool = pool_of(options.backend, useful_jobs(plan, options.jobs), options.scheduler)
-    seconds, unknown = plan.estimate(max(pool.jobs, 1))
+    seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
     runner = Runner(layout, run_id, pool, cores=cores(), limit=options.limit, retries=options.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
-    except KeyboardInterrupt:
-        _kill(pool)
+    except BaseException as error:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # one more Ctrl-C must not leave workers behind
+        pool.close(kill=True)
+        if not isinstance(error, KeyboardInterrupt):
+            raise
         kept = f"{runner.summary.done} of {nodes} nodes were finished and are kept"
         raise Interrupted(f"interrupted: {kept}", "run the same command again to continue") from None
-    except BaseException:
-        _kill(pool)
-        raise
     pool.close()
     return summary
 
 
-def _kill(pool: Pool) -> None:
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # one more Ctrl-C must not leave workers behind
-    pool.close(kill=True)
-
-
 def _summary_line(plan: Plan, summary: Summary) -> str:
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
-    if summary.failed:
-        parts.append(f"{len(summary.failed)} failed")
-    if summary.cancelled:
-        parts.append(f"{len(summary.cancelled)} cancelled")
-    if summary.blocked:
-        parts.append(f"{len(summary.blocked)} blocked")
+    ended = {"failed": len(summary.failed), "cancelled": len(summary.cancelled), "blocked": len(summary.blocked)}
+    parts += [f"{count} {how}" for how, count in ended.items() if count]
     busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
     return f"{', '.join(parts)} in {duration(summary.seconds)}{busy}"
 
@@ -258,14 +230,7 @@ def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Pla
 def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> tuple[Session, tuple[Grid, ...]]:
     """Compute what is missing of a spec under every value of a setting, in one run over the nodes of all values.
 
-    Args:
-        sweep: the setting and its values.
-        results: the results folder.
-        options: how it is carried out.
-        reuse: what of published results may be used, instead of what the spec says.
-
-    Returns:
-        The run, and what each value asks for.
+    Returns the run, and what each value asks for.
 
     Raises:
         UsageError: there are no cells, they are the same under every value, or there are no published results.
@@ -273,13 +238,20 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | Non
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grids = _grids(sweep, Layout(results.absolute()), reuse)
-    layout = prepared(results, options)
-    with planning(layout):
+    with planning(results, options) as layout:
         plan = plan_against(together(grids), layout)
         run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
-    users = _users(grids)
-    plain(_shares(sweep, grids, users))
-    names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}
+    users: dict[str, list[int]] = {}
+    for index, grid in enumerate(grids):
+        for node in grid.nodes:
+            users.setdefault(node.key, []).append(index)
+    for_some = [node for node in plan.grid.nodes if len(users[node.key]) < len(grids)]
+    # What is trained for each value is what takes time.
+    trained = ", ".join(dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain")))
+    shared = f"{len(users) - len(for_some)} of {len(users)} nodes are the same for all of them"
+    plain(f"{len(grids)} values of {sweep.key}: {shared}" + (f"; trained for each: {trained}" if trained else ""))
+    values = {node.key: ", ".join(sweep.points[index].text for index in users[node.key]) for node in for_some}
+    names = {node.key: f"{node.label} [{sweep.key}={values[node.key]}]" for node in for_some}
     return carry_out(plan, layout, run_id, options, names), grids
 
 
@@ -292,29 +264,3 @@ def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
         methods = ", ".join(sweep.points[0].loaded.spec.methods)
         raise UsageError(f"'{sweep.key}' changes no cell of {methods}: every value would have the same rows", "choose others with --method")
     return grids
-
-
-def _users(grids: Sequence[Grid]) -> dict[str, tuple[int, ...]]:
-    """Which values need a node, by its key."""
-    users: dict[str, tuple[int, ...]] = {}
-    for index, grid in enumerate(grids):
-        for node in grid.nodes:
-            users[node.key] = (*users.get(node.key, ()), index)
-    return users
-
-
-def _name(sweep: Sweep, label: str, users: tuple[int, ...]) -> str:
-    """A label, and the values that a node is for where these are not all."""
-    if len(users) == len(sweep.points):
-        return label
-    return f"{label} [{sweep.key}={', '.join(sweep.points[index].text for index in users)}]"
-
-
-def _shares(sweep: Sweep, grids: Sequence[Grid], users: dict[str, tuple[int, ...]]) -> str:
-    """What the values share, and what is trained for each of them: that is what takes time."""
-    shared = sum(len(values) == len(grids) for values in users.values())
-    own = [node for grid in grids for node in grid.nodes if len(users[node.key]) < len(grids)]
-    trained_kinds = stages_of("chain")
-    trained = ", ".join(dict.fromkeys(node.kind for node in own if node.kind in trained_kinds))
-    text = f"{len(grids)} values of {sweep.key}: {shared} of {len(users)} nodes are the same for all of them"
-    return f"{text}; trained for each: {trained}" if trained else text

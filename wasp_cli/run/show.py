@@ -26,14 +26,12 @@ from wasp_cli.store.published import FROM_PUBLISHED
 
 if TYPE_CHECKING:
     from wasp_cli.run.publish import Publication
-    from wasp_cli.run.watch import Active, RunState
+    from wasp_cli.run.watch import RunState
 
 BAR = 40
-"""Characters of the bar."""
 STALE_SECONDS = 30.0
 """A node says about every second that it lives; silence for longer is worth a word."""
 LISTED = 12
-"""Failed nodes that are listed; `--json` lists all."""
 
 
 def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
@@ -47,10 +45,9 @@ def show_status(states: list[RunState], console: Console, now: datetime | None =
 
 def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
     """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
-    named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
-    going = pace(state)
-    table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
-    return Group(_progress(state), *(Text(line) for line in (going, state.deserted) if line), table)
+    named = tuple(replace(node, label=names.get(node.key, node.label)) for node in state.active)
+    table = _running_table(replace(state, active=named), now or datetime.now(UTC))
+    return Group(_progress(state), *(Text(line) for line in (pace(state), state.deserted) if line), table)
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
@@ -68,12 +65,9 @@ def _plain(value: Any) -> Any:
 
 
 def _block(state: RunState, now: datetime) -> Group:
-    lines = [Text.assemble((state.spec, "bold"), f"  {life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
-    if going := pace(state):
-        lines.append(Text(going))
-    if state.deserted:
-        lines.append(Text(state.deserted, style="yellow"))
-    parts: list[Text | Table] = [*lines]
+    title = Text.assemble((state.spec, "bold"), f"  {life(state, now)}")
+    parts: list[Text | Table] = [title, Text(f"run {state.run_id}", style="dim"), _progress(state)]
+    parts += [Text(words, style=style) for words, style in ((pace(state), ""), (state.deserted, "yellow")) if words]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
     for failure in state.failed[:LISTED]:
@@ -93,17 +87,13 @@ def life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = (
-            "finishing running nodes" if state.draining else "paused" if state.paused else "no worker is left" if state.deserted else ""
-        )
+        endings = {"finishing running nodes": state.draining, "paused": state.paused, "no worker is left": state.deserted}
+        ending = next((words for words, holds in endings.items() if holds), "")
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
-    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "") + _busy(state)
-
-
-def _busy(state: RunState) -> str:
-    return f"; workers busy {state.busy_share:.0%} of it" if state.busy_share and state.finished else ""
+    busy = f"; workers busy {state.busy_share:.0%} of it" if state.busy_share and state.finished else ""
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "") + busy
 
 
 def _span(start: datetime | None, end: datetime | None) -> str:
@@ -120,10 +110,8 @@ def _progress(state: RunState) -> Text:
     counts = [f"{done} of {state.total} done"]
     if state.state == "running":
         counts.append(f"{state.running} running")
-    counts += [f"{len(state.failed)} failed"] if state.failed else []
-    counts += [f"{state.blocked} blocked"] if state.blocked else []
-    counts += [f"{state.cancelled} cancelled"] if state.cancelled else []
-    counts += [f"{state.retried} retried"] if state.retried else []
+    others = {"failed": len(state.failed), "blocked": state.blocked, "cancelled": state.cancelled, "retried": state.retried}
+    counts += [f"{count} {how}" for how, count in others.items() if count]
     if state.waiting:
         counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
     return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
@@ -147,17 +135,13 @@ def _running_table(state: RunState, now: datetime) -> Table:
     rows = Table.grid(padding=(0, 2))
     for node in state.active:
         memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
-        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, _sign(node, state, now))
+        silent = (now - node.seen).total_seconds() if node.seen else 0.0
+        odd = f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
+        if node.gone or state.state == "died":
+            odd = "gone"
+        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, odd)
         rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
     return rows
-
-
-def _sign(node: Active, state: RunState, now: datetime) -> str:
-    """What is odd about a node that should be running."""
-    if node.gone or state.state == "died":
-        return "gone"
-    silent = (now - node.seen).total_seconds() if node.seen else 0.0
-    return f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
 
 
 LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
@@ -169,12 +153,12 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
         console.print("there is nothing to remove")
         return
     table = count_table("what can go", "count", "size")
-    kinds = sorted({each.what for each in rubbish} - set(LAST)) + [what for what in LAST if any(each.what == what for each in rubbish)]
+    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [what for what in LAST if any(item.what == what for item in rubbish)]
     for kind in kinds:
-        sizes = [each.size for each in rubbish if each.what == kind]
+        sizes = [item.size for item in rubbish if item.what == kind]
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
     table.add_section()
-    table.add_row("total", str(len(rubbish)), size(sum(each.size for each in rubbish)), style="bold")
+    table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
     console.print(table)
 
 
@@ -218,46 +202,32 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
-    """Return the newest log of the node that `text` names: the beginning of its key, or its label.
-
-    Args:
-        layout: the results folder.
-        runs: where to look, newest first.
-        text: what someone wrote.
+    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first.
 
     Raises:
         UsageError: it names several nodes; the message lists them.
         UnknownName: it names none that has a log.
     """
-    wanted = " ".join(text.split())
+    name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
-    matches = matching(logs, wanted)
-    if matches and same_label(matches[0].label, wanted):
+    matches = matching(logs, name)
+    if matches and same_label(matches[0].label, name):
         # A label may have had another key in an older run; there it is another node's.
         matches = [log for log in matches if log.run_id == matches[0].run_id]
     newest = {log.key: log for log in reversed(matches)}
     if len(newest) > 1:
-        lines = [f"'{wanted}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
+        lines = [f"'{name}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
         raise UsageError("\n".join(lines), "give the first characters of one of these keys")
-    if not newest:
-        if (without := _without_log(layout, wanted)) is not None:
-            raise without
-        message, hint = f"no log of '{wanted}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
-        raise UnknownName("node", wanted, {log.label for log in logs}, message, otherwise=hint)
-    return next(iter(newest.values()))
-
-
-def _without_log(layout: Layout, wanted: str) -> UsageError | None:
-    """Say why a stored node has no log; None where nothing of this name is stored."""
+    if newest:
+        return next(iter(newest.values()))
     try:
-        node = find_node(layout, wanted)
+        node = find_node(layout, name)
     except WaspError:
-        return None
+        message, hint = f"no log of '{name}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
+        raise UnknownName("node", name, {log.label for log in logs}, message, otherwise=hint) from None
     published = node.setting("provenance", FROM_PUBLISHED) is True
     how = "it is a published result, computed elsewhere" if published else "it was not computed in a run of this folder"
-    return UsageError(
-        f"'{printable(node.label or wanted)}' has no log: {how}", f"wasp show {(node.key or '')[:8]} shows what is known of it"
-    )
+    raise UsageError(f"'{printable(node.label or name)}' has no log: {how}", f"wasp show {(node.key or '')[:8]} shows what is known of it")
 
 
 def write_log(log: Log, stream: TextIO) -> None:
@@ -273,14 +243,11 @@ def write_log(log: Log, stream: TextIO) -> None:
     terminal = stream.isatty()
     with io.TextIOWrapper(file, encoding="utf-8", errors="replace", newline="\n") as lines:
         for line in lines:
-            stream.write(_tamed(line) if terminal else line)
-
-
-def _tamed(line: str) -> str:
-    """A line with its colours and nothing else that a terminal obeys; of a bar that redraws itself, the last state."""
-    last = line.rstrip("\r\n").rpartition("\r")[2]
-    parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
-    return "".join(parts) + ("\n" if line.endswith("\n") else "")
+            if terminal:  # of a bar that redraws itself, the last state; colours, and nothing else that a terminal obeys
+                last = line.rstrip("\r\n").rpartition("\r")[2]
+                parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
+                line = "".join(parts) + ("\n" if line.endswith("\n") else "")
+            stream.write(line)
 
 
 def _logs(layout: Layout, run: PlannedRun) -> list[Log]:

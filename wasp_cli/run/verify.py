@@ -15,7 +15,6 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -35,7 +34,6 @@ class Drawn:
     """The cells of a sample."""
 
     cells: tuple[str, ...]
-    """Their keys."""
     of: int
     """Cells that could be computed again."""
     others: int
@@ -141,11 +139,7 @@ def show_answer(answer: Answer, console: Console) -> None:
 
 
 def differences(stored: Path, computed: Path) -> list[str]:
-    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit.
-
-    Raises:
-        StoreError: a file cannot be read.
-    """
+    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit."""
     import pyarrow.compute as pc
 
     from wasp_cli.store.tables import TIMING, cell_file, lacking, read_episodes, read_steps, read_version
@@ -153,12 +147,8 @@ def differences(stored: Path, computed: Path) -> list[str]:
     paths = [cell_file(folder) for folder in (stored, computed)]
     added = lacking(min(map(read_version, paths)))
     then, now = (read_episodes([path]) for path in paths)
-    found = [name for name in then.column_names if name not in (*TIMING, *added) and not then[name].equals(now[name])]
+    names = [name for name in then.column_names if name not in (*TIMING, *added) and not then[name].equals(now[name])]
     then, now = (read_steps(path) for path in paths)
     now = now.filter(pc.is_in(now["episode"], then["episode"].unique()))
-    return found + [f"steps.{name}" for name in then.column_names if not _same(then[name], now[name])]
-
-
-def _same(a: Any, b: Any) -> bool:
-    """Whether two columns are equal, undefined numbers included, whatever their chunks."""
-    return bool(a.combine_chunks().equals(b.combine_chunks()))
+    # Undefined numbers are equal, whatever the chunks.
+    return names + [f"steps.{name}" for name in then.column_names if not then[name].combine_chunks().equals(now[name].combine_chunks())]

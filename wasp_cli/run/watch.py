@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import os
 import platform
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, number, upstream_first
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun, upstream_first
+from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
@@ -37,7 +38,6 @@ class Active:
     text: str
     started: datetime | None
     seen: datetime | None
-    """Its last sign of life."""
     memory_mb: float | None
     gone: bool
     """Its process does not exist any more, so that it will say nothing more."""
@@ -67,15 +67,12 @@ class RunState:
     """Nodes that it was to compute; where there are none, those that it needed."""
     done: int
     shared: int
-    """Nodes that another run computed meanwhile."""
     failed: tuple[Failed, ...]
     blocked: int
     cancelled: int
     retried: int
     draining: bool
-    """It was asked to end, and finishes what runs."""
     paused: bool
-    """It begins nothing new until it is told to."""
     deserted: str
     """That no worker is left, and how the run goes on; empty where that is not so."""
     active: tuple[Active, ...]
@@ -107,36 +104,39 @@ class RunState:
 
 
 def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
-    """Return how far a run is.
-
-    Args:
-        layout: the results folder.
-        run: the run.
-        now: when it is asked.
-    """
+    """Return how far a run is, or was at some time."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
-    by_event: dict[str, list[Mapping[str, Any]]] = {}
+    by_event: dict[str, list[dict[str, Any]]] = {}
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
-    start = next(iter(by_event.get("run started", ())), {})
+    (start, *_) = by_event.get("run started", ({},))
     state, ended = _life(run, events, start)
+    going = state == "running"
     # A node that died with its worker and runs again ends twice; the last time counts.
     ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
-    failed = {str(event.get("key")): event for event in by_event.get("failed", ())}
+    failed = {}
+    for event in by_event.get("failed", ()):
+        key, message = str(event.get("key")), str(event.get("message") or "unknown cause")
+        if ends[key] == "failed":
+            failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
     started = moment(start.get("at"))
-    finished = [at for event in events if event.get("event") in ("done", "shared", "failed") and (at := moment(event.get("at")))]
-    rate = _rate(started, finished, now if state == "running" else ended)
-    counted = number(start, "nodes")
-    left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
-    total = sum(node.runs for node in run.nodes.values()) or int(counted or 0)
+    finished = [event for event in events if event.get("event") in ("done", "shared", "failed")]
+    moments = sorted(at for event in finished if (at := moment(event.get("at"))))
+    rate = _rate(started, moments, now if going else ended)
+    total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
-    workers = max(int(number(start, "jobs") or 1), 1)
-    empty = _deserted(events) if state == "running" else ""
-    seconds, unknown = _left(left, active, workers, now) if state == "running" and not empty else (None, 0)
-    if state == "running" and not empty and seconds is None and rate and len(finished) > 1:
-        seconds, unknown = (total - len(ends)) / rate * 60, 0
+    workers = max(int(_number(start, "jobs") or 1), 1)
+    of_workers = [event for event in events if event.get("event") in ("workers gone", "workers back")]
+    deserted = desertion(of_workers[-1]) if going and of_workers and of_workers[-1]["event"] == "workers gone" else ""
+    seconds, unknown = None, 0
+    if going and not deserted:
+        left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
+        seconds, unknown = _left(left, active, workers, now)
+        if seconds is None and rate and len(moments) > 1:
+            seconds, unknown = (total - len(ends)) / rate * 60, 0
+    counts = Counter(ends.values())
     return RunState(
         run_id=run.run_id,
         spec=run.spec,
@@ -144,32 +144,26 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         started=started,
         ended=ended,
         total=total or before,
-        done=before + sum(how == "done" for how in ends.values()),
-        shared=sum(how == "shared" for how in ends.values()),
-        failed=tuple(_failed(event) for key, event in failed.items() if ends[key] == "failed"),
-        blocked=sum(how == "blocked" for how in ends.values()),
-        cancelled=sum(how == "cancelled" for how in ends.values()),
+        done=before + counts["done"],
+        shared=counts["shared"],
+        failed=tuple(failed.values()),
+        blocked=counts["blocked"],
+        cancelled=counts["cancelled"],
         retried=len(by_event.get("retry", ())),
-        draining=bool(by_event.get("draining")) and state == "running",
-        paused=layout.pause(run.run_id).exists() and state == "running",
-        deserted=empty,
+        draining="draining" in by_event and going,
+        paused=layout.pause(run.run_id).exists() and going,
+        deserted=deserted,
         active=active,
         per_minute=rate,
         left_seconds=seconds,
         unknown=unknown,
         idle=not total,
-        busy_share=_busy_share(events, active if state == "running" else (), workers, started, ended or now),
+        busy_share=_busy_share(finished, active if going else (), workers, started, ended or now),
     )
 
 
 def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None = None) -> list[RunState]:
-    """Return the newest run of each spec that goes on; where none does, the last run of all.
-
-    Args:
-        layout: the results folder.
-        runs: its runs, newest first.
-        now: when it is asked.
-    """
+    """Return the newest run of each spec that goes on; where none does, the last run of all. `runs` come newest first."""
     going: dict[str, RunState] = {}
     for run in runs:
         if run.spec not in going and (state := state_of(layout, run, now)).state == "running":
@@ -189,15 +183,15 @@ def is_gone(record: Mapping[str, Any]) -> bool:
     except ProcessLookupError:
         return True
     except OSError:  # somebody else's, but there
-        return False
+        pass
     return False
 
 
 def moment(text: object) -> datetime | None:
     """Return a time of a record; None where it is none. Without a zone it is taken as UTC."""
     try:
-        found = datetime.fromisoformat(text) if isinstance(text, str) else None
-        return None if found is None else (found.replace(tzinfo=UTC) if found.tzinfo is None else found).astimezone(UTC)
+        time = datetime.fromisoformat(str(text))
+        return (time.replace(tzinfo=UTC) if time.tzinfo is None else time).astimezone(UTC)
     except (ValueError, OverflowError):
         return None
 
@@ -222,7 +216,7 @@ def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[s
 
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
     """The nodes that say they run, longest first; one whose end is in the journal has left its file behind."""
-    found = []
+    nodes = []
     try:
         paths = sorted(layout.within(layout.run(run_id) / "running").glob("*.json"))
     except (OSError, StoreError):
@@ -233,58 +227,50 @@ def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Activ
         except ArtifactError:  # replaced while it was read
             continue
         if record is not None and is_key(path.stem) and path.stem not in ends:
-            found.append(_active_node(path.stem, record))
-    return tuple(sorted(found, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
-
-
-def _active_node(key: str, record: Mapping[str, Any]) -> Active:
-    return Active(
-        key=key,
-        label=_line(record.get("label"), key),
-        kind=_line(record.get("kind"), ""),
-        share=min(max(number(record, "share") or 0.0, 0.0), 1.0),
-        text=_line(record.get("text"), ""),
-        started=moment(record.get("started")),
-        seen=moment(record.get("at")),
-        memory_mb=number(record, "memory_mb"),
-        gone=is_gone(record),
-    )
-
-
-def _failed(event: Mapping[str, Any]) -> Failed:
-    key = str(event.get("key"))
-    return Failed(key, _line(event.get("label"), key), str(event.get("message") or "unknown cause"), _line(event.get("log"), ""))
+            nodes.append(
+                Active(
+                    key=path.stem,
+                    label=_line(record.get("label"), path.stem),
+                    kind=_line(record.get("kind"), ""),
+                    share=min(max(_number(record, "share") or 0.0, 0.0), 1.0),
+                    text=_line(record.get("text"), ""),
+                    started=moment(record.get("started")),
+                    seen=moment(record.get("at")),
+                    memory_mb=_number(record, "memory_mb"),
+                    gone=is_gone(record),
+                )
+            )
+    return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 
 
 def _line(value: object, otherwise: str) -> str:
     return " ".join(value.split()) if isinstance(value, str) else otherwise
 
 
-def deserted(event: Mapping[str, Any]) -> str:
+def _number(record: Mapping[str, Any], name: str) -> float | None:
+    value = record.get(name)
+    return float(value) if isinstance(value, int | float) and abs(value) < 1e15 else None
+
+
+def desertion(event: Mapping[str, Any]) -> str:
     """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
-    return f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}"
-
-
-def _deserted(events: Sequence[Mapping[str, Any]]) -> str:
-    last: Mapping[str, Any] = next((event for event in reversed(events) if event.get("event") in ("workers gone", "workers back")), {})
-    return " ".join(deserted(last).split()) if last.get("event") == "workers gone" else ""
+    return _line(f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}", "")
 
 
 def _busy_share(
-    events: Sequence[Mapping[str, Any]], active: Sequence[Active], workers: int, started: datetime | None, until: datetime
+    finished: Sequence[Mapping[str, Any]], active: Sequence[Active], workers: int, started: datetime | None, until: datetime
 ) -> float | None:
     """What workers spent on nodes that ended and on those that run, over the time that they were there."""
     there = workers * (until - started).total_seconds() if started else 0.0
     if there <= 0:
         return None
-    spent = sum(max(number(event, "seconds") or 0.0, 0.0) for event in events if event.get("event") in ("done", "shared", "failed"))
+    spent = sum(max(_number(event, "seconds") or 0.0, 0.0) for event in finished)
     spent += sum(max((until - node.started).total_seconds(), 0.0) for node in active if node.started and not node.gone)
     return min(spent / there, 1.0)
 
 
-def _rate(started: datetime | None, finished: Sequence[datetime], until: datetime | None) -> float | None:
+def _rate(started: datetime | None, moments: Sequence[datetime], until: datetime | None) -> float | None:
     """Nodes per minute over the last ones, whatever time these took."""
-    moments = sorted(finished)
     if not moments or until is None:
         return None
     since = moments[-LATELY - 1] if len(moments) > LATELY else started or moments[0]
@@ -297,7 +283,7 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
 
     No less than all work over all workers, and no less than the longest chain of nodes that wait for one another.
     """
-    run = {node.key: node for node in active if not node.gone}
+    running = {node.key: node for node in active if not node.gone}
     members = {node.key: node for node in nodes}
     alone: dict[str, float] = {}
     chain: dict[str, float] = {}
@@ -306,17 +292,13 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
         if node.seconds is None:
             unknown += 1
         else:
-            alone[node.key] = _remaining(max(node.seconds, 0.0), run.get(node.key), now)
+            alone[node.key] = node.seconds
+            run = running.get(node.key)
+            if run is not None and run.share > 0:
+                alone[node.key] *= 1 - run.share
+            elif run is not None and run.started:
+                alone[node.key] = max(node.seconds - (now - run.started).total_seconds(), 0.0)
         chain[node.key] = alone.get(node.key, 0.0) + max((chain.get(needed, 0.0) for needed in node.needs), default=0.0)
     if not alone:
         return (0.0 if not members else None), unknown
     return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
-
-
-def _remaining(seconds: float, active: Active | None, now: datetime) -> float:
-    """What is left of a node's time: by its share where it has told one, else by the clock."""
-    if active is None:
-        return seconds
-    if active.share > 0:
-        return seconds * (1 - active.share)
-    return max(seconds - (now - active.started).total_seconds(), 0.0) if active.started else seconds

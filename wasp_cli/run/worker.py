@@ -24,9 +24,8 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
-from wasp_cli.run.heartbeat import Heartbeat
 from wasp_cli.run.interrupt import Cancelled, interruptible
-from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
@@ -50,17 +49,11 @@ from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
 from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
-"""Killed processes after which a node has failed."""
 KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
-    """Compute one node, or find that another run has.
-
-    Args:
-        job: the node.
-        own_process: whether this process does nothing else, so that its file descriptors may go to the log.
-    """
+    """Compute one node, or find that another run has; the log gets all output of a process that does nothing else."""
     started = time.monotonic()
     layout = Layout(Path(job.root))
     if layout.stop(job.run_id).exists():
@@ -70,6 +63,11 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
         error = unseen(job.root, job.run_id)
         return NodeResult(job.key, "unseen", time.monotonic() - started, message=error.message, hint=error.hint)
     return result
+
+
+def execute_here(job: NodeJob) -> NodeResult:
+    """Compute a node in a process that belongs to somebody else."""
+    return execute(job, own_process=False)
 
 
 def _tried(job: NodeJob, layout: Layout, started: float, own_process: bool) -> NodeResult:
@@ -131,12 +129,17 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             set_threads(getattr(stage, "torch_threads", 1))
             with placed(_clone_of(job, layout)):
                 summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
-        _require_planned_source(job)
+        if (changed := _change_of_source(job)) is not None:
+            raise changed
         seconds = time.monotonic() - began
         commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
-        return _recorded_failure(job, layout, log, started, _cause_in_source(job, error) or error)
+        # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
+        if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
+            traceback.print_exception(error)
+            error = changed
+        return _recorded_failure(job, layout, log, started, error)
     except Cancelled:
         discard(staging)
         return NodeResult(job.key, "cancelled", time.monotonic() - started, log=str(log))
@@ -187,24 +190,11 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
         raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
 
 
-def _require_planned_source(job: NodeJob) -> None:
-    """See that what ran is what the key says: a module may have been saved between planning and its import here."""
-    if changed := changed_since(job.sources):
-        raise SourceChanged(
-            f"the source changed during the run: {', '.join(changed)}", "run again; results that the change does not affect are kept"
-        )
-
-
-def _cause_in_source(job: NodeJob, error: BaseException) -> SourceChanged | None:
-    """A module that was saved meanwhile explains any error, and better than the error does; the log keeps both."""
-    if isinstance(error, SourceChanged):
-        return None
-    try:
-        _require_planned_source(job)
-    except SourceChanged as changed:
-        traceback.print_exception(error)
-        return changed
-    return None
+def _change_of_source(job: NodeJob) -> SourceChanged | None:
+    """The error where what ran is not what the key says: a module may have been saved between planning and its import here."""
+    changed = changed_since(job.sources)
+    hint = "run again; results that the change does not affect are kept"
+    return SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint) if changed else None
 
 
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
@@ -276,12 +266,12 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
 
 def _half_inputs(job: NodeJob) -> list[str]:
     """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
-    layout, found = Layout(Path(job.root)), []
+    layout, names = Layout(Path(job.root)), []
     for name, (kind, key) in sorted(job.inputs.items()):
         with suppress(ArtifactError):
             if precision_of(read_manifest(layout, kind, key)):
-                found.append(name)
-    return found
+                names.append(name)
+    return names
 
 
 def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:
@@ -289,7 +279,10 @@ def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, e
         message, hint = error.message, error.hint
         print(f"error: {message}" + (f"\n{hint}" if hint else ""), file=sys.stderr)
     else:
-        message, hint = _cause(error), None
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        text = " ".join(str(error).split()) or "no message"
+        message, hint = f"{type(error).__name__}: {text[:300]}{place}", None
         traceback.print_exception(error)
     by_chance = not isinstance(error, WaspError) or isinstance(error, StoreError)
     result = _failed(job, started, log, message, hint, by_chance=by_chance)
@@ -310,21 +303,12 @@ def attempts(layout: Layout, key: str) -> int:
         record = read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost
         return 1
-    attempt = 0 if record is None else record.get("attempt", 1)
-    return attempt if isinstance(attempt, int) else 1
+    return 0 if record is None else int(record.get("attempt", 1))
 
 
 def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> NodeResult:
     seconds = time.monotonic() - started
     return NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
-
-
-def _cause(error: BaseException) -> str:
-    """One line that names an unexpected error and where it was raised."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    text = " ".join(str(error).split()) or "no message"
-    return f"{type(error).__name__}: {text[:300]}{place}"
 
 
 def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:

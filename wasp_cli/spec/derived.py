@@ -15,11 +15,10 @@ from ruamel.yaml import YAML
 
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of
+from wasp_cli.spec.load import Loaded, Override, chain_of, load, loaded, override, path_of, value_of
 from wasp_cli.spec.model import Spec, method_sections, preset_names
 from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import read
+from wasp_cli.spec.read import InvalidSpec, Problem, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
@@ -45,12 +44,12 @@ def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[st
         UnknownName: the spec has no such task, or no such method.
     """
     update: dict[str, tuple[str, ...]] = {}
-    for field_, wanted, there in (("tasks", tasks, loaded.spec.tasks), ("methods", methods, loaded.spec.methods)):
-        for name in wanted or ():
+    for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
+        for name in chosen or ():
             if name not in there:
-                raise UnknownName(f"{field_[:-1]} of this spec", name, there)
-        if wanted:
-            update[field_] = tuple(name for name in there if name in wanted)
+                raise UnknownName(f"{what} of this spec", name, there)
+        if chosen:
+            update[f"{what}s"] = tuple(name for name in there if name in chosen)
     return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
 
 
@@ -129,7 +128,6 @@ class Point:
     text: str
     """As it was written."""
     value: Any
-    """As a file would have it."""
     loaded: Loaded
     """The spec with it, under a name of its own."""
 
@@ -149,15 +147,9 @@ class Sweep:
 def read_sweep(
     path: Path, vary: str, methods: Sequence[str] = (), settings: Sequence[str] = (), tasks: Sequence[str] | None = None
 ) -> Sweep:
-    """Read and validate a spec file under every value of `vary`.
+    """Read and validate a spec file under every value of `vary`, which is a text `a.b=v1,v2`.
 
-    Args:
-        path: the YAML file, or the name of a spec that comes with the package.
-        vary: a text `a.b=v1,v2`.
-        methods: the methods of the spec that run. With none, the setting of a method runs this method and Human-only, and any other
-            setting all that the spec lists.
-        settings: texts `a.b=value`, under every value.
-        tasks: of the spec; without any, all.
+    Without `methods` the setting of a method runs this method and Human-only, and any other setting all that the spec lists.
 
     Raises:
         UsageError: `vary` has another form, fewer than two values or one twice, or says which cells there are.
@@ -167,25 +159,32 @@ def read_sweep(
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     chain = chain_of(read(spec_path(path)))
-    specs = _validated(chain, overrides, options)
+    specs: list[Loaded] = []
+    problems: dict[Problem, None] = {}
+    """What is wrong with all values is said once."""
+    for option in options:
+        try:
+            specs.append(loaded(chain, (*overrides, option)))
+        except InvalidSpec as error:
+            problems |= dict.fromkeys(error.problems)
+    if problems:
+        raise InvalidSpec(list(problems))
     key = ".".join(options[0].path)
     name = specs[0].spec.name
     points: list[Point] = []
     for option, valid in zip(options, specs, strict=True):
         text = written(option)
         taken = [point.loaded.spec.name for point in points]
-        update = {"name": spec_name(name, f"{key}-{text}", taken), "methods": _methods(valid.spec, options[0].path, methods)}
         # Not validated again: what is listed for other methods (`variants`) is no mistake here.
-        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks)))
+        update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
+        if not methods and options[0].path[0] in method_sections():
+            update["methods"] = tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, options[0].path[0])))
+        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)))
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
 def values_of(vary: str) -> list[Override]:
-    """Read `a.b=v1,v2`: for each value what a `--set` option would do.
-
-    Raises:
-        UsageError: another form, values that are not YAML, fewer than two, one twice, or a setting that says which cells there are.
-    """
+    """Read `a.b=v1,v2`: for each value what a `--set` option would do."""
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -196,12 +195,12 @@ def values_of(vary: str) -> list[Override]:
     options = [Override(f"{name}={text}", path, value, OPTION) for text, value in split(rest)]
     if len(options) < 2:
         raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
-    seen: dict[str, str] = {}
+    written_before: dict[str, str] = {}
     for option in options:
         canonical = json.dumps(option.value, sort_keys=True)  # 1 and true are equal to Python
-        if canonical in seen:
-            raise UsageError(f"{OPTION}: '{written(option)}' is the same value as '{seen[canonical]}'", "write each value once")
-        seen[canonical] = written(option)
+        if canonical in written_before:
+            raise UsageError(f"{OPTION}: '{written(option)}' is the same value as '{written_before[canonical]}'", "write each value once")
+        written_before[canonical] = written(option)
     return options
 
 
@@ -211,11 +210,7 @@ def written(option: Override) -> str:
 
 
 def split(values: str) -> list[tuple[str, Any]]:
-    """Return each value of a comma-separated list in YAML: as it is written, and what it means.
-
-    Raises:
-        UsageError: it is not YAML, or a value is empty.
-    """
+    """Return each value of a comma-separated list in YAML: as it is written, and what it means."""
     meant = value_of(f"[{values}]", values, OPTION)
     if not meant or values.rstrip().endswith(","):
         raise UsageError(f"{OPTION}: '{values}' has an empty value", "write null where no value is meant")
@@ -223,29 +218,3 @@ def split(values: str) -> list[tuple[str, Any]]:
     ((_, written_list),) = YAML(typ="safe", pure=True).compose(text).value
     texts = [text[item.start_mark.index : item.end_mark.index].strip() for item in written_list.value]
     return list(zip(texts, meant, strict=True))
-
-
-def _validated(chain: Chain, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:
-    """The spec under every value, or all that is wrong with any of them; what is wrong with all is said once."""
-    specs: list[Loaded] = []
-    problems: dict[Problem, None] = {}
-    for option in options:
-        try:
-            specs.append(loaded(chain, (*overrides, option)))
-        except InvalidSpec as error:
-            problems |= dict.fromkeys(error.problems)
-    if problems:
-        raise InvalidSpec(list(problems))
-    return specs
-
-
-def _methods(spec: Spec, path: tuple[str, ...], wanted: Sequence[str]) -> tuple[str, ...]:
-    """The methods that run."""
-    for name in wanted:
-        if name not in spec.methods:
-            raise UnknownName("method of this spec", name, spec.methods)
-    if wanted:
-        return tuple(name for name in spec.methods if name in wanted)
-    if path[0] in method_sections():
-        return tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, path[0])))
-    return spec.methods

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, get_args
@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from wasp_cli.errors import did_you_mean
 from wasp_cli.spec.model import method_sections, spec_type
 from wasp_cli.spec.names import EXTENDS, TOP
-from wasp_cli.spec.places import KEY, Loc
+from wasp_cli.spec.read import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
@@ -42,13 +42,11 @@ def settings() -> tuple[str, ...]:
     return tuple(_below(spec_type(), ""))
 
 
-def _below(model: type[BaseModel], prefix: str) -> list[str]:
-    found: list[str] = []
+def _below(model: type[BaseModel], prefix: str) -> Iterator[str]:
     for name, field in model.model_fields.items():
-        found.append(prefix + name)
+        yield prefix + name
         if (section := _section(field)) is not None:
-            found += _below(section, f"{prefix}{name}.")
-    return found
+            yield from _below(section, f"{prefix}{name}.")
 
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
@@ -87,30 +85,23 @@ def _elsewhere(name: str, section: str) -> str | None:
     return re.sub(r"'([^']*)'", lambda leaf: f"'{leaves[leaf[1]]}'", hint) if hint.startswith(CLOSE) else None
 
 
-def value_hint(value: Any, types: Sequence[str]) -> str | None:
-    """Return how a value is written so that it has the right type, where one can tell.
-
-    Args:
-        value: the wrong one.
-        types: pydantic's names of what is wrong with it.
-    """
+def value_hint(entries: list[dict[str, Any]]) -> str | None:
+    """Return how a value is written so that it has the right type, or else the closest allowed word, where one can tell."""
+    value, types = entries[0]["input"], [entry["type"] for entry in entries]
+    written = str(value).lower() if isinstance(value, bool) else str(value)
     if "tuple_type" in types and isinstance(value, str | int | float):
-        return f"write [{_written(value)}]"
+        return f"write [{written}]"
     if "dict_type" in types and isinstance(value, int | float) and not isinstance(value, bool):
         return f"with a name, for example {{moderate: {value}}}"
     if "bool_type" in types and str(value).lower() in _BOOLEANS:
         return f"write {_BOOLEANS[str(value).lower()]}"
     if "string_type" in types and isinstance(value, int | float):
-        return f'in quotes: "{_written(value)}"'
+        return f'in quotes: "{written}"'
     numeric = "float_type" in types or ("int_type" in types and not re.search(r"[.eE]", str(value)))
     if isinstance(value, str) and numeric and _NUMBER.fullmatch(value):
         return f"without quotes: {value}"
-    return None
-
-
-def _written(value: Any) -> str:
-    """A scalar as YAML has it."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    allowed = [name for entry in entries if entry["type"] == "literal_error" for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])]
+    return did_you_mean(value, allowed) if allowed and isinstance(value, str) else None
 
 
 @dataclass(frozen=True)
@@ -126,16 +117,16 @@ class Finding:
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
     """Return what sections have as fields, and specs say at the top."""
-    found: list[Finding] = []
-    own = document.get("by_task")
-    tasks = own.items() if isinstance(own, Mapping) else ()
+    mistakes: list[Finding] = []
+    by_task = document.get("by_task")
+    tasks = by_task.items() if isinstance(by_task, Mapping) else ()
     for above, sections in ((), document), *((("by_task", task), sections) for task, sections in tasks if isinstance(sections, Mapping)):
         for name, (field, example) in not_set_in_sections().items():
             section, model = sections.get(name), model_at((name,))
             if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
                 hint = f"write `{example}` at the top, outside every section"
-                found.append(Finding((*above, name, field, KEY), f"'{field}' is not set here", hint))
-    return found
+                mistakes.append(Finding((*above, name, field, KEY), f"'{field}' is not set here", hint))
+    return mistakes
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
@@ -149,25 +140,14 @@ Hint = Callable[[Loc], str | None]
 def findings(
     error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
 ) -> list[Finding]:
-    """Return one finding for each place: what pydantic says of the members of a union belongs together.
-
-    Args:
-        error: what pydantic found.
-        document: the plain values.
-        key_hint: what is said of an unknown key.
-        description: what is said of a missing or an empty one.
-    """
-    found: dict[Loc, list[dict[str, Any]]] = {}
+    """Return one finding for each place: what pydantic says of the members of a union belongs together."""
+    by_place: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
-        loc = _without_tags(entry["loc"], document)
-        found.setdefault(loc, []).append({**entry, "loc": loc})
+        by_place.setdefault(_without_tags(entry["loc"], document), []).append(dict(entry))
     # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
-    hollow = {loc for loc, entries in found.items() if entries[0]["type"] == "too_short" and any(_within(other, loc) for other in found)}
-    return [_worded(loc, entries, key_hint, description) for loc, entries in found.items() if loc not in hollow]
-
-
-def _within(loc: Loc, section: Loc) -> bool:
-    return len(loc) > len(section) and loc[: len(section)] == section
+    sections = {loc[:length] for loc in by_place for length in range(len(loc))}
+    hollow = {loc for loc, entries in by_place.items() if entries[0]["type"] == "too_short" and loc in sections}
+    return [_worded(loc, entries, key_hint, description) for loc, entries in by_place.items() if loc not in hollow]
 
 
 def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
@@ -215,15 +195,12 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
         return Finding(
             loc, f"{shown} is not a usable name", "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
         )
-    message = _expected(entries)
-    return Finding(loc, f"{message}, not {shown}" if shown not in message else message, _hint(entries))
-
-
-def _expected(entries: list[dict[str, Any]]) -> str:
     message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)).replace(" or be ", " or ")
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
-    return f"should {message}" if message.startswith(("be ", "have ", "match ")) else message
+    if message.startswith(("be ", "have ", "match ")):
+        message = f"should {message}"
+    return Finding(loc, f"{message}, not {shown}" if shown not in message else message, value_hint(entries))
 
 
 def _shown(value: Any) -> str:
@@ -237,11 +214,3 @@ def _shown(value: Any) -> str:
         value = int(value)  # as it is written
     text = repr(value) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else str(value)
     return text if len(text) <= 40 else text[:37] + "..."
-
-
-def _hint(entries: list[dict[str, Any]]) -> str | None:
-    """The closest allowed word where a word was written; else how the same value is written so that it has the right type."""
-    value, types = entries[0]["input"], [entry["type"] for entry in entries]
-    allowed = [name for entry in entries if entry["type"] == "literal_error" for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])]
-    rewritten = value_hint(value, types)
-    return did_you_mean(value, allowed) if rewritten is None and allowed and isinstance(value, str) else rewritten

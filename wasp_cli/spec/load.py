@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,11 @@ from wasp_cli.errors import UsageError
 from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
-from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import Source, dotted, kind_of, meant, parse, read
+from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Problem, Source, dotted, kind_of, meant, parse, read
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")
-"""Names of severities, in their order."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +58,15 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     """
     document, problems = chain.document(named=any(option.path == ("name",) for option in overrides))
     document = apply(document, overrides)
-    seen = {(problem.source, problem.position) for problem in problems}
-    found = misplaced(document)
+    places = {(problem.source, problem.position) for problem in problems}
+    mistakes = misplaced(document)
     spec: Spec | None = None
     try:
         spec = validate(document)
     except ValidationError as error:
-        found += findings(error, document)
-    for finding in found:
-        problem = _placed(chain, overrides, finding)
-        if problem.position is None or (problem.source, problem.position) not in seen:
-            problems.append(problem)
+        mistakes += findings(error, document)
+    placed = [_placed(chain, overrides, finding) for finding in mistakes]
+    problems += [problem for problem in placed if problem.position is None or (problem.source, problem.position) not in places]
     if problems or spec is None:
         raise InvalidSpec(chain.ordered(problems))
     return Loaded(spec, chain, tuple(overrides))
@@ -78,7 +74,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
-    loc, depth = finding.loc, chain.depth(finding.loc)
+    loc, depth = finding.loc, max(_depth(source, finding.loc) for source in chain.sources)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         # The option wins where the files have nothing nearer to the place.
@@ -90,12 +86,6 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
 
 LONGEST_CHAIN = 8
 SUFFIX = ".yaml"
-
-
-def _from_mild_to_severe(severities: Any) -> Any:
-    """Order the usual names: merged, those of the farther file would come first. Others stay as they are."""
-    usual = isinstance(severities, Mapping) and set(severities) <= {*USUAL}
-    return {name: severities[name] for name in USUAL if name in severities} if usual else severities
 
 
 @dataclass(frozen=True)
@@ -112,11 +102,7 @@ class Chain:
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """Return the values of all files, nearer ones over farther ones, and what in them is none.
-
-        Args:
-            named: the spec has a name from elsewhere, so that its file need not say one.
-        """
+        """Return the values of all files, nearer ones over farther ones, and what in them is none; `named`: an option brings the name."""
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
@@ -124,16 +110,15 @@ class Chain:
             problems += source.problems + also
             values = merged(values, document)
         nearest = self.sources[0]
-        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), Mapping):
-            values["operators"] = {variant: _from_mild_to_severe(severities) for variant, severities in operators.items()}
+        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
+            for variant, severities in operators.items():
+                # Merged, those of the farther file would come first. Other names stay as they are.
+                if isinstance(severities, dict) and set(severities) <= {*USUAL}:
+                    operators[variant] = {name: severities[name] for name in USUAL if name in severities}
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
         return values, problems
-
-    def depth(self, loc: Loc) -> int:
-        """Return how many parts of a place the files have."""
-        return max(_depth(source, loc) for source in self.sources)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
         """Return a problem in the nearest of the files that have most of a place: its value is the one in force."""
@@ -147,24 +132,20 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends.
-
-    Raises:
-        InvalidSpec: one of them cannot be read, is named wrongly, or the chain is too long or comes back to one of its files.
-    """
-    sources, seen = [source], [_identity(source.name)]
+    """Return a source with all files that it extends."""
+    sources = [source]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
         path = _extended(last)
-        if _identity(str(path)) in seen:
-            round_ = " -> ".join([*(each.name for each in sources[seen.index(_identity(str(path))) :]), str(path)])
-            raise _refused(last, f"extends itself: {round_}")
+        files = [os.path.realpath(before.name) for before in sources]
+        if os.path.realpath(path) in files:
+            circle = " -> ".join([*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)])
+            raise _refused(last, f"extends itself: {circle}")
         if len(sources) == LONGEST_CHAIN:
             raise _refused(last, f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them")
         if not os.path.exists(path):
             raise _refused(last, f"no such file: '{path}'", meant(path))
         sources.append(read(path))
-        seen.append(_identity(str(path)))
     return Chain(tuple(sources))
 
 
@@ -183,10 +164,6 @@ def _extended(source: Source) -> Path:
 
 def _refused(source: Source, message: str, hint: str | None = None) -> InvalidSpec:
     return InvalidSpec([source.problem((EXTENDS,), message, hint)])
-
-
-def _identity(name: str) -> str:
-    return os.path.realpath(name)
 
 
 def _as_written(source: Source, loc: Loc) -> Loc:
@@ -223,21 +200,17 @@ class Override:
 
 
 def override(number: int, text: str) -> Override:
-    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types.
-
-    Raises:
-        UsageError: the text has another form, or its value is not YAML.
-    """
+    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types."""
     place = f"--set #{number}"
     key, equals, value = text.partition("=")
     path = path_of(key)
     if not equals or not all(path):
         example = "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'"
         raise UsageError(f"{place}: '{text}' is not of the form key=value", example)
-    found = value_of(value, text, place)
+    meant_value = value_of(value, text, place)
     if path == ("task",):  # the short form, as in a file
-        return Override(text, ("tasks",), found if isinstance(found, list) else [found])
-    return Override(text, path, found)
+        return Override(text, ("tasks",), meant_value if isinstance(meant_value, list) else [meant_value])
+    return Override(text, path, meant_value)
 
 
 def path_of(key: str) -> tuple[str, ...]:
@@ -246,16 +219,7 @@ def path_of(key: str) -> tuple[str, ...]:
 
 
 def value_of(value: str, text: str, place: str) -> Any:
-    """Return the value that a text on the command line stands for.
-
-    Args:
-        value: YAML.
-        text: what to quote in a message.
-        place: which option it came from.
-
-    Raises:
-        UsageError: it is not YAML, or no value of a spec.
-    """
+    """Return the value that a text on the command line stands for."""
     try:
         source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:

@@ -141,9 +141,7 @@ class Spec(Config):
 
     @model_validator(mode="after")
     def _parts_fit(self, info: ValidationInfo) -> Spec:
-        # Of a spec that ran, all methods may be those of a plugin that is absent now.
-        nothing = [] if (info.context or {}).get(RECORDED) else _nothing_to_do(self)
-        refuse(nothing + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        refuse(_list_problems(self, recorded=bool((info.context or {}).get(RECORDED))) + _skill_problems(self))
         _check_tasks(self)
         return self
 
@@ -181,42 +179,34 @@ def _check_tasks(spec: Spec) -> None:
             try:
                 _over(getattr(spec, name), values)
             except ValidationError as error:
-                errors += [_moved(found, here) for found in error.errors(include_url=False)]
+                errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
         raise ValidationError.from_exception_data("Spec", errors)
 
 
-def _moved(found: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
+def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
     """The same error at a place below another one."""
-    context = found.get("ctx", {})
-    own = found["type"] not in get_args(ErrorType)
-    what = PydanticCustomError(found["type"], found["msg"], context) if own else found["type"]
-    return InitErrorDetails(type=what, loc=(*under, *found["loc"]), input=found["input"], ctx=context)
+    context = error.get("ctx", {})
+    own = error["type"] not in get_args(ErrorType)
+    what = PydanticCustomError(error["type"], error["msg"], context) if own else error["type"]
+    return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
 
 
-def _nothing_to_do(spec: Spec) -> list[Problem]:
-    if spec.methods or any(STAGES[kind].unit == "chain" for kind in spec.stages):
-        return []
-    hint = "name a method, or under `stages` what is to be trained"
-    return [(("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", {"hint": hint}), [])]
-
-
-def _variant_problems(spec: Spec) -> list[Problem]:
+def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:
+    """What lists have wrong together. Of a spec that ran (`recorded`), all methods may be those of a plugin that is absent now."""
     problems: list[Problem] = []
+    if not recorded and not spec.methods and not any(STAGES[kind].unit == "chain" for kind in spec.stages):
+        hint = {"hint": "name a method, or under `stages` what is to be trained"}
+        problems.append((("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", hint), []))
     # Without methods the default stands, and asks for nothing.
     offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {"full"}
     for index, variant in enumerate(spec.variants):
         if variant not in offered:
             problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
+    if not spec.operators and any(METHODS[method].impaired for method in spec.methods):
+        message = "the listed methods assist an operator; name at least one variant"
+        problems.append((("operators",), PydanticCustomError("no_operator", message, {}), None))
     return problems
-
-
-def _operator_problems(spec: Spec) -> list[Problem]:
-    if spec.operators or not any(METHODS[method].impaired for method in spec.methods):
-        return []
-    return [
-        (("operators",), PydanticCustomError("no_operator", "the listed methods assist an operator; name at least one variant", {}), None)
-    ]
 
 
 def _skill_problems(spec: Spec) -> list[Problem]:
@@ -291,11 +281,7 @@ def preset_names() -> tuple[str, ...]:
 
 
 def validate(document: Mapping[str, Any]) -> Spec:
-    """Build the spec that a plain document describes, over the preset that it names.
-
-    Raises:
-        ValidationError: with every problem, each at its place in the document.
-    """
+    """Build the spec that a plain document describes, over the preset that it names."""
     preset = document.get("preset", "cpu")
     resolved = merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     resolved = _with_episodes(resolved)

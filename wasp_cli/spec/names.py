@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo
@@ -40,15 +41,18 @@ def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 
 def _task(name: str, info: ValidationInfo) -> str:
     """A registered task, or a gymnasium id with all that a task needs."""
-    if name not in TASKS and (own := _own(name)) is not None:
-        raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": f"write '{own}'"})
+    with suppress(UnknownName):
+        # Specs have one name for a task, since it names random streams and results.
+        if name not in TASKS and (registered := task_named(name)) in TASKS:
+            hint = f"write '{registered}'"
+            raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": hint})
     try:
-        found = TASKS[name]
+        task = TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    if isinstance(found, ForeignInfo) and not (info.context or {}).get(RECORDED):
+    if isinstance(task, ForeignInfo) and not (info.context or {}).get(RECORDED):
         try:
-            found.examine()
+            task.examine()
         except WaspError as error:
             raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
     return name
@@ -64,15 +68,6 @@ def _method(name: str, info: ValidationInfo) -> str:
         except WaspError as error:
             raise PydanticCustomError("method", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
     return name
-
-
-def _own(gym_id: str) -> str | None:
-    """The registered task that has this gymnasium id: specs have one name for a task, since it names random streams and results."""
-    try:
-        name = task_named(gym_id)
-    except UnknownName:
-        return None
-    return name if name in TASKS else None
 
 
 def training_stages() -> list[str]:
@@ -120,13 +115,7 @@ OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    """Return the name of a spec that is made from another one: `<head>-<tail>`, cut and cleaned to what a spec may be called.
-
-    Args:
-        head: the name of the other spec; it is cut first.
-        tail: what is new about this one, any text.
-        taken: names that this one must differ from.
-    """
+    """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
     taken = set(taken)
     clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
     for number in range(1, len(taken) + 2):

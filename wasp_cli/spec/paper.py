@@ -26,8 +26,7 @@ from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
-from wasp_cli.spec.places import InvalidSpec, Loc
-from wasp_cli.spec.read import Source, read
+from wasp_cli.spec.read import InvalidSpec, Loc, Source, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
 COLUMNS = (*WEIGHTS, "uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
@@ -63,11 +62,11 @@ _PRINTED = re.compile(r"(-?\d+(?:\.\d+)?)(?: ?(?:±|\+-|\+/-) ?(\d+(?:\.\d+)?))?
 def _printed(value: Any) -> Printed:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return Printed(float(value))
-    found = _PRINTED.fullmatch(value) if isinstance(value, str) and len(value) <= 40 else None
-    if found is None:
+    match = _PRINTED.fullmatch(value) if isinstance(value, str) and len(value) <= 40 else None
+    if match is None:
         context = {"hint": "write it as the paper prints it: 13.74 ± 4.15, or 0"}
         raise PydanticCustomError("printed", "no printed number", context)
-    return Printed(float(found[1]), None if found[2] is None else float(found[2]))
+    return Printed(float(match[1]), None if match[2] is None else float(match[2]))
 
 
 def _who(value: Any) -> Who:
@@ -106,13 +105,13 @@ class PrintedTable(Config):
 
     @model_validator(mode="after")
     def _rectangular(self) -> PrintedTable:
-        wanted = len(self.columns)
+        width = len(self.columns)
         refuse(
             [
-                (("rows", task, str(who)), PydanticCustomError("repeated", f"{len(numbers)} numbers for {wanted} columns", {}), None)
+                (("rows", task, str(who)), PydanticCustomError("repeated", f"{len(numbers)} numbers for {width} columns", {}), None)
                 for task, rows in self.rows.items()
                 for who, numbers in rows.items()
-                if len(numbers) != wanted
+                if len(numbers) != width
             ]
         )
         return self
@@ -233,11 +232,11 @@ def paper_of(source: Source) -> Paper:
     try:
         paper = Paper.model_validate_json(json.dumps(document), strict=True)
     except ValidationError as error:
-        found = [
+        placed = [
             source.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
             for finding in findings(error, document, _key_hint, lambda _: None)
         ]
-        problems += [problem for problem in found if problem.position not in places]
+        problems += [problem for problem in placed if problem.position not in places]
         raise InvalidSpec(list(dict.fromkeys(problems))) from error
     if problems:
         raise InvalidSpec(problems)

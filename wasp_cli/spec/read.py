@@ -1,4 +1,4 @@
-"""From the text of a spec file to plain values, and where each of them stands.
+"""From the text of a spec file to plain values, where each of them stands, and problems with their places.
 
 What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is the one way to share sections.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import datetime
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,90 @@ from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.tokens import AliasToken, AnchorToken, ScalarToken, TagToken
 
-from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.places import KEY, START, InvalidSpec, Loc, Position, Problem
+from wasp_cli.errors import SpecError, did_you_mean
 from wasp_cli.spec.shipped import shipped_names
+
+Loc = tuple[str | int, ...]
+KEY = "[key]"
+"""How pydantic ends the place of a key (not of its value)."""
+
+
+@dataclass(frozen=True)
+class Position:
+    """A place in a text, counted from 1 as editors do."""
+
+    line: int
+    column: int
+
+
+START = Position(1, 1)
+
+
+_WIDTH = 110
+"""Longest excerpt of a line."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake: its place, what is wrong, how to fix it, and the line it stands in."""
+
+    source: str
+    """The file as the user named it, or the option that brought the value."""
+    position: Position | None
+    message: str
+    hint: str | None = None
+    line: str | None = None
+    """Text of the line at `position`."""
+
+    @property
+    def place(self) -> str:
+        """`file:line:column`, which editors turn into a link."""
+        return self.source if self.position is None else f"{self.source}:{self.position.line}:{self.position.column}"
+
+    def __str__(self) -> str:
+        parts = [f"{self.place}: {_printable(self.message)}", *self._excerpt()]
+        if self.hint:
+            parts.append(f"    {_printable(self.hint)}")
+        return "\n".join(parts)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return this for machines."""
+        line, column = (None, None) if self.position is None else (self.position.line, self.position.column)
+        return {"file": self.source, "line": line, "column": column, "message": self.message, "hint": self.hint, "excerpt": self.line}
+
+    def _excerpt(self) -> list[str]:
+        if self.position is None or self.line is None:
+            return []
+        number, column = f"{self.position.line:>5} | ", self.position.column
+        # A caret far to the right is of no use: show the part of the line around it.
+        start = 0 if column < _WIDTH else column - _WIDTH // 2
+        shown = self.line[start : start + _WIDTH]
+        # Tabs stay tabs, so that the caret stands under its character at any tab width.
+        before = "".join("\t" if character == "\t" else " " for character in shown[: column - 1 - start])
+        return [number + shown, " " * (len(number) - 2) + "| " + before + "^"]
+
+
+def _printable(text: str) -> str:
+    """A text without what would steer a terminal: escapes in a YAML string can name any character."""
+    return "".join(character if character.isprintable() or character == "\n" else repr(character)[1:-1] for character in text)
+
+
+class InvalidSpec(SpecError):
+    """A spec with problems, all of them: file by file as they are first named, each in its order, then those of options."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
+        self.problems = tuple(sorted(problems, key=lambda problem: _order(problem, files)))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    def __reduce__(self) -> tuple[type[InvalidSpec], tuple[tuple[Problem, ...]]]:  # type: ignore[override]
+        return type(self), (self.problems,)
+
+
+def _order(problem: Problem, files: Sequence[str]) -> tuple[int, int, int]:
+    position = problem.position
+    return (len(files), 0, 0) if position is None else (files.index(problem.source), position.line, position.column)
+
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 32
@@ -54,7 +135,7 @@ class Source:
 
     def depth(self, loc: Loc) -> int:
         """Return how many parts of what pydantic calls a `loc` the document really has."""
-        return self._found(loc)[1]
+        return self._known_part(loc)[1]
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
         """Return a problem at what pydantic calls a `loc`."""
@@ -67,30 +148,30 @@ class Source:
         return Problem(self.name, position, message, hint, line or None)
 
     def _position(self, loc: Loc, at_key: bool) -> Position:
-        found, depth, node = self._found(loc)
-        if not found:
+        known, depth, node = self._known_part(loc)
+        if not known:
             return START
         whole = depth == len(loc) or loc[depth] == KEY
         # Of a section in which something is missing, the key says more than its first entry.
         lacking = depth < len(loc) and isinstance(node, dict | list)
-        place = self.places[found]
+        place = self.places[known]
         return place.key if lacking or (whole and (at_key or loc[-1] == KEY)) else place.value
 
-    def _found(self, loc: Loc) -> tuple[Loc, int, Any]:
+    def _known_part(self, loc: Loc) -> tuple[Loc, int, Any]:
         """The part of a `loc` that the document has, how many parts of the `loc` that takes, and what stands there.
 
         pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped, and a
         missing field is reported at the mapping it is missing from.
         """
-        found: Loc = ()
+        known: Loc = ()
         depth, node = 0, self.document
         for index, part in enumerate(loc):
             if _has(node, part):
                 key = str(part) if isinstance(node, dict) else part
-                found, depth, node = (*found, key), index + 1, node[key]
+                known, depth, node = (*known, key), index + 1, node[key]
             elif not depth or index + 1 >= len(loc) or not _has(node, loc[index + 1]):
                 break
-        return found, depth, node
+        return known, depth, node
 
 
 def _has(node: Any, part: str | int) -> bool:
@@ -109,11 +190,7 @@ def read(path: Path) -> Source:
 
 
 def parse(text: str, name: str) -> Source:
-    """Parse a YAML mapping; `name` stands for the file in messages.
-
-    Raises:
-        InvalidSpec: it is not YAML, not a mapping, or has too many levels.
-    """
+    """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text)
     try:
         _refuse_sharing(source)

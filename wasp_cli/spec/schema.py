@@ -115,8 +115,8 @@ def _names(registry: Registry[Any], plugins: bool) -> list[str]:
 
 def _section(reference: Schema, definitions: Schema) -> Schema:
     """The definition that a section refers to."""
-    found: Schema = definitions[reference["$ref"].rpartition("/")[2]]
-    return found
+    definition: Schema = definitions[reference["$ref"].rpartition("/")[2]]
+    return definition
 
 
 def _cleaned(properties: Schema) -> None:

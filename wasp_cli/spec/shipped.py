@@ -27,8 +27,8 @@ def specs_folder() -> Path:
 
 def published_folder() -> Path | None:
     """Return where the published parts are, laid out as a results folder; None where the package came without them."""
-    found = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
-    return next((folder for folder in found if (folder / "store").is_dir()), None)
+    folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
+    return next((folder for folder in folders if (folder / "store").is_dir()), None)
 
 
 def shipped_names() -> list[str]:
@@ -47,9 +47,9 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
     if os.path.exists(path) or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
         return path
     name = typed.stem + SUFFIX
-    for found in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
-        if os.path.isfile(found):
-            return found
+    for candidate in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
+        if os.path.isfile(candidate):
+            return candidate
     return path
 
 
