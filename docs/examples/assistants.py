@@ -101,8 +101,9 @@ def measures(sums: Sums) -> dict[str, float]:
     """Pool the worlds [operators, worlds, measures] of each operator, and average over operators."""
     mean, total = sums.mean(1), sums.sum(1)
     share = {name: (total[:, 3 + SUMS.index(name)] / total[:, 3]).mean() for name in ("intervened", "effective", "deviation")}
-    with np.errstate(invalid="ignore"):  # a method without interventions, or without branches, has no UIR
-        uir, mirror = (total[:, 3 + SUMS.index(name)].sum() / total[:, 7].sum() for name in ("unnecessary", "swapped"))
+    with np.errstate(invalid="ignore"):  # of worlds that were branched, if any
+        judged, unnecessary, swapped = (np.nansum(sums[..., 3 + SUMS.index(name)]) for name in ("branched", "unnecessary", "swapped"))
+        uir, mirror = unnecessary / judged, swapped / judged
     return {
         "return": mean[:, 0].mean(),
         "success": 100 * mean[:, 1].mean(),
