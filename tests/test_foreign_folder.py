@@ -73,7 +73,7 @@ RUN = (
     "arguments",
     [
         ["report", ".", "--no-films"],
-        ["view", ".", "--bundle", "../b", "--cell", CELL, "--episodes", "0"],
+        pytest.param(["view", ".", "--bundle", "../b", "--cell", CELL, "--episodes", "0"], marks=pytest.mark.slow),
         RUN,
         pytest.param(["replay", CELL, "-e", "0", "-o", "../a.gif", "--results", "."], marks=pytest.mark.slow),
         pytest.param(

@@ -57,6 +57,7 @@ def test_the_page_shows_the_files_as_they_are(language: str, name: str) -> None:
     assert (EXAMPLES / name).read_text(encoding="utf-8") in blocks
 
 
+@pytest.mark.slow
 def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
     printed = (home / "printed.txt").read_text(encoding="utf-8")
     for word in ("Puddle-v0", "Human-only", "WASP", "Expert"):
@@ -64,6 +65,7 @@ def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
     assert (home / "results" / "reports" / "puddle" / "cost_return.png").is_file()
 
 
+@pytest.mark.slow
 def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
     found = [read_branches(path) for path in (home / "results" / "store" / "counterfactual").glob("*/branches.parquet")]
     assert {branches.cell.identity.method for branches in found} == {"wasp"}
@@ -71,6 +73,7 @@ def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
     assert "Were the interventions necessary?" in (home / "printed.txt").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
     cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/episodes.parquet")]
     assert len(cells) == 5
@@ -84,12 +87,14 @@ def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
     assert len({row["return"] for row in rows}) > 5
 
 
+@pytest.mark.slow
 def test_no_file_is_named_by_what_a_file_name_cannot_hold(home: Path) -> None:
     names = [path.name for path in (home / "results").rglob("*")]
     assert any("puddle-Puddle-v0" in name for name in names), "logs are named after the task"
     assert not [name for name in names if ":" in name]
 
 
+@pytest.mark.slow
 def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home: Path) -> None:
     assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
@@ -103,6 +108,7 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
     assert "puddle:Puddle-v0 s0 expert and 13 more: code changed: puddle\n" in planned.stdout
 
 
+@pytest.mark.slow
 def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:
     shown = wasp(tmp_path, "report", str(home / "results"))
     assert shown.returncode == 0, shown.stderr

@@ -30,6 +30,8 @@ from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file, read_episodes, read_steps
 from wasp_cli.tasks.make import make_task
 
+pytestmark = pytest.mark.slow  # people drive in real time
+
 
 @pytest.fixture(scope="module")
 def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
