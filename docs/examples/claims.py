@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.claims.text import PLAIN, sentence
 from wasp_cli.report.claims.verdict import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.render import markdown_row
@@ -17,6 +18,7 @@ from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
 ROOT = Path(__file__).parents[2]
@@ -26,8 +28,10 @@ HEADINGS = ("Claim", "Verdict", "As printed", "In", "Decides")
 
 
 def cells_of(pattern: str) -> dict[CellIdentity, Path]:
-    """Return the tables of the store that match, by the cell that their rows name."""
-    return {identity_of(path): path for path in sorted(STORE.glob(pattern))}
+    """Return the tables of the store that match and are not the second edition's, by the cell that their rows name."""
+    second = lay_out_over(load(ROOT / "specs" / "edition2.yaml").spec, Layout(ROOT / "nowhere"), str(STORE.parent))
+    keys = {node.key for node in second.nodes}
+    return {identity_of(path): path for path in sorted(STORE.glob(pattern)) if path.parent.name not in keys}
 
 
 def identity_of(path: Path) -> CellIdentity:
