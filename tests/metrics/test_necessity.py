@@ -11,6 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.store.branches import read_branches
+from wasp_cli.store.tables import CellIdentity
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,12 +57,16 @@ def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_o
     assert found.uir_eff == pytest.approx(np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True)
 
 
+def _place(identity: CellIdentity) -> tuple[str, str, int]:
+    return identity.task, identity.method, identity.seed
+
+
 def test_the_floor_of_the_published_branches_of_race1() -> None:
     """Among interventions that changed anything the command would have been the necessary one in a quarter (WASP) and a seventh (IDA)."""
     floor = {}
     for method in ("wasp", "ida"):
         paths = sorted((ROOT / "results" / "published" / "store" / "counterfactual").glob("*/branches.parquet"))
-        cells = [each for each in map(read_branches, paths) if (each.cell.identity.task, each.cell.identity.method) == ("race1", method)]
+        cells = [each for each in map(read_branches, paths) if _place(each.cell.identity) == ("race1", method, 1)]
         found = [
             necessity(each.cost[ALONE], each.cost[ASSISTED], each.reward[ALONE], each.reward[ASSISTED], each.cell.tau_R) for each in cells
         ]
