@@ -52,12 +52,15 @@ def test_it_stands_beside_wasp_on_published_worlds(home: Path) -> None:
     after = wasp(home, "explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0")
     assert after.returncode == 0, after.stderr
     assert "Halfway is a class of the module halfway" in after.stdout
-    # What another folder says of it is told without importing anything.
-    shutil.move(home / "halfway.py", home / "away.py")
-    assert "Halfway" in wasp(home, "explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0").stdout
-    shutil.move(home / "away.py", home / "halfway.py")
-    # A changed constant is another assistant, and nobody else's cell.
+    # Results are read without importing what they name.
     text = (home / "halfway.py").read_text(encoding="utf-8")
+    (home / "halfway.py").write_text("open('imported', 'w')\n1 / 0\n", encoding="utf-8")
+    for command in (["explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0"], ["report", "results", "--no-films", "--no-trained"]):
+        read = wasp(home, *command)
+        assert read.returncode == 0, read.stderr
+        assert "Halfway" in read.stdout
+    assert not (home / "imported").exists()
+    # A changed constant is another assistant, and nobody else's cell.
     (home / "halfway.py").write_text(text.replace("> 0.7", "> 0.5"), encoding="utf-8")
     changed = {label for label, node in nodes(home).items() if node["key"] != before[label]["key"]}
     assert changed == own

@@ -75,7 +75,7 @@ class _Command(TyperCommand):
 HELP = """\
 Run experiments in shared autonomy. A spec says which; results go to results/.
 Start here: wasp run quickstart, then: wasp report results/
-Drive: wasp drive race1. Check: wasp run table1. Your own: docs/extending.md"""
+Drive: wasp drive race1. Check: wasp verify. Your own: docs/extending.md"""
 app = typer.Typer(name="wasp", cls=_Group, help=HELP, rich_markup_mode="rich", pretty_exceptions_enable=False)
 
 

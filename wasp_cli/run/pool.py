@@ -14,6 +14,7 @@ import socket
 import threading
 import time
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
@@ -41,7 +42,7 @@ class WorkersDied(Exception):
     """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
 
 
-class Pool:
+class Pool(ABC):
     """Computes nodes side by side."""
 
     jobs = 1
@@ -50,17 +51,18 @@ class Pool:
     gone: str | None = None
     """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
 
+    @abstractmethod
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         """Begin to compute a node; nobody submits more than `jobs` at a time.
 
         The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
         """
-        raise NotImplementedError
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
         """Begin to compute a node in a process that computes nothing else."""
         return self.submit(job)
 
+    @abstractmethod
     def close(self, *, kill: bool = False) -> None:
         """End the workers; with `kill`, at once."""
 
@@ -115,6 +117,9 @@ class InlinePool(Pool):
         done: Future[NodeResult] = Future()
         done.set_result(execute_here(job))
         return done
+
+    def close(self, *, kill: bool = False) -> None:
+        """There are no workers."""
 
 
 class LokyPool(Pool):

@@ -391,10 +391,9 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
 def kind_of(value: Any) -> str:
     """Return what people call a value."""
     if isinstance(value, str):
-        return "a single word" if " " not in value and "\n" not in value else "plain text"
-    if isinstance(value, datetime.date):
-        return "a date"
-    return "a mapping" if isinstance(value, Mapping) else "a list" if isinstance(value, list) else f"a {type(value).__name__}"
+        return "plain text" if " " in value or "\n" in value else "a single word"
+    names = {datetime.date: "a date", Mapping: "a mapping", list: "a list"}
+    return next((name for kind, name in names.items() if isinstance(value, kind)), f"a {type(value).__name__}")
 
 
 def dotted(loc: Loc) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 
 from wasp_cli.metrics.episode import INTERVENED
+from wasp_cli.report.explain.layout import action
 from wasp_cli.report.explain.stored import Episode
-from wasp_cli.report.explain.text import action
 from wasp_cli.report.explain.timeline import LOOKS, Curve, curves
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
 

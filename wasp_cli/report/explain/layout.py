@@ -1,0 +1,232 @@
+"""How explanations are set out: headings, fields and tables in lines of text, numbers, and an episode as a strip."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.report.explain.facts import Range, exceeds, places_of
+from wasp_cli.report.explain.stored import Constants, Episode
+from wasp_cli.report.explain.timeline import LOOKS
+from wasp_cli.report.tables.table import who_title
+from wasp_cli.tasks.registry import TASKS
+
+INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
+NUMBER = re.compile(r"[-+.…%\d]*")
+BLOCKS = "▁▂▃▄▅▆▇█"
+LABEL = 12  # columns before the strip
+
+
+def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
+    """Set parts below each other, in lines of at most `width` columns."""
+    console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
+    lines = []
+    for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
+        line = Text.assemble(*((segment.text, segment.style or "") for segment in Segment.simplify(segments)))
+        line.rstrip()
+        lines.append(line)
+    return lines
+
+
+def heading(text: str, more: str = "") -> Text:
+    """Return a heading."""
+    return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
+
+
+def section(title: str, *parts: RenderableType) -> list[RenderableType]:
+    """Return parts below an empty line and a heading."""
+    return ["", heading(title), *parts]
+
+
+def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
+    """Set names at the left and their values beside them."""
+    grid = Table.grid(padding=(0, BETWEEN, 0, 0))
+    grid.add_column(style="dim", no_wrap=True)
+    for entry in entries:
+        grid.add_row(*entry)
+    return _indented(grid)
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
+    """Set rows in columns: numbers at the right, words at the left. A column of `-` alone is left out.
+
+    Args:
+        titles: one for each column.
+        rows: the cells of each row; `-` where there is nothing to say.
+        styles: one for each row.
+    """
+    columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
+    drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
+    for i, (title, cells) in enumerate(columns):
+        drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
+    for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
+        drawn.add_row(*row, style=styles[i] if styles else "")
+    return _indented(drawn)
+
+
+def notes(*texts: str) -> list[RenderableType]:
+    """Set notes below a table, each from a line of its own; empty ones are left out."""
+    return [_indented(Text(text, "dim")) for text in texts if text]
+
+
+def _indented(part: RenderableType) -> Padding:
+    return Padding(part, (0, 0, 0, INDENT), expand=False)
+
+
+def cell_fields(episode: Episode) -> list[tuple[str, str]]:
+    """Return the fields that say which cell it is, and how its method decides."""
+    row, method = episode.row, episode.method
+    task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
+    rule = METHODS[method].rule if method in METHODS else ""
+    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    if operator in OPERATORS:
+        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
+    return [
+        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
+        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
+        ("method", rule or f"not described: see the documentation of '{method}'"),
+        ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
+    ]
+
+
+def decider(method: str) -> str:
+    """Return who decides by a method's own rule: its title."""
+    return METHODS[method].title if method in METHODS else method
+
+
+def cost_meaning(constants: Constants) -> str:
+    """Return what a value of G^c means."""
+    if constants.bootstrap_cost:
+        return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
+    within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
+    return f"G^c: expected costly decisions within {within}, discounted, if {goes_on(constants)} (Eq. 9)"
+
+
+def goes_on(constants: Constants) -> str:
+    """Say who is imagined behind the command."""
+    return "the expert follows" if constants.takeover else "the operator goes on alone"
+
+
+def gain_meaning(constants: Constants) -> str:
+    """Return what a value of ΔG means."""
+    if constants.takeover:
+        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
+    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
+    return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
+
+
+def action(values: Sequence[float]) -> str:
+    """Return an action [A] as text; of a long one the first four numbers."""
+    shown = [plain(value, sign=True) for value in values[:4]]
+    return f"({', '.join([*shown, '...'] if len(values) > 4 else shown)})"
+
+
+def plain(value: float, sign: bool = False) -> str:
+    """Return a number with two digits, and no negative zero."""
+    return f"{round(value, 2) + 0.0:{'+' if sign else ''}.2f}"
+
+
+def short(value: float | None, digits: int = 3) -> str:
+    """Return a number, or `-` for an undefined one."""
+    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def beside(value: float | None, limit: float | None) -> tuple[str, str]:
+    """Return a value and its threshold with as many digits as it takes to tell them apart."""
+    digits = 3
+    while value is not None and limit is not None and value != limit and short(value, digits) == short(limit, digits) and digits < 8:
+        digits += 1
+    return short(value, digits), short(limit, digits)
+
+
+def between(bounds: Range | None, limit: float | None) -> str:
+    """Return a range; its upper end is told apart from the threshold."""
+    if bounds is None:
+        return "-"
+    low, high = short(bounds[0]), beside(bounds[1], limit)[0]
+    return low if low == high else f"{low}…{high}"
+
+
+def span(first: int, last: int) -> str:
+    """Return decisions from one to another."""
+    return f"{first}" if first == last else f"{first}-{last}"
+
+
+def places(decisions: Sequence[int]) -> str:
+    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
+    spans: list[list[int]] = []
+    for t in decisions:
+        if spans and t == spans[-1][1] + 1:
+            spans[-1][1] = t
+        else:
+            spans.append([t, t])
+    more = sum(last - first + 1 for first, last in spans[4:])
+    return ", ".join([span(first, last) for first, last in spans[:4]] + ([f"{more} more"] if more else [])) or "-"
+
+
+def count(number: int, thing: str) -> str:
+    """Return a count: 1 goal, 2 goals."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def ms(value: float) -> str:
+    """Return a time in milliseconds, with three digits."""
+    return f"{value:.3g} ms" if value < 1000 else f"{value / 1000:.3g} s"
+
+
+def strip_lines(episode: Episode, width: int) -> list[RenderableType]:
+    """Draw the safety gate's value over time, the gates below it and the costs below them.
+
+    Returns none where there is nothing to draw (no gate's value, no intervention).
+    """
+    values, name = episode.numbers["deviation"], "|a - a^H|"
+    limit: float | None = None
+    if episode.gated and np.isfinite(episode.numbers["g_cost"]).any():
+        values, name, limit = episode.numbers["g_cost"], "G^c", episode.thresholds.tau_c
+    # Half of the height is the threshold: what stands above the middle has fired, without any colour.
+    full = 2 * float(np.float32(limit)) if limit is not None and limit > 0 else float(np.nanmax(values))
+    if not full:
+        return []
+    per = max(1, math.ceil(len(values) / max(20, width - LABEL - 2)))
+    missed = set(places_of(episode.missed))
+    curve, gates, costs = (_line(title) for title in (name, "gate", "cost"))
+    for first in range(0, len(values), per):
+        part = slice(first, first + per)
+        height = float(np.fmax.reduce(values[part]))
+        curve.append(_block(height, full), "" if limit is None else "red" if exceeds(height, limit) else "green")
+        look = next((look for gate, look in LOOKS.items() if (episode.gate[part] == gate).any()), None)
+        gates.append(look.letter if look else "·", look.style if look else "dim")
+        paid = [first + t for t in places_of(episode.costly[part])]
+        costs.append(("!" if missed.intersection(paid) else "x") if paid else "·", "bold red" if paid else "dim")
+    fired = [look for gate, look in LOOKS.items() if (episode.gate == gate).any() and episode.selective]
+    columns, last = len(curve) - LABEL, str(len(values) - 1)
+    axis = _line("decision").append("0" + last.rjust(max(columns - 1, len(last) + 1)))
+    scale = [f"█ is {full:.3g}" if limit is None else f"▁▂▃▄ up to τ_c = {limit:.3g}, ▅▆▇█ above it"]
+    scale += [f"{look.letter} {look.words}" for look in fired]
+    if episode.costly.any():
+        scale.append("x cost, ! cost that every gate missed" if missed else "x cost")
+    if per > 1:
+        scale.append(f"a column is the maximum of {per} decisions")
+    return [curve, *([gates] if fired else []), *([costs] if episode.costly.any() else []), axis, *notes("; ".join(scale))]
+
+
+def _line(name: str) -> Text:
+    return Text(" " * INDENT + name.ljust(LABEL - INDENT), no_wrap=True, overflow="ignore")
+
+
+def _block(height: float, full: float) -> str:
+    """A value up to half of `full` is in the lower four blocks, the half itself too."""
+    if math.isnan(height):
+        return " "
+    return BLOCKS[min(max(math.ceil(8 * height / full) - 1, 0), 7)] if full > 0 else BLOCKS[0]
