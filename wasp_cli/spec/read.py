@@ -23,8 +23,7 @@ from wasp_cli.errors import SpecError, did_you_mean
 from wasp_cli.spec.shipped import shipped_names
 
 Loc = tuple[str | int, ...]
-KEY = "[key]"
-"""How pydantic ends the place of a key (not of its value)."""
+KEY = "[key]"  # how pydantic ends the place of a key (not of its value)
 
 
 @dataclass(frozen=True)
