@@ -1,21 +1,26 @@
-"""`python -m tests.benchmarks.times RESULTS... > wasp_cli/plan/times.json`: what nodes took, as `wasp plan` estimates from it.
+"""What nodes take, as `wasp plan` estimates from it: the figures of `wasp_cli/plan/times.json`.
 
-The results have to be computed on this machine, and while nothing else ran.
+python -m tests.benchmarks.times RESULTS...                        of results computed on this machine, while nothing else ran
+python -m tests.benchmarks.times --published specs/edition2.yaml   of what is published of a spec: the least time of each kind of node,
+                                                                   since other work ran beside most of them
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from wasp_cli.plan import schedule as estimates
 from wasp_cli.plan.recorded import planned_runs
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import read_run, results_of
+from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import exists, read_manifest
+from wasp_cli.store.layout import Layout
 
 
 def times(folders: Sequence[Path]) -> Any:
@@ -33,11 +38,12 @@ def times(folders: Sequence[Path]) -> Any:
     return figures_of(found.values())
 
 
-def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]], typical: Callable[[list[float]], float] = median) -> dict[str, Any]:
     """Return the figures of what was computed on this machine.
 
     Args:
         manifests: each with the preset of its spec.
+        typical: makes one figure of those of several nodes.
     """
     times: dict[str, dict[str, list[float]]] = {}
     for preset, manifest in manifests:
@@ -45,8 +51,16 @@ def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, 
         if "earlier" not in provenance:  # what took rows over says nothing of its like
             seconds = float(provenance["seconds"]) / estimates.units(kind, manifest["config"])
             times.setdefault(preset, {}).setdefault(estimates.figures_like(kind, manifest["task"], axes)[0], []).append(seconds)
-    seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
+    seconds_of = {preset: {name: _short(typical(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
     return {"speed": _short(estimates.speed()), "seconds": seconds_of}
+
+
+def published(spec: Path) -> Any:
+    """Return the figures of what is published of a spec."""
+    loaded = load(spec).spec
+    grid = lay_out_over(loaded, Layout(Path("results")), "published")
+    reused = [reused.offer for reused in grid.reused.values()]
+    return figures_of([(loaded.preset, read_manifest(Layout(Path("results/published")), offer.kind, offer.key)) for offer in reused], min)
 
 
 def _short(number: float) -> float:
@@ -54,4 +68,5 @@ def _short(number: float) -> float:
 
 
 if __name__ == "__main__":
-    print(json.dumps(times([Path(folder) for folder in sys.argv[1:]]), indent=1))
+    made = published(Path(sys.argv[2])) if sys.argv[1] == "--published" else times([Path(folder) for folder in sys.argv[1:]])
+    print(json.dumps(made, indent=1))

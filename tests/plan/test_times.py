@@ -33,12 +33,14 @@ def manifest(kind: str, seconds: float, axes: dict[str, Any] | None = None, **co
     return {"kind": kind, "task": "goal1", "axes": axes or {}, "config": config, "provenance": {"seconds": seconds}}
 
 
-def test_the_quickstart_has_a_figure_for_every_node_and_the_plan_says_that_it_is_an_estimate(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("spec", ["selftest.yaml", "quickstart.yaml"])
+def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_is_an_estimate(
+    spec: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from rich.console import Console
 
-    plan = planned("quickstart.yaml", tmp_path)
+    loaded, layout = load(ROOT / "specs" / spec).spec, Layout(tmp_path / "absent")
+    plan = plan_against(lay_out_over(loaded, layout), layout)
     seconds, unknown = plan.estimate(2)
     assert unknown == 0
     assert plan.guessed == {node.sort for node in plan.to_run()}
@@ -50,7 +52,7 @@ def test_the_quickstart_has_a_figure_for_every_node_and_the_plan_says_that_it_is
 
 
 def test_what_nobody_measured_is_taken_for_its_method_and_a_plugin_for_wasp(tmp_path: Path) -> None:
-    plan = planned("quickstart.yaml", tmp_path, "methods=[human, wasp]", "variants=[full, no-case2]")
+    plan = planned("selftest.yaml", tmp_path, "methods=[human, wasp]", "variants=[full, no-case2]")
     assert plan.estimate(1)[1] == 0
     whole, variant = (seconds_of(plan, f"wasp{variant} noisy") for variant in ("", "/no-case2"))
     assert variant == pytest.approx(whole)
@@ -84,7 +86,7 @@ def seconds_of(plan: Plan, label: str) -> float:
 
 def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def of(kind: str, *settings: str) -> float:
-        plan = planned("quickstart.yaml", tmp_path, *settings)
+        plan = planned("selftest.yaml", tmp_path, *settings)
         return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == kind)
 
     before = {kind: of(kind) for kind in ("evaluate", "world_model", "policies")}

@@ -21,12 +21,11 @@ from wasp_cli.errors import WaspError, refusal
 
 PIPE_CLOSED = 141
 GROUPS = {
-    "Start": ("run", "report", "view"),
-    "Prepare": ("list", "draw", "init", "check", "schema", "plan"),
+    "Start": ("run", "report", "view", "drive"),
+    "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
     "Compare": ("sweep", "ablate", "severities", "compare"),
     "Follow": ("status", "control", "logs"),
-    "Look into": ("show", "explain", "replay", "note"),
-    "People": ("drive", "clone"),
+    "Look into": ("show", "explain", "replay", "note", "export"),
     "Maintain": ("publish", "verify", "gc", "doctor"),
 }
 """All commands, as `wasp --help` lists them: each with the first sentence of its docstring."""

@@ -161,8 +161,8 @@ class Work:
     jobs: JobsOption = None
     timeout: Annotated[float | None, option("TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration)] = None
     retries: Annotated[int, option("N", "Retries of a node that fails for a reason which may pass.", min=0, max=9)] = 0
-    backend: Annotated[str, option("NAME", "Workers: loky (local), dask or ray.", envvar="WASP_BACKEND")] = "loky"
-    scheduler: Annotated[str | None, option("URL", "Address of the dask scheduler or ray cluster.", envvar="WASP_SCHEDULER")] = None
+    backend: Annotated[str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")] = "loky"
+    scheduler: Annotated[str | None, option("URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER")] = None
 
     def options(self) -> RunOptions:
         """Return it as a run takes it."""

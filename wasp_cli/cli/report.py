@@ -135,12 +135,41 @@ def show_report(
         hint = "wasp report DIR --out FOLDER writes it elsewhere"
         raise NotWritten(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
     report.terminal(console())
-    beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
-    left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
-    further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
-    say(f"report: {page} ({beside}{further})")
-    say(f"rows and artifacts: {layout.root / 'store'}")
+    say(f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG)")
     return report
+
+
+@command("wasp export results/ --tensorboard runs/", "wasp export results/ --spec quickstart --trackio trackio/")
+def export(
+    results: Folder,
+    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
+    tensorboard: Annotated[Path | None, directory("Write event files to DIR/<spec>.")] = None,
+    trackio: Annotated[Path | None, directory("Write Trackio projects to DIR, one a spec.")] = None,
+) -> None:
+    """Write curves and tables for TensorBoard or Trackio.
+
+    Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR trackio show`.
+    """
+    from wasp_cli.report.export import to_tensorboard, to_trackio
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.report.summarize import report_run
+    from wasp_cli.run.record import read_run, results_of
+
+    if tensorboard is None and trackio is None:
+        raise UsageError("nothing to write: neither --tensorboard nor --trackio is given", "wasp export results/ --tensorboard runs/")
+    layout = results_of(results.path)
+    runs, damaged = last_runs(layout, aside=spec is not None)
+    if spec is not None and spec not in runs:
+        raise UnknownName("spec in these results", spec, runs)
+    for name, run_id in runs.items():
+        if spec in (None, name):
+            ran = read_run(layout, run_id)
+            report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
+            for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
+                if folder is not None:
+                    say(f"{name}: {write(report, folder)} runs in {folder}")
+    if damaged:
+        raise ArtifactError("\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)]))
 
 
 @command(

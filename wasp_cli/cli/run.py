@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -209,8 +210,18 @@ def run_and_report(
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper)
     reported(session.layout, session.run_id)
+    say_next(results, {node.label: cell.method for cell, node in grid.cells})
     session.require_complete()
     require_cells([cell for cell in report.missing if selected is None or cell.key in selected], session.layout)
+
+
+def say_next(results: Path, methods: Mapping[str, str]) -> None:
+    """Name three commands that lead on: to the episodes behind the numbers, to one decision in words, to films."""
+    option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
+    example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
+    say(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
+    say(f"      wasp explain {shlex.quote(example)}{option}   (what the assistant did, and why)")
+    say(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:

@@ -21,6 +21,7 @@ from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
 from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats.frame import Frame, Missing
+from wasp_cli.report.tables.main import in_words
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
@@ -77,6 +78,8 @@ class Report:
             console.print(Text(fact), soft_wrap=True)
         for table in self.tables[: min(self.shown, 1)]:
             console.print(terminal(table, console.width))
+        for line in in_words(self.frame):
+            console.print(Text(line), soft_wrap=True)
         for line in lines_of(self.notes)[-NAMED:]:
             console.print(Text(f"note on {line}"), soft_wrap=True)
         if self.verdict is not None:

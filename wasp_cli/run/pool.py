@@ -1,4 +1,4 @@
-"""The workers of a run: processes of loky, this process, or those of a dask scheduler or a ray cluster on other machines.
+"""The workers of a run: processes of loky, this process, those of a dask scheduler or a ray cluster on other machines; `slurm` has jobs.
 
 Only jobs travel, which are keys, paths and plain values. Each node is a task of its own: `joblib.Parallel` takes a list, and what a node
 needs is only known to be there when another one ends. Every machine of a cluster has to see the results folder under the same path and to
@@ -27,8 +27,8 @@ from wasp_cli.run.interrupt import SIGNALS
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 
-BACKENDS = ("loky", "dask", "ray")
-PACKAGES = {"dask": "distributed", "ray": "ray"}
+BACKENDS = ("loky", "dask", "ray", "slurm")
+PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
 EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 CONNECT_SECONDS = 20
@@ -73,12 +73,18 @@ def require_backend(backend: str, scheduler: str | None) -> None:
         raise UnknownName("backend", backend, BACKENDS)
     if backend == "loky":
         if scheduler is not None:
-            raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
+            raise UsageError(
+                "--scheduler is for the backends dask, ray and slurm", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT"
+            )
         return
     package = PACKAGES[backend]
     if find_spec(package) is None:
         raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
-    if scheduler is not None:
+    if backend == "slurm":
+        from wasp_cli.run.slurm import require_slurm
+
+        require_slurm(scheduler)
+    elif scheduler is not None:
         _require_answer(backend, scheduler)
     elif backend == "dask":  # ray starts one of its own on this machine
         raise UsageError("the backend dask needs the address of its scheduler", EXAMPLES["dask"])
@@ -90,6 +96,10 @@ def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
         return DaskPool(scheduler)
     if backend == "ray":
         return RayPool(scheduler)
+    if backend == "slurm":
+        from wasp_cli.run.slurm import SlurmPool
+
+        return SlurmPool(jobs, scheduler)
     return LokyPool(jobs) if jobs else InlinePool()
 
 

@@ -68,6 +68,25 @@ def main_table(frame: Frame) -> Table:
     return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, (*MEANINGS, *dict.fromkeys(told)))
 
 
+def in_words(frame: Frame) -> list[str]:
+    """Say of each task what WASP makes of the operators, and which assistant returns most; nothing where either is missing or partial."""
+    lines = []
+    for task in dict.fromkeys(group.task for group in full_groups(frame)):
+        whole = {group.method: group for group in full_groups(frame) if group.task == task and group.complete}
+        if not {"human", "wasp"} <= whole.keys():
+            continue
+        numbers = {m: tuple(summarise(g.cells, key).mean for key in ("return", "cost")) for m, g in whole.items()}
+        acts = summarise(whole["wasp"].cells, "int_rate").mean
+        said = "{}: the operators alone return {:.1f} at a cost of {:.1f}, with WASP {:.1f} at {:.1f}; it changes {:.0%} of the commands."
+        line = said.format(task_title(task), *numbers["human"], *numbers["wasp"], acts)
+        others = [m for m in whole if METHODS[m].impaired and METHODS[m].attended and m not in ("human", "wasp")]
+        if others:
+            best = max(others, key=lambda method: numbers[method][0])
+            line += " Of the others {} returns most: {:.1f} at {:.1f}.".format(METHODS[best].title, *numbers[best])
+        lines.append(line)
+    return lines
+
+
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
     """Return the numbers of a row."""
     return tuple(part_of(group, group.cells, column) for column in columns)
