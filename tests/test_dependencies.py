@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import sys
 import tomllib
@@ -40,9 +41,22 @@ def test_every_import_is_declared() -> None:
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
         for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - OPTIONAL - {"wasp_cli"}:
             imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
-    missing = {module: places for module, places in imported.items() if module not in declared("dask", "ray", "pandas", "drive", "web")}
+    missing = {
+        module: places
+        for module, places in imported.items()
+        if module not in declared("dask", "ray", "slurm", "export", "pandas", "drive", "web")
+    }
     assert missing == {}
     assert declared() <= set(imported), "each is imported somewhere"
+
+
+def test_the_lock_file_has_every_dependency_in_the_version_that_computed_what_is_published() -> None:
+    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    locked = dict(re.findall(r"^([\w.-]+)==([\w.+]+)", line)[0] for line in reversed(lines) if "==" in line and not line.startswith("#"))
+    assert {NAMES.get(name, name.replace("-", "_")) for name in locked} >= declared("dask", "slurm", "export", "pandas", "drive")
+    manifests = (ROOT / "results/published/store/evaluate").glob("*/_manifest.json")
+    newest = max((json.loads(path.read_bytes())["provenance"] for path in manifests), key=lambda told: told["started_at"])
+    assert locked.items() >= {name: version.partition("+")[0] for name, version in newest["versions"].items()}.items()
 
 
 @pytest.mark.parametrize(

@@ -220,7 +220,7 @@ def say_next(results: Path, methods: Mapping[str, str]) -> None:
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
     say(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
-    say(f"      wasp explain {shlex.quote(example)}{option}   (what the assistant did, and why)")
+    say(f"      wasp explain {shlex.quote(example)} --episode 0{option}   (what the assistant did, and why)")
     say(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
 
 
