@@ -141,28 +141,27 @@ def title(method: str) -> str:
     return "WASP (knows the operator)" if method == KNOWS else METHODS[method].title
 
 
+COLUMNS = ("Task", "Method", "Return", "Succ. (%)", "Cost", "Int.", "effective", "Mag.", "UIR", "mirror", "ms")
+DIGITS = (1, 0, 1, 2, 2, 2, 2, 2, 1)
+"""Of each measure, in the order of `measures`."""
+
+
 def table(rows: pa.Table, group: str) -> str:
-    """Write what every assistant came to under a group of operators."""
+    """Write what every assistant came to under a group of operators, without columns that nobody has."""
     cells = sums_of(rows)
-    timed = "ms" in rows.column_names
-    lines = [
-        "| Task | Method | Return | Succ. (%) | Cost | Int. | effective | Mag. | UIR | mirror |" + " ms |" * timed,
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |" + " ---: |" * timed,
-    ]
+    lines: list[list[str]] = []
     for task in shown_tasks(cells):
         first = TASKS[task].title
         for method in dict.fromkeys(name for place, name, _ in cells if place == task):
             sums = cube(cells, task, method, GROUPS[group])
             if sums.size:
                 m = measures(sums)
-                numbers = [f"{m['return']:.1f}", f"{m['success']:.0f}", f"{m['cost']:.1f}"]
-                numbers += [
-                    "" if np.isnan(m[key]) else f"{m[key]:.2f}" for key in ("intervened", "effective", "deviation", "uir", "mirror")
-                ]
-                numbers += [f"{m['ms']:.1f}"] * timed
-                lines.append(f"| {first} | {title(method)} | {' | '.join(numbers)} |")
+                numbers = ["" if np.isnan(value) else f"{value:.{digits}f}" for value, digits in zip(m.values(), DIGITS, strict=True)]
+                lines.append([first, title(method), *numbers])
                 first = ""
-    return "\n".join(lines)
+    kept = [i for i in range(len(COLUMNS)) if any(line[i] for line in lines)]
+    rules = ["---", "---", *["---:"] * len(DIGITS)]
+    return "\n".join(f"| {' | '.join(line[i] for i in kept)} |" for line in (COLUMNS, rules, *lines))
 
 
 def short(rows: pa.Table) -> str:
