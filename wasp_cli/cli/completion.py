@@ -48,5 +48,4 @@ tasks = _offered("wasp_cli.tasks.registry:TASKS")
 methods = _offered("wasp_cli.methods.registry:METHODS")
 variants = _offered("wasp_cli.spec.names:assistant_variants")
 presets = _offered("wasp_cli.spec.presets:PRESETS")
-settings = _offered("wasp_cli.spec.hints:settings", "=")
-"""The keys of `--set` and `--vary`."""
+settings = _offered("wasp_cli.spec.hints:settings", "=")  # the keys of `--set` and `--vary`

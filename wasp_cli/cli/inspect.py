@@ -25,7 +25,7 @@ from wasp_cli.cli.options import (
 )
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.report.address import cell_address, open_command
+from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -145,8 +145,8 @@ def explain(
     read.
     """
     from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.report.explain import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
-    from wasp_cli.report.explain.stored import read_episode
     from wasp_cli.report.explain.text import decision_lines, episode_lines
     from wasp_cli.store.find import find_cell
 
@@ -251,9 +251,9 @@ def view(
         import uvicorn  # noqa: F401
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
+    from wasp_cli.view import site_of
     from wasp_cli.view.bundle import bundle as write_bundle
     from wasp_cli.view.server import serve
-    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")
@@ -285,7 +285,6 @@ def note(
     """
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.notes import Note, add_note, one_line
-    from wasp_cli.store.bounds import require_size
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.tables import read_episodes
 
@@ -296,7 +295,6 @@ def note(
     if stored.key is None or stored.path.absolute().parent.parent != layout.kind("evaluate").absolute():
         raise UsageError(f"'{cell}' is no cell of '{place.results}'", "a note is of a cell in the store: name it by its label or its key")
     if episode is not None:
-        require_size(stored.path)
         numbers = read_episodes([stored.path])["episode"].to_pylist()
         if episode not in numbers:
             raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")

@@ -20,7 +20,7 @@ from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
     from wasp_cli.plan.plan import Plan
-    from wasp_cli.report.stats.frame import Missing
+    from wasp_cli.report.stats import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 

@@ -10,15 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare.paired import LEVEL, MEASURES
-from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
+from wasp_cli.compare import LEVEL, MEASURES, Compared, ComparedCell, Side, State
 from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
+from wasp_cli.report.tables import Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12  # cells that a terminal names of each kind
@@ -95,10 +94,7 @@ def _value(estimate: Estimate | None) -> Value:
 def _unable(compared: Compared) -> tuple[str, ...]:
     found = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
     notes = []
-    unpaired = sum(each.worlds == 0 for each in found)
-    if unpaired:
-        notes.append(f"{_cells(unpaired)} without a world in common: their episodes are compared unpaired, by permuting which is whose.")
-    partly = sum(0 < each.worlds < max(each.episodes) for each in found)
+    partly = sum(each.worlds < max(each.episodes) for each in found)
     if partly:
         notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
     weak = sum(each.least * len(found) > LEVEL for each in found)

@@ -47,20 +47,14 @@ from wasp_cli.store.tables import cell_file
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
 
-FEWEST, HELD_OUT = 4, 4
-"""Episodes that are needed at least, and of how many one is held out."""
-ROUNDS = 50
-"""Of expectation and maximisation, for the shares of a baseline."""
+FEWEST, HELD_OUT = 4, 4  # episodes that are needed at least, and of how many one is held out
+ROUNDS = 50  # of expectation and maximisation, for the shares of a baseline
 
 
 def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
 
     `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are not here yet. Returns JSON values.
-
-    Raises:
-        ArtifactError: a model or a session is damaged.
-        UsageError: there are too few episodes, or results were computed from an earlier clone of the same person.
     """
     layout = Layout(results.absolute())
     grid = lay_out_over(loaded.spec, layout, None)

@@ -20,14 +20,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.web.server import LocalServer, local, own_origin, page
+from wasp_cli.web import LocalServer, local, own_origin, page
 
-LONGEST = 8192
-"""Bytes of a message."""
+LONGEST = 8192  # bytes of a message
 MOST = 2000
 """Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
-SILENT = 10.0
-"""Seconds without any message after which a connection counts as lost; a page says something every second."""
+SILENT = 10.0  # seconds without any message after which a connection counts as lost; a page says something every second
 PAGE = Path(__file__).parent / "page"
 FILES = {"drive.js": "text/javascript", "drive.css": "text/css"}
 

@@ -43,10 +43,8 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
-SHIPPED = Path("drive")
-"""The spec behind `wasp drive TASK`."""
-QUICK = ("goal1",)
-"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
+SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
+QUICK = ("goal1",)  # tasks whose small models are published; of the others those of the preset `cpu` are
 IN_TIME = ("rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2")
 """Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 
@@ -58,8 +56,7 @@ class Session:
     loaded: Loaded
     layout: Layout
     run_id: str
-    blocks: list[tuple[Cell, Node]]
-    """In the order in which they are driven."""
+    blocks: list[tuple[Cell, Node]]  # in the order in which they are driven
     how: How
     study: StudyConfig | None = None
     facts: dict[str, Any] = field(default_factory=dict)
@@ -210,10 +207,6 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     """Find the cells that a participant (None: the only one) is to drive, and compute or bring in everything that they need.
 
     Unless it is `recorded`, no run stays behind, only what had to be computed.
-
-    Raises:
-        ArtifactError: a model is damaged; the next session has it computed again.
-        UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
     """
     spec = loaded.spec
     numbers = participants(spec)
@@ -304,11 +297,7 @@ def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, An
 
 
 def driven_tasks(results: Path, participant: int) -> list[str]:
-    """Return the tasks of which a participant has driven anything.
-
-    Raises:
-        UsageError: there is none.
-    """
+    """Return the tasks of which a participant has driven anything; a UsageError where there is none."""
     tasks = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
     if not tasks:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")

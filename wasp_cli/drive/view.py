@@ -32,12 +32,9 @@ from wasp_cli.video.map import WIDEST, things_of
 from wasp_cli.video.replay import HORIZON
 from wasp_cli.video.trace import poses_of
 
-GROUND = 2048
-"""Px of a side of the picture of the ground at most."""
-FINE = 0.02
-"""m of a pixel of it, where that is not too many."""
-MARGIN = 1.5
-"""The picture of the ground shows so many times the map's half side: one may drive off the map."""
+GROUND = 2048  # px of a side of the picture of the ground at most
+FINE = 0.02  # m of a pixel of it, where that is not too many
+MARGIN = 1.5  # the picture of the ground shows so many times the map's half side: one may drive off the map
 _ROW = np.array([0])
 
 
@@ -126,8 +123,7 @@ def camera_bytes(observation: Observation) -> bytes:
     return np.ascontiguousarray(np.moveaxis(images, 1, -1)).tobytes()
 
 
-WORLDS, DECISIONS = 6, 50
-"""Of the expert's drive from which displacements are read out of latents."""
+WORLDS, DECISIONS = 6, 50  # of the expert's drive from which displacements are read out of latents
 ROLE = "drive-readout"
 
 

@@ -10,19 +10,18 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.report.address import cell_address
+from wasp_cli.report.claims import VerdictReport
 from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.claims.verdict import VerdictReport
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, figure_files
 from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure, profile_figure
-from wasp_cli.report.figures.style import CAPTIONS, ENDINGS, figure_files
+from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, lines_of
-from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
-from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
-from wasp_cli.report.stats.frame import Frame, Missing
-from wasp_cli.report.tables.table import Table, task_title
-from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
+from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
+from wasp_cli.report.stats import Frame, Missing
+from wasp_cli.report.tables import Table, task_title
+from wasp_cli.report.trained import Trained, duration, numbers_text, trained_markdown
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
@@ -33,13 +32,12 @@ TABLES = (
     "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
-KNOWN = frozenset(
+KNOWN = frozenset(  # every file that a report can write
     {
         *PAGES,
         *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings),
     }
 )
-"""Every file that a report can write."""
 TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 """Tables and figures that stand on the page of what was trained."""
 
@@ -61,8 +59,7 @@ class Report:
     remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
     notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
-    verdict: VerdictReport | None = None
-    """What becomes of the paper's claims; None where nothing was evaluated."""
+    verdict: VerdictReport | None = None  # what becomes of the paper's claims; None where nothing was evaluated
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -90,11 +87,7 @@ class Report:
     ) -> list[Path]:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
 
-        Args:
-            folder: where they go.
-            draw: draws the film of an episode; None: without films.
-            tell: told what is being drawn.
-            evidence: also write pictures and pages of each trained part (see `trained.evidence`).
+        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too.
         """
         make_own(folder)
         figures = draw_figures(self.layout, self.frame, self.trained, folder)

@@ -21,7 +21,7 @@ from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.render import markdown_row
-from wasp_cli.report.stats.frame import CellNumbers
+from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import corruption, read_manifest, read_record
@@ -40,9 +40,7 @@ Assumption = tuple[str, Any, str]  # dotted name, value, why
 def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
     """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read.
 
-    Args:
-        layout: the results folder.
-        aside: also those that are set aside, where there are others.
+    Without `aside` those that are set aside are left out, where there are others.
     """
     hidden: set[str] = set()
     found: dict[str, str] = {}
@@ -74,8 +72,7 @@ class Origins:
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)
     """By what it is, the number of cells that were computed with each version of it."""
-    halved: list[str] = field(default_factory=list)
-    """Labels of the cells that were computed from parts in half precision."""
+    halved: list[str] = field(default_factory=list)  # labels of the cells that were computed from parts in half precision
 
     def add(self, manifest: Mapping[str, Any]) -> None:
         """Take one more artifact into account."""
@@ -157,8 +154,7 @@ def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
 
 
-MOST_CELLS = 500
-"""A page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any."""
+MOST_CELLS = 500  # a page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any
 
 
 def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[tuple[str, int, str, str, str]]:
@@ -194,13 +190,12 @@ def absent_fact(absent: Sequence[Part]) -> str:
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
 
-POSTERIOR = (
+POSTERIOR = (  # an assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from
     "the filter",
     "mode",
     "no setting: z_t is the mode of the posterior q(z_t | h_t, o_t), not a sample, so that filtering draws nothing and all methods see "
     "the same latent",
 )
-"""An assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from."""
 READINGS = (
     ("wasp, as printed: discounts", "gamma_r", f"{DIFFERS}: no setting: Eq. 7-8 use the rewards' discount for costs too, and V_c "
      "behind the horizon was trained with `returns.gamma_c`"),
@@ -270,14 +265,9 @@ def assumptions_markdown(found: Sequence[Assumption]) -> str:
 
 
 def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
-    """Compare the SHA-256 of every file of some artifacts with their manifests.
+    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those that are not there are left out.
 
-    Args:
-        layout: the results folder.
-        artifacts: kind and key of each; those that are not there are left out, as the report names them.
-
-    Returns:
-        How many were read, and what is wrong with each that differs.
+    Returns how many were read, and what is wrong with each that differs.
     """
     read, wrong = 0, []
     for kind, key in dict.fromkeys(artifacts):

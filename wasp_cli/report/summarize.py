@@ -11,21 +11,19 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
+from wasp_cli.report.claims import judge
 from wasp_cli.report.claims.text import numbers_table
-from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
 from wasp_cli.report.notes import invalid, notes_of, without_invalid
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
-from wasp_cli.report.stats.branches import with_branches
-from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
-from wasp_cli.report.tables.necessity import necessity_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
-from wasp_cli.report.tables.table import Table
-from wasp_cli.report.trained.artifacts import trained_artifacts
+from wasp_cli.report.trained import trained_artifacts
 from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
@@ -46,15 +44,15 @@ def report_run(
     unknown: Sequence[str] = (),
     absent: Sequence[str] = (),
 ) -> Report:
-    """Summarise the cells and the trained parts of a run.
+    """Summarise the cells and the trained parts of a run, each with the key of its artifact.
 
     Args:
         results: the results folder.
         spec: what the run was asked for.
-        cells: its cells, each with the key of its evaluation.
-        parts: what it trains, each with the key of its artifact.
+        cells: its cells.
+        parts: what it trains.
         paper: whose numbers and claims the cells are held against; None: against none.
-        branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
+        branched: the cells whose interventions are judged, with the keys of their counterfactual branches.
         unknown: what the record of the run has that this version does not know.
         absent: whose cells are left out, since it is not installed here, each as a sentence.
     """
@@ -142,11 +140,7 @@ def wanted_cells(
 ) -> tuple[list[Wanted], list[str]]:
     """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
 
-    Args:
-        layout: the results folder.
-        spec: what the run was asked for.
-        cells: its cells, each with the key of its evaluation.
-        branched: those with counterfactual branches, each with the key of these.
+    `branched` are those with counterfactual branches, each with the key of these.
     """
     damaged: list[str] = []
     # To look for the failure of each cell alone would take longer than to read the grid.

@@ -15,8 +15,9 @@ from wasp_cli.plan.node import Cell
 from wasp_cli.report.document import name_missing
 from wasp_cli.report.figures.by_axis import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
-from wasp_cli.report.stats.frame import Missing
+from wasp_cli.report.stats import Missing
 from wasp_cli.report.summarize import identity_of, report_run
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import (
     SWEEP_COLUMNS,
     SWEEP_OPERATOR_COLUMNS,
@@ -27,7 +28,6 @@ from wasp_cli.report.tables.by_axis import (
     sweep_operator_table,
     sweep_table,
 )
-from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import Sweep
 
 

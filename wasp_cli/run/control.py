@@ -23,23 +23,14 @@ from wasp_cli.store.find import SHOWN, matching
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.reached import reached
 
-TOLD = "WASP_DETACHED"
-"""Names, to the child, the file in which it says where it is."""
+TOLD = "WASP_DETACHED"  # names, to the child, the file in which it says where it is
 POLL_SECONDS = 0.05
 
 
 def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
     """Ask the runs that go on, or the one that is named, for something; return what each does now, in words.
 
-    Args:
-        layout: the results folder.
-        action: what is asked for.
-        node: what is cancelled: a label, or the beginning of a key.
-        name: of a run; None: all that go on.
-
-    Raises:
-        UsageError: no run goes on, there is a node too many or none to cancel, or the node cannot be taken back.
-        UnknownName: there is no such run or node.
+    `node` is what is cancelled: a label, or the beginning of a key.
     """
     if node is None and action == "cancel":
         raise UsageError("cancel which node?", "wasp control cancel NODE; wasp status shows what runs")
@@ -99,11 +90,7 @@ def _with_dependents(run: PlannedRun, key: str) -> set[str]:
 def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, str]:
     """Start this program again without the terminal, and wait until its run has begun or it has ended.
 
-    Args:
-        arguments: of the command line.
-
-    Returns:
-        What it says of its run (None where it ended without one), its exit code (0 while it goes on), and what it printed until then.
+    Returns what it says of its run (None where it ended without one), its exit code (0 while it goes on), and what it printed until then.
     """
     # As a module where it was started so: the folder of a package is no place to import from.
     own = Path(sys.argv[0])

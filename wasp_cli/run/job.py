@@ -23,31 +23,24 @@ from wasp_cli.store.artifact import dumps, read_record, replace_file
 class NodeJob:
     """One node for one worker."""
 
-    root: str
-    """The results folder."""
+    root: str  # the results folder
     run_id: str
     kind: str
     key: str
     label: str
     task: str
     seed: int
-    stage: str
-    """Import string of the stage's class."""
+    stage: str  # import string of the stage's class
     axes: Mapping[str, Any]
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    inputs: Mapping[str, tuple[str, str]]
-    """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
-    sources: Mapping[str, str]
-    """Hash by module of the code that decides the result."""
-    earlier: str | None = None
-    """Key of the same artifact with fewer episodes, whose rows may be taken over."""
+    inputs: Mapping[str, tuple[str, str]]  # kind and key of the upstream artifacts, by the name under which the stage reads them
+    sources: Mapping[str, str]  # hash by module of the code that decides the result
+    earlier: str | None = None  # key of the same artifact with fewer episodes, whose rows may be taken over
     attempt: int = 1
     threads: int = 1
-    limit: float | None = None
-    """Seconds that it may take; None for no limit."""
-    wait: bool = False
-    """Whether to wait while another run computes it; otherwise it comes back as `busy`."""
+    limit: float | None = None  # seconds that it may take; None for no limit
+    wait: bool = False  # whether to wait while another run computes it; otherwise it comes back as `busy`
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -88,14 +81,13 @@ class Heartbeat:
                 self.deaths = 1 + int(left.get("deaths", 0))
         except ArtifactError:
             self.deaths = 1
-        self.fixed: dict[str, object] = {
+        self.fixed: dict[str, object] = {  # what does not change while it runs
             "label": job.label,
             "kind": job.kind,
             **this_process(),
             "started": _now(),
             "deaths": self.deaths,
         }
-        """What does not change while it runs."""
         self._share, self._text = 0.0, ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")

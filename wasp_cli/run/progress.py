@@ -19,15 +19,13 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 POLL_SECONDS = 0.25
-SHARE = 0.05
-"""Of one core, that drawing the board may take: a long journal is read less often."""
+SHARE = 0.05  # of one core, that drawing the board may take: a long journal is read less often
 
 
 class Lines:
     """One line for each event of a run, as the journal gets it. Starts come from the running files, so short nodes show their end only."""
 
-    starts = True
-    """Whether a node's start is worth a line."""
+    starts = True  # whether a node's start is worth a line
 
     def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
         self._layout, self._run_id, self._total, self._names = layout, run_id, total, names

@@ -43,12 +43,9 @@ PUBLIC = (
     HALF_INPUTS,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
-SHORTEST = 4
-"""Characters of a private name at least: a shorter one is found everywhere by chance."""
-STAGED = "publish"
-"""Where in `tmp/` copies are made."""
-NAMED = 12
-"""Nodes that a refusal names."""
+SHORTEST = 4  # characters of a private name at least: a shorter one is found everywhere by chance
+STAGED = "publish"  # where in `tmp/` copies are made
+NAMED = 12  # nodes that a refusal names
 
 
 @dataclass(frozen=True)
@@ -57,8 +54,7 @@ class Item:
 
     node: Node
     size: int
-    manifest: Mapping[str, Any]
-    """As it will be published."""
+    manifest: Mapping[str, Any]  # as it will be published
 
 
 @dataclass(frozen=True)
@@ -66,28 +62,16 @@ class Publication:
     """What is to be published."""
 
     new: tuple[Item, ...]
-    there: tuple[Item, ...]
-    """Those that the published layer has already, byte for byte."""
+    there: tuple[Item, ...]  # those that the published layer has already, byte for byte
     large: tuple[Item, ...]
-    absent: tuple[Node, ...]
-    """What was not computed because nothing needs it."""
+    absent: tuple[Node, ...]  # what was not computed because nothing needs it
     reports: tuple[Path, ...]
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
-    """Return what of a spec can be published; nothing is written.
+    """Return what of a spec can be published: artifacts of at most `largest` bytes, chosen by `--select`; nothing is written.
 
-    Args:
-        spec: whose results.
-        layout: the results folder.
-        target: the published layer.
-        selectors: texts of `--select`; all cells and all trained parts without any.
-        largest: bytes of an artifact at most.
-        reuse: as for a run; with `none`, results of this code alone.
-
-    Raises:
-        UsageError: the selection means nothing.
-        ArtifactError: something is not computed, or damaged, or names this machine.
+    With the `reuse` of `none` results of this code alone. An ArtifactError where something is not computed, damaged, or names this machine.
     """
     grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
@@ -185,12 +169,7 @@ def _reports(spec: Spec, layout: Layout) -> list[Path]:
 
 
 def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out.
-
-    Raises:
-        ArtifactError: a file has changed since it was looked at, or half precision cannot hold a weight.
-        StoreError: a folder of the published layer is a link.
-    """
+    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out."""
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
     if not publication.new and not publication.reports:

@@ -35,16 +35,11 @@ from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.reached import reached
 
-BEGINS_SECONDS = 3600.0
-"""How long a run may take from making its folder to the first line of its journal."""
+BEGINS_SECONDS = 3600.0  # how long a run may take from making its folder to the first line of its journal
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
-    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without.
-
-    Raises:
-        SpecError: one is not valid.
-    """
+    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without."""
     loaded = [load(path, ()).spec for path in specs]
     return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
@@ -82,16 +77,9 @@ def reach_of_runs(layout: Layout, own: Set[str]) -> tuple[set[str], list[str]]:
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """Return what of a results folder can go now.
+    """Return what of a results folder can go now; folders of `runs` too, and nothing that was written after `before` (seconds).
 
-    Args:
-        layout: the results folder.
-        keep: further keys to keep, with all that they were computed from.
-        runs: whether folders of runs may go.
-        before: nothing that was written after this time, in seconds since the epoch; None for no such limit.
-
-    Raises:
-        StoreError: a run does not say what it reaches.
+    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
     """
     there = stored(layout)
     own = _of_people(layout, there)

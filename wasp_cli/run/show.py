@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from wasp_cli.run.watch import RunState
 
 BAR = 40
-STALE_SECONDS = 30.0
-"""A node says about every second that it lives; silence for longer is worth a word."""
+STALE_SECONDS = 30.0  # a node says about every second that it lives; silence for longer is worth a word
 LISTED = 12
 
 
@@ -92,8 +91,7 @@ def life(state: RunState, now: datetime) -> str:
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
-    busy = f"; workers busy {state.busy_share:.0%} of it" if state.busy_share and state.finished else ""
-    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "") + busy
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
 
 
 def _span(start: datetime | None, end: datetime | None) -> str:
@@ -118,17 +116,11 @@ def _progress(state: RunState) -> Text:
 
 
 def pace(state: RunState) -> str:
-    """Say how fast a run goes and how long it takes yet; of one that is over, nothing."""
-    if state.state != "running":
+    """Say how long a run takes yet; of one that is over, nothing."""
+    if state.state != "running" or state.left_seconds is None:
         return ""
-    rate = state.per_minute or 0.0
-    parts = [f"{rate:.0f} nodes per minute recently" if rate >= 10 else f"{rate:.2g} nodes per minute recently"] if rate else []
-    if state.left_seconds is not None:
-        known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
-        parts.append(f"about {duration(state.left_seconds)} left{known}")
-    if state.busy_share is not None:
-        parts.append(f"workers busy {state.busy_share:.0%} so far")
-    return "; ".join(parts)
+    known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
+    return f"about {duration(state.left_seconds)} left{known}"
 
 
 def _running_table(state: RunState, now: datetime) -> Table:
@@ -202,12 +194,7 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
-    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first.
-
-    Raises:
-        UsageError: it names several nodes; the message lists them.
-        UnknownName: it names none that has a log.
-    """
+    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first."""
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
     matches = matching(logs, name)
@@ -231,11 +218,7 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
 
 
 def write_log(log: Log, stream: TextIO) -> None:
-    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it.
-
-    Raises:
-        StoreError: it cannot be read.
-    """
+    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it."""
     try:
         file = open_plain(log.path)
     except OSError as error:

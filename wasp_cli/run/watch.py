@@ -21,10 +21,7 @@ from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
-LATELY = 10
-"""Finished nodes behind the rate."""
-ENDS = ("done", "shared", "failed", "blocked", "cancelled")
-"""Events after which a node does not run any more."""
+ENDS = ("done", "shared", "failed", "blocked", "cancelled")  # events after which a node does not run any more
 
 
 @dataclass(frozen=True)
@@ -39,8 +36,7 @@ class Active:
     started: datetime | None
     seen: datetime | None
     memory_mb: float | None
-    gone: bool
-    """Its process does not exist any more, so that it will say nothing more."""
+    gone: bool  # its process does not exist any more, so that it will say nothing more
 
 
 @dataclass(frozen=True)
@@ -61,10 +57,8 @@ class RunState:
     spec: str
     state: State
     started: datetime | None
-    ended: datetime | None
-    """When it ended or was interrupted; of one that died, its last event."""
-    total: int
-    """Nodes that it was to compute; where there are none, those that it needed."""
+    ended: datetime | None  # when it ended or was interrupted; of one that died, its last event
+    total: int  # nodes that it was to compute; where there are none, those that it needed
     done: int
     shared: int
     failed: tuple[Failed, ...]
@@ -73,19 +67,12 @@ class RunState:
     retried: int
     draining: bool
     paused: bool
-    deserted: str
-    """That no worker is left, and how the run goes on; empty where that is not so."""
+    deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
-    per_minute: float | None
-    """Nodes that finished lately; None before the first."""
     left_seconds: float | None
-    """What remains, by the estimates of the plan; by the rate where it has none. None of a run that does not go on, or when unknown."""
-    unknown: int
-    """Nodes to come without an estimate: what remains takes longer by them."""
-    idle: bool
-    """Nothing had to be computed; what counts as done was there before."""
-    busy_share: float | None
-    """Share of the workers' time that went to nodes; None before there is any."""
+    """What remains, by the estimates of the plan; None of a run that does not go on, or when unknown."""
+    unknown: int  # nodes to come without an estimate: what remains takes longer by them
+    idle: bool  # nothing had to be computed; what counts as done was there before
 
     @property
     def finished(self) -> int:
@@ -122,9 +109,6 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
             failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
     started = moment(start.get("at"))
-    finished = [event for event in events if event.get("event") in ("done", "shared", "failed")]
-    moments = sorted(at for event in finished if (at := moment(event.get("at"))))
-    rate = _rate(started, moments, now if going else ended)
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(_number(start, "jobs") or 1), 1)
@@ -134,8 +118,6 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     if going and not deserted:
         left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
         seconds, unknown = _left(left, active, workers, now)
-        if seconds is None and rate and len(moments) > 1:
-            seconds, unknown = (total - len(ends)) / rate * 60, 0
     counts = Counter(ends.values())
     return RunState(
         run_id=run.run_id,
@@ -154,11 +136,9 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         paused=layout.pause(run.run_id).exists() and going,
         deserted=deserted,
         active=active,
-        per_minute=rate,
         left_seconds=seconds,
         unknown=unknown,
         idle=not total,
-        busy_share=_busy_share(finished, active if going else (), workers, started, ended or now),
     )
 
 
@@ -255,27 +235,6 @@ def _number(record: Mapping[str, Any], name: str) -> float | None:
 def desertion(event: Mapping[str, Any]) -> str:
     """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
     return _line(f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}", "")
-
-
-def _busy_share(
-    finished: Sequence[Mapping[str, Any]], active: Sequence[Active], workers: int, started: datetime | None, until: datetime
-) -> float | None:
-    """What workers spent on nodes that ended and on those that run, over the time that they were there."""
-    there = workers * (until - started).total_seconds() if started else 0.0
-    if there <= 0:
-        return None
-    spent = sum(max(_number(event, "seconds") or 0.0, 0.0) for event in finished)
-    spent += sum(max((until - node.started).total_seconds(), 0.0) for node in active if node.started and not node.gone)
-    return min(spent / there, 1.0)
-
-
-def _rate(started: datetime | None, moments: Sequence[datetime], until: datetime | None) -> float | None:
-    """Nodes per minute over the last ones, whatever time these took."""
-    if not moments or until is None:
-        return None
-    since = moments[-LATELY - 1] if len(moments) > LATELY else started or moments[0]
-    minutes = (until - since).total_seconds() / 60
-    return min(len(moments), LATELY) / minutes if minutes > 0 else None
 
 
 def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime) -> tuple[float | None, int]:

@@ -174,9 +174,6 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     """See that what is read, by kind and key, has the bytes of its manifest; what has not is computed again by the next run.
 
     Nobody computes again what a person drove: it stays as it is.
-
-    Raises:
-        ArtifactError: something is damaged, or was published without steps that are needed.
     """
     for kind, key in inputs:
         what, why = "damaged", corruption(layout, kind, key)

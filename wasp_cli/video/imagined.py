@@ -25,11 +25,9 @@ from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import wrapped
 
 ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
-STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
-"""Of the penalty; the best one on episodes that were left out is taken."""
+STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)  # of the penalty; the best one on episodes that were left out is taken
 FOLDS = 3
-PARTS = 6
-"""Of an episode that is alone: consecutive decisions, so that what is left out is not beside what is fitted."""
+PARTS = 6  # of an episode that is alone: consecutive decisions, so that what is left out is not beside what is fitted
 
 
 class RolloutStart(NamedTuple):
@@ -47,8 +45,7 @@ class ImaginedTrajectories(NamedTuple):
 
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
     cost: NDArray[np.float32]  # [S, H] probability of a cost at the arrived states, mean over the rollouts
-    images: dict[int, NDArray[np.float32]]
-    """by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout"""
+    images: dict[int, NDArray[np.float32]]  # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
 
 
 def rollout_start(
@@ -74,14 +71,9 @@ def following(expert: Policy, action_size: int, batch: int) -> Operator:
 def imagine(
     model: SafetyWorldModel, start: RolloutStart, horizon: int, shown: Sequence[int], *, hold: bool = False
 ) -> ImaginedTrajectories:
-    """Imagine the sequences of a start; the same again gives the same.
+    """Imagine the sequences of a start over `horizon` steps, and decode the images of the `shown` ones; the same again gives the same.
 
-    Args:
-        model: the frozen world model.
-        start: where it begins.
-        horizon: H.
-        shown: imagined steps whose image is decoded.
-        hold: residuals are added to the present command instead of the imagined ones, as Eq. 13 is printed.
+    With `hold` residuals are added to the present command instead of the imagined ones, as Eq. 13 is printed.
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
@@ -127,15 +119,7 @@ class Readout:
 
 
 def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
-    """Fit a readout to episodes; its penalty is chosen by leaving episodes out.
-
-    Args:
-        features: [N_e, F] per episode.
-        moves: [N_e, 3] per episode.
-
-    Raises:
-        ValueError: there is no decision to learn from.
-    """
+    """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each; its penalty is chosen by leaving episodes out."""
     folds = [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))] if len(features) > 1 else []
     errors = np.zeros(len(STRENGTHS))
     for held in folds:

@@ -49,8 +49,7 @@ class Source:
     policies: Path
     threads: int = 1  # of the simulator; they change nothing
     first: int = 0  # number of the first of the episodes within their cell
-    expert: Path | None = None
-    """whose privileged policies operators follow who know more than assistants perceive; None: they do not"""
+    expert: Path | None = None  # whose privileged policies operators follow who know more than assistants perceive; None: they do not
     clone: Path | None = None  # of the person in whose place an operator drove
     rounded: bool = False
     """the models are published in half precision: the operator says what was recorded, and imagines from nearly the same memory"""
@@ -149,8 +148,7 @@ class PlayedEpisode(NamedTuple):
     cameras: int
     decisions: list[PlayedDecision]  # in order; the decisions that are shown
     places: Floats  # [T, 2] of the robot before every decision; [0, 2] of a task without a map
-    readout: Readout | None
-    """fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map"""
+    readout: Readout | None  # fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map
     explained: Floats  # [3] its R2 of the displacements of this episode: forward, left, turn
 
 

@@ -1,4 +1,4 @@
-"""The same pages as a folder of files, with relative links, for any host or none: without films on demand and without pages of runs."""
+"""The same pages as a folder of files, with relative links, for any host or none: without films on demand and without pages of pages."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from typing import Any
 
 from wasp_cli.console import following, plain, say
 from wasp_cli.errors import StoreError, UsageError, WaspError
-from wasp_cli.notebook.cells import ListedCell
+from wasp_cli.notebook import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.tables import cell_file
-from wasp_cli.view import pages, runs
+from wasp_cli.view import BundleLinks, Site, pages
 from wasp_cli.view.episode import episode_page, load
 from wasp_cli.view.films import FILM, drawing, problem_of, read_state
 from wasp_cli.view.server import FILES
-from wasp_cli.view.site import BundleLinks, Site
 
 MARK = "wasp-bundle.txt"  # stands in a folder that we wrote, so that we may write it again
 FRAMES = 125  # of a film at most (about): some hundred kilobytes
@@ -30,17 +29,9 @@ LISTED = 12  # problems that are named
 
 
 def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> None:
-    """Write the pages of a results folder, and say what is in them.
+    """Write the pages of a results folder to a new folder, an empty one or an earlier bundle, and say what is in them.
 
-    Args:
-        site: the folder, as the server shows it.
-        folder: where the files go: a new folder, an empty one, or an earlier bundle.
-        cells: labels or keys of those whose episodes have pages; none: of all. All cells are in the table and have a page.
-        episodes: their numbers, as `0,3`.
-
-    Raises:
-        UsageError: these are no numbers, the folder holds something else, or there is no such cell.
-        StoreError: it cannot be written.
+    All cells are in the table and have a page; the episodes numbered `0,3` of the named `cells` (none: of all) have pages too.
     """
     try:
         numbers = sorted({int(part) for part in episodes.split(",")})
@@ -88,7 +79,7 @@ def _reports(site: Site, folder: Path) -> dict[str, str]:
     target = folder.resolve()
     if not target.is_relative_to(site.layout.root.resolve()):
         return {}
-    paths = [report / "report.html" for report in runs.reports(site)]
+    paths = [report / "report.html" for report in pages.reports(site)]
     return {
         str(path): Path(os.path.relpath(path.resolve(), target)).as_posix() for path in paths if path.is_file() and not path.is_symlink()
     }
@@ -115,7 +106,7 @@ def _write(site: Site, folder: Path, listed: Mapping[str, ListedCell], episodes:
 
     for name, (package, place, _) in FILES.items():
         (folder / name).write_bytes((files(package) / place).read_bytes())
-    write("index.html", runs.home_page(site))
+    write("index.html", pages.home_page(site))
     write("cells.html", pages.cells_page(site))
     for key, cell in listed.items():
         try:

@@ -23,22 +23,20 @@ from starlette.routing import Route
 
 from wasp_cli.console import plain, say
 from wasp_cli.errors import UsageError, WaspError
-from wasp_cli.view import pages, runs
+from wasp_cli.view import Site, pages
 from wasp_cli.view.episode import episode_page, load, step_part
 from wasp_cli.view.films import KINDS, Films
-from wasp_cli.view.site import Site
-from wasp_cli.web.server import LocalServer, local, own_origin, page
+from wasp_cli.web import LocalServer, local, own_origin, page
 
-POLICY = (
+POLICY = (  # what a page may load: nothing but from this server. It has no form to send.
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-"""What a page may load: nothing but from this server. It has no form to send."""
 FILES = {
     "view.js": ("wasp_cli.view", "page/view.js", "text/javascript"),
-    "sort.js": ("wasp_cli.report.page", "sort.js", "text/javascript"),
+    "sort.js": ("wasp_cli.report", "page/sort.js", "text/javascript"),
     "view.css": ("wasp_cli.view", "page/view.css", "text/css"),
-    "style.css": ("wasp_cli.report.page", "style.css", "text/css"),
+    "style.css": ("wasp_cli.report", "page/style.css", "text/css"),
 }
 REFERRER = "same-origin"
 
@@ -52,7 +50,7 @@ class ViewServer(LocalServer):
         self.site = site
         film = "/film/{key}/{number:int}/{kind}"
         answers: dict[str, Answer] = {
-            "/": lambda _: runs.home_page(site),
+            "/": lambda _: pages.home_page(site),
             "/static/{name}": self._file,
             "/cells": lambda _: pages.cells_page(site),
             "/cells/numbers": lambda request: _json(pages.numbers(site, _number(request, "after") or 0)),
@@ -64,9 +62,9 @@ class ViewServer(LocalServer):
             "/compare/cells": self._beside,
             film: lambda request: _json(self._films(request).state(*_film(request))),
             film + "/frame/{frame:int}": self._frame,
-            "/run/{run}": lambda request: runs.run_page(site, request.path_params["run"]),
-            "/run/{run}/now": lambda request: str(runs.run_now(site, request.path_params["run"])),
-            "/run/{run}/log/{key}": lambda request: runs.log_page(site, request.path_params["run"], request.path_params["key"]),
+            "/run/{run}": lambda request: pages.run_page(site, request.path_params["run"]),
+            "/run/{run}/now": lambda request: str(pages.run_now(site, request.path_params["run"])),
+            "/run/{run}/log/{key}": lambda request: pages.log_page(site, request.path_params["run"], request.path_params["key"]),
         }
         drawn = Route(film, self._guard(lambda request: _json(self._films(request).ask(*_film(request))), draws=True), methods=["POST"])
         routes = [Route(place, self._guard(answer), methods=["GET"]) for place, answer in answers.items()]
@@ -163,17 +161,7 @@ class ViewServer(LocalServer):
 
 
 def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
-    """Serve pages until Ctrl-C.
-
-    Args:
-        site: what is shown.
-        port: 0 for any free one.
-        place: which page the browser opens, such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
-        open_browser: otherwise the address is only printed.
-
-    Raises:
-        UsageError: the port is taken, or the place is none.
-    """
+    """Serve pages until Ctrl-C; the browser opens a place such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`."""
     if not place.startswith("/"):
         raise UsageError(f"'{place}' is no place", "places begin with a slash: /cells, /cell/LABEL/episode/3?step=100")
     server = ViewServer(site, port)

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.figures.style import PALETTE, drawn, figure_files, legend, ruled, style_of
-from wasp_cli.report.stats.frame import Frame, Group, groups
+from wasp_cli.report.figures import PALETTE, drawn, figure_files, legend, ruled, style_of
+from wasp_cli.report.stats import Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
+from wasp_cli.report.tables import Column, task_title, who_title
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
@@ -34,8 +34,7 @@ MOST = 6  # operators with a curve each; of more, the mean is drawn
 DASHES = (0, (4, 3))  # of Human-only, in the colour of the operator
 MARKERS = ("o", "s", "^", "v", "D", "P")
 COLOURS = PALETTE[1:]  # one for each operator; black is the mean
-CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}
-"""Look of curves that stand beside each other."""
+CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}  # look of curves that stand beside each other
 CLEAR = {"markersize": 5, "markeredgecolor": "white", "markeredgewidth": 0.6, "linewidth": 1.5, "elinewidth": 0.8, "capsize": 2}
 
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures.style import LINES, drawn, figure_files, legend, place_of_round, ruled, style_of
-from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.figures import LINES, drawn, figure_files, legend, place_of_round, ruled, style_of
+from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
-from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups
-from wasp_cli.report.tables.table import Column, assistant_title, task_title
+from wasp_cli.report.tables import Column, assistant_title, task_title
+from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -30,7 +30,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats import CellNumbers, Floats
 from wasp_cli.report.stats.summary import Interval, condition, paired_difference, summarise
 
 Places = NDArray[np.intp]

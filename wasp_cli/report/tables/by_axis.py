@@ -8,8 +8,9 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.stats.frame import CellNumbers, Frame, Group, Missing, groups
+from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
 from wasp_cli.report.stats.summary import Value, paired_difference, spread_note
+from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.main import (
     AUTONOMY,
     LABELS,
@@ -22,7 +23,6 @@ from wasp_cli.report.tables.main import (
     part_of,
     values,
 )
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
 SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
@@ -92,8 +92,7 @@ class Swept:
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
     frame: Frame
-    keys: Mapping[CellIdentity, str]
-    """The key of each wanted cell; two values share a cell when its key is the same."""
+    keys: Mapping[CellIdentity, str]  # the key of each wanted cell; two values share a cell when its key is the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +101,7 @@ class Line:
 
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
-    reference: tuple[CellNumbers, ...]
-    """The cells of Human-only under the same value; empty for itself, and where it does not run."""
+    reference: tuple[CellNumbers, ...]  # the cells of Human-only under the same value; empty for itself, and where it does not run
     condition: Condition | None = None  # None for all operators
 
     @property

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats.frame import TIMES, CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import (
     UNDEFINED,
     Value,
@@ -24,7 +24,7 @@ from wasp_cli.report.stats.summary import (
     spread_note,
     summarise,
 )
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
+from wasp_cli.report.tables import Column, Row, Table, assistant_title, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),

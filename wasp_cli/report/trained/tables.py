@@ -11,11 +11,11 @@ from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.render import markdown
 from wasp_cli.report.stats.summary import Value, over_seeds
-from wasp_cli.report.tables.table import Column, Row, Table, task_title
-from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
+from wasp_cli.report.tables import Column, Row, Table, task_title
+from wasp_cli.report.trained import UNREADABLE, Trained, read_json
 from wasp_cli.store.layout import Layout
 
-COLUMNS = (
+COLUMNS = (  # stage and the number of its summary. Stages that do not tell a number leave its column out.
     ("expert", Column("return", "Expert return", digits=1)),
     ("expert", Column("cost", "Expert cost", digits=1)),
     ("expert", Column("success", "Expert succ. (%)", digits=0, scale=100.0, spread=False)),
@@ -30,8 +30,7 @@ COLUMNS = (
     ("critics", Column("rank_c", "rank V_c")),
     ("critics", Column("predicted_over_real_c", "V_c / real", optional=True)),
 )
-"""Stage and the number of its summary. Stages that do not tell a number leave its column out."""
-MEASURES = (
+MEASURES = (  # numbers of `diagnostics`, each for some imagined steps: `auprc@5`
     Column("auprc", "Cost AUPRC"),
     Column("persistence", "Cost AUPRC, persistence"),
     Column("unseen_auprc", "Cost AUPRC, operators not in the data"),
@@ -40,7 +39,6 @@ MEASURES = (
     Column("recall", "Cost recall"),
     Column("reward_r2", "Reward R²"),
 )
-"""Numbers of `diagnostics`, each for some imagined steps: `auprc@5`."""
 STEPS = (1, 5, 10, 15)
 NAMED = 6  # missing parts that a note names; the plan names all
 Key = tuple[str, str]  # task and stage of a part
