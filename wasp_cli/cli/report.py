@@ -201,9 +201,8 @@ def gc(
     these were computed from.
     """
     from wasp_cli.report.notes import notes_of
-    from wasp_cli.run.reach import kept_keys, remove_unreached, unreached
+    from wasp_cli.run.reach import kept_keys, remove_unreached, removed_line, show_rubbish, unreached
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import removed_line, show_rubbish
 
     layout = results_of(results.path)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
@@ -240,9 +239,8 @@ def publish(
 
     With its report. Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
     """
-    from wasp_cli.run.publish import carry_publication, publication
+    from wasp_cli.run.publish import carry_publication, publication, show_publication
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import show_publication
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
 

@@ -19,6 +19,7 @@ import pyarrow as pa
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.node import cell_label
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
@@ -57,15 +58,9 @@ def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
     """Read the plan of the last run of each spec, by the spec's name, oldest first. A plan that does not read is passed over."""
     if not layout.root.is_dir():
         raise StoreError(f"no results in '{layout.root}': no such folder", "wasp run SPEC --results DIR writes there")
-    found: dict[str, Mapping[str, Any]] = {}
-    for path in sorted(layout.within(layout.runs).glob("*/plan.json")):
-        with suppress(ArtifactError):
-            plan = read_record(layout.within(path)) or {}
-            name = plan.get("spec")
-            if isinstance(name, str):
-                found.pop(name, None)
-                found[name] = plan
-    return found
+    with suppress(StoreError):  # a folder without runs
+        return {name: read_record(layout.run(run_id) / "plan.json") or {} for name, run_id in last_runs(layout)[0].items()}
+    return {}
 
 
 def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:

@@ -23,8 +23,7 @@ from itertools import count
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError, WaspError
-from wasp_cli.run.interrupt import SIGNALS
-from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 
 BACKENDS = ("loky", "dask", "ray")

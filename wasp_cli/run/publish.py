@@ -15,8 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.text import Text
+
 import wasp_cli
-from wasp_cli.console import waiting_aloud
+from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
@@ -206,3 +209,24 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
     commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
+
+
+def show_publication(publication: Publication, largest: float, console: Console) -> None:
+    """Print how much of each kind is published, how much was published before, and what is left out."""
+    table = count_table("kind", "new", "size", "there already")
+    for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
+        sizes = [item.size for item in publication.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in publication.there)
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
+    reports = [path.stat().st_size for path in publication.reports]
+    table.add_row("report", str(len(reports)), size(sum(reports)), "-")
+    table.add_section()
+    total = sum(item.size for item in publication.new) + sum(reports)
+    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
+    console.print(table)
+    for item in publication.large:
+        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
+        console.print(text, markup=False, soft_wrap=True)
+    if publication.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
+        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from pathlib import Path
 
-from wasp_cli.console import waiting_aloud
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
@@ -21,6 +24,11 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest, read_record
 from wasp_cli.store.find import KIND
 from wasp_cli.store.gc import (
+    FAILURES,
+    LOCKS,
+    RUNS,
+    TMP,
+    WORK,
     Rubbish,
     computed_from,
     locked,
@@ -135,3 +143,26 @@ def _age(layout: Layout, run_id: str) -> float:
         return abs(time.time() - layout.run(run_id).lstat().st_mtime)
     except OSError:
         return 0.0
+
+
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+
+
+def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
+    """Print how much of each kind can go."""
+    if not rubbish:
+        console.print("there is nothing to remove")
+        return
+    table = count_table("what can go", "count", "size")
+    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [what for what in LAST if any(item.what == what for item in rubbish)]
+    for kind in kinds:
+        sizes = [item.size for item in rubbish if item.what == kind]
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
+    table.add_section()
+    table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
+    console.print(table)
+
+
+def removed_line(count: int, freed: int) -> str:
+    """Return what a removal came to."""
+    return f"{count} removed, {size(freed)} freed"

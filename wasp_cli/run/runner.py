@@ -13,11 +13,10 @@ from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.interrupt import HINT, Stop, was_ended
-from wasp_cli.run.job import NodeJob, NodeResult, forget, this_process
+from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
 from wasp_cli.run.pool import Pool, WorkersDied
-from wasp_cli.run.progress import numbers
 from wasp_cli.run.record import Journal
+from wasp_cli.run.show import numbers
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record

@@ -6,28 +6,23 @@ the command uncorrected (upper block) and under the correction (lower block); be
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain import LOOKS, Curve, Episode, curves
+from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video.film import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
 from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
@@ -41,6 +36,8 @@ _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
 POOR = 0.5  # R2 below which a readout is said to be poor
 SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
 LAST_MS = 2000  # how long the last frame stays
+ROWS_APART = 6  # in px: between the rows of the timeline
+_SIDES = (88, 14)  # in px: left and right of it
 _PLAYED = 0.3  # share of the time that playing the cell takes
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
@@ -247,80 +244,49 @@ def frames_of(source: Source, stored: Episode, episode: int, correction: Correct
         yield frame
 
 
-_DPI = 100
-_MARGIN_LEFT, _MARGIN_RIGHT, _MARGIN_TOP, _MARGIN_BOTTOM = 88, 14, 6, 36  # margins in px
-_STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7}
-
-
 class Timeline:
-    """The drawn curves, and where the cursor is."""
+    """The timeline of the pages as a picture, with a row of all gates that fired, and where its cursor is."""
 
     def __init__(self, episode: Episode, width: int, height: int) -> None:
-        # Imported here: matplotlib takes most of a second.
-        from matplotlib import rc_context
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch
-
         self._decisions, self._width = episode.decisions, width
-        drawn = [curve for curve in curves(episode) if np.isfinite(curve.values).any()]
-        fired = [look for gate, look in LOOKS.items() if (episode.gate == gate).any()]
-        with rc_context(_STYLE):
-            figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
-            FigureCanvasAgg(figure)
-            *panels, strip = figure.subplots(
-                len(drawn) + 1, 1, sharex=True, squeeze=False,
-                gridspec_kw={
-                    "height_ratios": [*[2.2] * len(drawn), 1.0], "hspace": 0.16,
-                    "left": _MARGIN_LEFT / width,
-                    "right": 1 - _MARGIN_RIGHT / width, "top": 1 - _MARGIN_TOP / height, "bottom": _MARGIN_BOTTOM / height,
-                },
-            )[:, 0]  # fmt: skip
-            for panel, curve in zip(panels, drawn, strict=True):
-                _draw_curve(panel, curve)
-            _draw_strip(strip, episode)
-            marks = [Patch(color=look.colour, label=look.words) for look in fired]
-            figure.legend(
-                handles=[*marks, Patch(color=COST, label="cost paid")], loc="lower right", bbox_to_anchor=(1 - _MARGIN_RIGHT / width, 0.0),
-                ncols=4, frameon=False, fontsize=8, borderaxespad=0.2, handlelength=1.0, handleheight=0.8, columnspacing=1.2,
-            )  # fmt: skip
-            strip.set_xlim(-0.5, episode.decisions - 0.5)
-            for panel in (*panels, strip):
-                panel.tick_params(length=2)
-            strip.tick_params(axis="y", length=0)
-            strip.set_xlabel("decision", labelpad=1)
-            file = io.BytesIO()
-            figure.savefig(file, format="png", dpi=_DPI)
-        self.image = Image.open(file).convert("RGB")
+        seen = curves(episode)
+        rows = [lane for lane in timeline(episode) if lane.name != "acts"]
+        kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
+        rows.insert(-1, Lane("gate", STRIP, BASE, marks=spans(kinds)))
+        colours = {look.kind: look.colour for look in LOOKS.values()} | {"cost": COST, "limit": EXECUTED, "base": "#d0d0d0"}
+        scale = min((height - 44 - ROWS_APART * len(rows)) / sum(lane.height for lane in rows), 2.0)
+        large = Image.new("RGB", (2 * width, 2 * height), _PAPER)  # drawn twice as large, which smooths its edges
+        draw = ImageDraw.Draw(large)
+        top = 8.0
+        for i, lane in enumerate(rows):
+            below = top + scale * lane.height
+            draw.text((2 * _SIDES[0] - 12, top + below), lane.name, _INK, font(22), anchor="rm")
+            for kind, first, many in lane.marks:
+                draw.rectangle((2 * self._x(first), 2 * top, 2 * self._x(first + many) - 2, 2 * below), colours[kind])
+            for kind, level in lane.levels:
+                y = 2 * (top + scale * float(level))
+                draw.line((2 * self._x(0), y, 2 * self._x(self._decisions), y), colours[kind], 2)
+                if kind == "limit":
+                    label = f"{seen[i].limit_name} {seen[i].limit:.3g}"
+                    draw.text((2 * self._x(self._decisions) - 4, y - 2), label, "#8f3f74", font(20), anchor="rb")
+            for points in lane.curves:
+                places = [tuple(map(float, point.split(","))) for point in points.split()]
+                draw.line([(2 * self._x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
+            top = below + ROWS_APART
+        for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
+            draw.text((2 * self._x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
+        self.image = large.reduce(2)
+        x, small = float(_SIDES[0]), ImageDraw.Draw(self.image)
+        fired = [(look.words, look.colour) for gate, look in LOOKS.items() if (episode.gate == gate).any()]
+        for words, colour in [*fired, ("cost paid", COST)]:
+            x = _legend_entry(small, x, height - 22, words, colour, "dot")
+
+    def _x(self, decisions: float) -> float:
+        return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
 
     def cursor(self, t: int) -> float:
         """Return the column of decision t in px."""
-        return _MARGIN_LEFT + (t + 0.5) / self._decisions * (self._width - _MARGIN_LEFT - _MARGIN_RIGHT)
-
-
-def _draw_curve(panel: Axes, curve: Curve) -> None:
-    values, limit, decisions = curve.values, curve.limit, np.arange(len(curve.values))
-    panel.plot(decisions, values, color=COMMAND, linewidth=0.9, marker=".", markersize=2.2)
-    if limit is not None:
-        panel.axhline(limit, color=EXECUTED, linewidth=1.1, linestyle="--")
-        label = f"{curve.limit_name} {limit:.3g}"
-        panel.annotate(label, (1.0, limit), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="#8f3f74", fontsize=8)
-        panel.fill_between(decisions, limit, values, where=values > limit, color=EXECUTED, alpha=0.35, linewidth=0, interpolate=True)
-    shown = [value for value in (*values[np.isfinite(values)].tolist(), limit) if value is not None]
-    low, high = min(0.0, *shown), max(0.2, *shown)
-    panel.set_ylim(low - 0.06 * (high - low), high + 0.3 * (high - low))
-    panel.set_ylabel(curve.name, rotation=0, ha="right", va="center", labelpad=4)
-    panel.locator_params(axis="y", nbins=3)
-    panel.grid(axis="y", color="#e3e3e3", linewidth=0.5)
-    panel.set_axisbelow(True)
-
-
-def _draw_strip(panel: Axes, episode: Episode) -> None:
-    rows = [(1.1, episode.gate == gate, look.colour) for gate, look in LOOKS.items()]
-    for y, where, colour in [*rows, (0.1, episode.costly, COST)]:
-        panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(where).tolist()], (y, 0.8), facecolors=colour, linewidth=0)
-    panel.set_ylim(0, 2)
-    panel.set_yticks([0.5, 1.5], ["cost", "gate"])
+        return self._x(t + 0.5)
 
 
 def numbers(episode: Episode, t: int) -> list[str]:

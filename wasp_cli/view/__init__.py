@@ -212,85 +212,45 @@ def words(cell: ListedCell) -> tuple[str, ...]:
 
 
 class Links:
-    """Addresses of the server."""
+    """Addresses of the server; with `episodes` (numbers by key of a cell) the files of a bundle, which has no runs and no comparisons."""
 
-    live = True
-
-    def __init__(self, cells: Cells) -> None:
-        self._known = cells
+    def __init__(
+        self, cells: Cells, episodes: Mapping[str, Collection[int]] | None = None, reports: Mapping[str, str] | None = None
+    ) -> None:
+        self._known, self._episodes, self._reports, self.live = cells, episodes or {}, reports or {}, episodes is None
+        self.home, self.cells = ("/", "/cells") if self.live else ("index.html", "cells.html")
 
     def static(self, name: str) -> str:
         """Return a file of the page."""
-        return f"/static/{name}"
-
-    def home(self) -> str:
-        """Return the first page."""
-        return "/"
-
-    def cells(self) -> str:
-        """Return the table of cells."""
-        return "/cells"
+        return f"/static/{name}" if self.live else name
 
     def report(self, file: str) -> str:
-        """Return a page of a report; nothing here: it may come from elsewhere, and is not served."""
-        return ""
-
-    def run(self, run_id: str, more: str = "") -> str:
-        """Return a run, or something of it."""
-        return f"/run/{quote(run_id, '')}{more}"
-
-    def cell(self, cell: ListedCell) -> str:
-        """Return a cell."""
-        return cell_address(self._known.ref(cell)).replace(" ", "%20")
-
-    def episode(self, cell: ListedCell, number: int) -> str:
-        """Return an episode; nothing where it has no page."""
-        return cell_address(self._known.ref(cell), number).replace(" ", "%20")
-
-    def film(self, cell: ListedCell, number: int, kind: str) -> str:
-        """Return where a film is asked for; its frames stand below."""
-        return f"/film/{cell.key}/{number}/{kind}"
-
-    def beside(self, a: str, b: str, **more: object) -> str:
-        """Return two cells beside each other, as an address names them."""
-        return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}"
-
-
-class BundleLinks(Links):
-    """Files of a folder, which work from anywhere; there are none of runs, and none of two cells beside each other."""
-
-    live = False
-
-    def __init__(self, cells: Cells, episodes: Mapping[str, Collection[int]], reports: Mapping[str, str]) -> None:
-        super().__init__(cells)
-        self._episodes, self._reports = episodes, reports
-
-    def static(self, name: str) -> str:
-        return name
-
-    def home(self) -> str:
-        return "index.html"
-
-    def cells(self) -> str:
-        return "cells.html"
-
-    def report(self, file: str) -> str:
+        """Return a page of a report; the server has none: it may come from elsewhere."""
         return quote(self._reports.get(file, ""))
 
     def run(self, run_id: str, more: str = "") -> str:
-        return self.home()
+        """Return a run, or something of it."""
+        return f"/run/{quote(run_id, '')}{more}" if self.live else self.home
 
     def cell(self, cell: ListedCell) -> str:
-        return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells()
+        """Return a cell."""
+        if self.live:
+            return cell_address(self._known.ref(cell)).replace(" ", "%20")
+        return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells
 
     def episode(self, cell: ListedCell, number: int) -> str:
+        """Return an episode; nothing where it has no page."""
+        if self.live:
+            return cell_address(self._known.ref(cell), number).replace(" ", "%20")
         return f"episode-{_name(cell)}-{number}.html" if number in self._episodes.get(cell.key, ()) else ""
 
     def film(self, cell: ListedCell, number: int, kind: str) -> str:
-        return f"films/{cell.key}-{number}"
+        """Return where a film is asked for; its frames stand below."""
+        return f"/film/{cell.key}/{number}/{kind}" if self.live else f"films/{cell.key}-{number}"
 
     def beside(self, a: str, b: str, **more: object) -> str:
-        return self.cells()
+        """Return two cells beside each other, as an address names them."""
+        return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}" if self.live else self.cells
 
 
 def _name(cell: ListedCell) -> str:

@@ -18,7 +18,7 @@ from wasp_cli.errors import StoreError, UsageError, WaspError
 from wasp_cli.notebook import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.tables import cell_file
-from wasp_cli.view import BundleLinks, Site, pages
+from wasp_cli.view import Links, Site, pages
 from wasp_cli.view.episode import episode_page, load
 from wasp_cli.view.films import FILM, drawing, problem_of, read_state
 from wasp_cli.view.server import FILES
@@ -53,7 +53,7 @@ def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> Non
                 readable[key].append(number)
     _prepare(folder)
     try:
-        still = Site(site.layout, site.cells, BundleLinks(site.cells, readable, _reports(site, folder)))
+        still = Site(site.layout, site.cells, Links(site.cells, readable, _reports(site, folder)))
         films = _write(still, folder, listed, readable, problems)
     except OSError as error:
         raise StoreError(f"the bundle cannot be written to '{folder}': {(error.strerror or str(error)).lower()}") from error
