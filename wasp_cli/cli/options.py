@@ -89,7 +89,6 @@ class Folder:
 
     @property
     def path(self) -> Path:
-        """The folder."""
         if self.folder is not None and self.results not in (self.folder, RESULTS):
             raise UsageError(f"two results folders: '{self.folder}' and --results '{self.results}'", "name one of them")
         return self.results if self.folder is None else self.folder
@@ -116,7 +115,6 @@ class Sized:
 
     @property
     def settings(self) -> list[str]:
-        """What `--preset` and `--set` say, as settings."""
         from wasp_cli.spec.derived import sized
 
         return sized(self.preset, self.set_)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import Folder, JsonOption, argument, directory, flag, option, parse_folder
-from wasp_cli.console import err, say
+from wasp_cli.cli.options import Folder, JobsOption, JsonOption, SelectOption, SizedSpec, argument, directory, flag, option, parse_folder
+from wasp_cli.console import err, say, waiting_aloud
 from wasp_cli.console import out as console
 from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
 from wasp_cli.store.layout import Layout, slug
@@ -18,15 +22,6 @@ if TYPE_CHECKING:
     from wasp_cli.report.films import Draw
     from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
-
-
-import sys
-import time
-
-import typer
-
-from wasp_cli.cli.options import JobsOption, SelectOption, SizedSpec
-from wasp_cli.console import waiting_aloud
 
 
 class NotWritten(WaspError):

@@ -136,7 +136,6 @@ class ComparedCell:
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """The measures that differ by more than noise."""
         return tuple(name for name, p in self.p.items() if p <= LEVEL)
 
 
@@ -167,7 +166,6 @@ class Compared:
 
     @property
     def beyond(self) -> list[ComparedCell]:
-        """The cells that differ by more than noise."""
         return [cell for cell in self.cells if cell.beyond]
 
     @property

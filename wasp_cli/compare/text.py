@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare import LEVEL, MEASURES, Compared, ComparedCell, Side, State
+from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
@@ -51,8 +51,12 @@ def headline(compared: Compared) -> str:
 
 def cells_table(compared: Compared) -> Table | None:
     """Tabulate every cell that differs, those with the smallest p-values first; None where none does."""
-    found = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
-    rows = [Row((cell.label, ", ".join(map(_title, cell.beyond)) or "-"), _differences(cell)) for cell in found]
+    cells = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
+    beyond = (", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-" for cell in cells)
+    rows = [
+        Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
+        for cell, names in zip(cells, beyond, strict=True)
+    ]
     notes = _unable(compared)
     return Table(
         "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
@@ -66,7 +70,7 @@ def summary_table(compared: Compared) -> Table | None:
         if assistant.differing:
             name = title_of(Who(assistant.method, assistant.variant))
             labels = (task_title(assistant.task), name, f"{assistant.differing} of {assistant.cells}")
-            rows.append(Row(labels, tuple(_value(assistant.estimates[column.key]) for column in COLUMNS)))
+            rows.append(Row(labels, _values(assistant.estimates)))
     meanings = (
         "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
         "no more than their range.",
@@ -76,19 +80,10 @@ def summary_table(compared: Compared) -> Table | None:
     ) if rows else None  # fmt: skip
 
 
-def _title(measure: str) -> str:
-    return next(column.title for column in COLUMNS if column.key == measure)
-
-
-def _differences(cell: ComparedCell) -> tuple[Value, ...]:
-    if cell.paired is None:
-        return (UNDEFINED,) * len(COLUMNS)
-    found = [cell.paired.differences[column.key] for column in COLUMNS]
-    return tuple(Value(each.value, n=1, ranked=False, interval=each.interval) for each in found)
-
-
-def _value(estimate: Estimate | None) -> Value:
-    return UNDEFINED if estimate is None else Value(estimate.value, ranked=False, interval=estimate.interval)
+def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Value, ...]:
+    """The numbers of a row, each with its interval, by the measures of the columns."""
+    row = (numbers.get(column.key) for column in COLUMNS)
+    return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
 
 def _unable(compared: Compared) -> tuple[str, ...]:

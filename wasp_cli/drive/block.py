@@ -181,7 +181,6 @@ class _Running:
         self._return, self._cost, self._goals = 0.0, 0, 0
 
     def wait(self) -> None:
-        """Sleep until the next beat."""
         time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
 
     def decide(self) -> None:
@@ -246,7 +245,6 @@ class _Running:
         self._goals += int(step.goals[0])
 
     def show(self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None) -> None:
-        """Publish a frame of now."""
         block = self.block
         block._frames += 1
         shown, t = block.how.shown, len(self.beats)

@@ -232,7 +232,6 @@ def checked_blocks(session: Session, most: int | None = None) -> list[Timing]:
 
 
 def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk: Desk) -> Timing:
-    """Run in the clock's thread."""
     try:
         block = session.built(desk, cell, node, node.axes["method_config"])
         try:

@@ -189,10 +189,7 @@ def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[s
             "squared_error": _error(clone.mean(held.features, held.last, right), held),
         }
     }
-    foretold: Mapping[str, tuple[Tensor, Tensor]] = {
-        "repeat": (learnt.last, held.last),
-        "expert": (expert(learnt.features), right),
-    }
+    foretold: Mapping[str, tuple[Tensor, Tensor]] = {"repeat": (learnt.last, held.last), "expert": (expert(learnt.features), right)}
     for name, (before, now) in foretold.items():
         spread, share = fitted_mixture(learnt.command - before)
         scores[name] = {

@@ -131,7 +131,6 @@ class Desk:
 
     @property
     def present(self) -> bool:
-        """Whether a driver is connected."""
         return self._drivers > 0
 
     # The socket's side.
@@ -237,7 +236,6 @@ class Clock:
 
     @property
     def due(self) -> float:
-        """Return when the next beat is, on the monotonic clock."""
         return self._next
 
     def beat(self) -> tuple[float, float]:

@@ -94,18 +94,13 @@ class Server(LocalServer):
     def __init__(self, desk: Desk, port: int = 0) -> None:
         """Take a port, 0 for any free one."""
         self.desk = desk
-        routes = [
-            Route("/", self._index),
-            Route("/{name}", self._file),
-            WebSocketRoute("/socket", self._drive),
-        ]
+        routes = [Route("/", self._index), Route("/{name}", self._file), WebSocketRoute("/socket", self._drive)]
         super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
         desk.changed = self._changed
 
     def _changed(self) -> None:
-        """Wake the sender, from whatever thread."""
         loop, wake = self._loop, self._wake
         if loop is not None and wake is not None and not loop.is_closed():
             loop.call_soon_threadsafe(wake.set)

@@ -65,7 +65,6 @@ class Session:
 
     @property
     def participant(self) -> str:
-        """Return the pseudonym."""
         return str(self.blocks[0][0].severity)
 
     def run(self, desk: Desk) -> None:
@@ -112,7 +111,6 @@ class Session:
         return True
 
     def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
-        """Drive one cell; whether the session goes on."""
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
         identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)

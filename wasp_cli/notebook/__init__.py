@@ -77,7 +77,6 @@ def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
 
 
 def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
-    """A cell of a plan, without keys."""
     value = None if entry["value"] is None else float(entry["value"])
     severity = None if entry["severity"] is None else str(entry["severity"])
     task, method, variant, operator = (str(entry[name]) for name in ("task", "method", "assistant", "operator"))

@@ -33,10 +33,7 @@ TABLES = (
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(  # every file that a report can write
-    {
-        *PAGES,
-        *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings),
-    }
+    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
 )
 TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 """Tables and figures that stand on the page of what was trained."""

@@ -135,7 +135,6 @@ def _median_episode(episodes: Mapping[str, Floats]) -> int:
 
 
 def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:
-    """None where the rows cannot be read again."""
     try:
         path: Path = layout.within(cell_file(layout.artifact(KIND, key)))
         episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)

@@ -99,7 +99,6 @@ PARTS = ("", "_sd", "_low", "_high", "_delta")  # what a data file may say of a 
 
 
 def _parts(row: Row) -> list[dict[str, float | None]]:
-    """By PARTS, for each value of a row."""
     spans = ((None, None) if value.interval is None else (value.interval.low, value.interval.high) for value in row.values)
     return [
         dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True)) for value, span in zip(row.values, spans, strict=True)

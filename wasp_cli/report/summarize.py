@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
@@ -28,10 +28,9 @@ from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity, cell_file
+from wasp_cli.store.tables import CellIdentity
 
 
 def report_run(
@@ -89,12 +88,7 @@ def report_run(
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
     front += people_tables(sittings)
-    ablations = ablation_table(frame)
-    if ablations is not None:
-        front.append(ablations)
-    necessary = necessity_table(frame)
-    if necessary is not None:
-        front.append(necessary)
+    front += [table for table in (ablation_table(frame), necessity_table(frame)) if table is not None]
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
@@ -148,15 +142,10 @@ def wanted_cells(
     blocked = _blocked(layout, spec, failed, damaged)
 
     def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
-        folder, refused = layout.artifact(kind, key), None
-        path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
-        try:
-            layout.within(path)
-        except StoreError as error:
-            refused = error.message
-        failure = _failure(layout, key, damaged) if key in failed else None
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
-        return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches, spec.training_seed)
+        known = {"severity": cell.severity, "blocked": blocked.get(key), "branches": branches, "chain_seed": spec.training_seed}
+        failure = _failure(layout, key, damaged) if key in failed else None
+        return Wanted.stored(layout, kind, key, identity_of(cell), label, failure=failure, **known)
 
     judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
     return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged

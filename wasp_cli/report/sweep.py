@@ -49,7 +49,6 @@ class SweepReport:
 
     @cached_property
     def tables(self) -> tuple[Table, Table]:
-        """The table over all operators, and the one for each of them."""
         return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
 
     def terminal(self, console: Console) -> None:

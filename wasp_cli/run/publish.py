@@ -26,16 +26,7 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import (
-    commit,
-    corruption,
-    damage,
-    discard,
-    dumps,
-    invalidate,
-    listed_files,
-    read_manifest,
-)
+from wasp_cli.store.artifact import commit, corruption, damage, discard, dumps, invalidate, listed_files, read_manifest
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
@@ -117,7 +108,6 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
-    """By key of a node, everything that it was computed from: key by recipe."""
     behind: dict[str, dict[str, str]] = {}
     for node in grid.nodes:
         if node.key in grid.reused:
@@ -130,7 +120,6 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
 
 
 def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:
-    """Why an artifact cannot be published."""
     kind, key = item.node.kind, item.node.key
     if (wrong := corruption(source, kind, key)) is not None:
         return wrong
@@ -153,7 +142,6 @@ def _private(layout: Layout) -> dict[str, str]:
 
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
-    """What private thing a file names; None where it names none."""
     for what, text in private.items():
         if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
             return what
@@ -161,7 +149,6 @@ def _named(data: bytes, private: Mapping[str, str]) -> str | None:
 
 
 def _reports(spec: Spec, layout: Layout) -> list[Path]:
-    """The files of a spec's report."""
     folder = layout.within(layout.reports(spec.name))
     try:
         with os.scandir(folder) as entries:

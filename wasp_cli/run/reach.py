@@ -123,12 +123,10 @@ def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
 
 
 def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
-    """The keys of a plan's nodes, and of everything that they need."""
     return reached(keys & run.nodes.keys(), lambda key: run.nodes[key].needs if key in run.nodes else ())
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
-    """Whether a run computes, or a living process is to write its report."""
     with suppress(ArtifactError):  # a full disk
         record = read_record(layout.reporting(run.run_id))
         if record is not None and not is_gone(record):

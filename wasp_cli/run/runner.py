@@ -72,7 +72,6 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether every node ended well."""
         return not self.failed and not self.blocked and not self.cancelled
 
 
@@ -152,7 +151,6 @@ class Runner:
         self._block(schedule.failed(node), node)
 
     def _begin(self, schedule: Schedule) -> None:
-        """Give ready nodes to idle workers."""
         jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:

@@ -189,7 +189,6 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
-    """What a run has not to compute; `shared` was computed by others meanwhile."""
     published = plan.count("published")
     return [f"{plan.count('cached') + shared} computed before", *([f"{published} published"] if published else [])]
 

@@ -17,13 +17,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
+from rich.live import Live as RichLive
 from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
-from wasp_cli.plan.recorded import PlannedRun
+from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
 from wasp_cli.run.watch import desertion
 from wasp_cli.store.artifact import read_record
@@ -33,8 +34,6 @@ from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from wasp_cli.run.watch import RunState
 
 
@@ -328,7 +327,6 @@ def write_log(log: Log, stream: TextIO) -> None:
 
 
 def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
-    """The logs that a run has: of what it computed, or tried to."""
     try:
         with os.scandir(layout.within(layout.run(run.run_id) / "logs")) as entries:
             there = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}

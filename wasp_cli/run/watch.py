@@ -76,7 +76,6 @@ class RunState:
 
     @property
     def finished(self) -> int:
-        """Nodes that will not run any more."""
         return self.done + self.shared + len(self.failed) + self.blocked + self.cancelled
 
     @property
@@ -86,7 +85,6 @@ class RunState:
 
     @property
     def waiting(self) -> int:
-        """Nodes whose turn is yet to come."""
         return max(self.total - self.finished - self.running, 0)
 
 
@@ -185,7 +183,6 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
 
 
 def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any]) -> tuple[State, datetime | None]:
-    """Whether a run goes on, and when it ended."""
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
     for event in reversed(events):

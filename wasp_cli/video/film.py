@@ -33,11 +33,7 @@ MEANT = (
 )  # fmt: skip
 APART = 10  # by how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place
 SAMPLES = 12  # frames from which the palette is made
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "GIF": {"optimize": True, "disposal": 1},
-    "PNG": {},
-    "WEBP": {"quality": 50, "method": 2},
-}
+_OPTIONS: dict[str, dict[str, Any]] = {"GIF": {"optimize": True, "disposal": 1}, "PNG": {}, "WEBP": {"quality": 50, "method": 2}}
 
 
 def checked(path: Path, still: Sequence[str] = ()) -> Path:

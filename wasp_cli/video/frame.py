@@ -190,13 +190,11 @@ def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colo
 
 
 def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
-    """One camera of uint8 [6, 64, 64]."""
     shown = Image.fromarray(np.ascontiguousarray(np.moveaxis(images[3 * camera : 3 * camera + 3], 0, -1)))
     return shown.resize((side, side), Image.Resampling.BICUBIC)
 
 
 def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """From [0, 1] to uint8."""
     return (image * 255).round().clip(0, 255).astype(np.uint8)
 
 

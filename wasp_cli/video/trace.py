@@ -154,12 +154,7 @@ class PlayedEpisode(NamedTuple):
 
 @threads_of_evaluations()
 def play_episode(
-    source: Source,
-    episode: int,
-    residuals: Sequence[NDArray[Any] | None],
-    shown: Collection[int],
-    horizon: int,
-    progress: Progress,
+    source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
 ) -> PlayedEpisode:
     """Play a cell again and keep what is shown of one row of its episodes, with T corrections [L, A], None where the command stood."""
     world, model = source.world(), load_world_model(source.world_model)

@@ -137,7 +137,9 @@ class Cells:
 
     def _shown(self, cells: Sequence[ListedCell]) -> dict[str, Shown]:
         """Read single cells; what is wrong with one is said of that one."""
-        frame = read_frame([_wanted(self.layout, cell) for cell in cells])
+        # The key as the label: two cells of one identity have two keys.
+        known = (Wanted.stored(self.layout, KIND, cell.key, cell.identity, cell.key, severity=cell.severity) for cell in cells)
+        frame = read_frame(known)
         shown = {gap.label: Shown(None, 0, gap.reason, gap.damaged) for gap in frame.missing}
         there = [cell.key for cell in cells if cell.key not in shown]
         return shown | {key: Shown(numbers, numbers.count) for key, numbers in zip(there, frame.cells, strict=True)}
@@ -169,17 +171,6 @@ class Cells:
         if typed and not is_key(typed):
             raise UnknownName("cell", typed, [cell.label for cell in self.listed()])
         return [], find_cell(self.layout, typed, set(filter(is_key, stored_keys(self.layout, KIND))))
-
-
-def _wanted(layout: Layout, cell: ListedCell) -> Wanted:
-    """The key as its label: two cells of one identity have two keys."""
-    folder, refused = layout.artifact(KIND, cell.key), None
-    path: Path = cell_file(folder)
-    try:
-        layout.within(path)
-    except StoreError as error:
-        refused = error.message
-    return Wanted(cell.identity, cell.key, path, cell.severity, None, None, refused)
 
 
 def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:

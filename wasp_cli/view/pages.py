@@ -235,7 +235,6 @@ def reports(site: Site) -> Iterator[Path]:
 
 
 def _published(site: Site) -> list[tuple[str, list[tuple[str, str]]]]:
-    """The reports, and their pages by name, with addresses where there are any."""
     published = []
     for report in reports(site):
         pages = sorted(path for path in report.iterdir() if path.suffix in (".html", ".md") and path.stem == "report")

@@ -185,13 +185,11 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
 
 
 def _film(request: Request) -> tuple[str, int, str, int]:
-    """Cell, episode, kind and decision of a film, as `Films` takes them."""
     place = request.path_params
     return place["key"], place["number"], place["kind"], _number(request, "step") or 0
 
 
 def _number(request: Request, name: str) -> int | None:
-    """Read a number of an address; None where it has none."""
     text = request.query_params.get(name, "")
     if text and not (text.isascii() and text.isdigit() and len(text) < 20):
         raise UsageError(f"'{text}' is no decision", "decisions are numbered from 0")

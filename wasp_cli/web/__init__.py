@@ -46,7 +46,6 @@ class LocalServer:
 
     @property
     def address(self) -> str:
-        """Return what a browser opens."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def start(self) -> None:

@@ -172,12 +172,10 @@ class _Rows:
         return any(found == who for _, found in self._groups)
 
     def _mean(self, task: str, who: Who, column: str) -> Estimate | None:
-        """None where there is no such row or column."""
         group = self.group(task, who)
         return None if group is None else mean_of(group.cells, column)
 
     def _contrast(self, asked: Comparison) -> Contrast | None:
-        """None where the sides have no condition in common."""
         own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
         against = asked.bound if other is None else other.cells
         return None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))

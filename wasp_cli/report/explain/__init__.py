@@ -143,7 +143,6 @@ class Episode:
 
     @property
     def intervened(self) -> Bools:
-        """Return whether the executed action is not the command [T]."""
         deviated: Bools = self.numbers["deviation"] > INTERVENED
         return deviated
 

@@ -128,7 +128,6 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 
 
 def _run(episode: Episode, first: int, end: int) -> Run:
-    """The decisions `first` ... `end - 1`."""
     part, numbers = slice(first, end), episode.numbers
     return Run(
         first=first,

@@ -130,7 +130,6 @@ def draw_curve(panel: Axes, curve: Curve, column: Column, look: dict[str, Any]) 
 
 
 def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float) -> Curve:
-    """One method: a line over the severities of each operator."""
     places: list[tuple[float, Condition | None]] = []
     for _, own in groupby(enumerate(conditions), key=lambda each: each[1][0]):
         places += [(place + shift, condition) for place, condition in own]

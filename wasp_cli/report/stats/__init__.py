@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,10 +19,12 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, Necessity, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.store.branches import Branches, read_branches
+from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
+from wasp_cli.store.find import KIND
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, lacking, read_episodes, read_version
+from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_file, lacking, read_episodes, read_version
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +61,17 @@ class Wanted:
     refused: str | None = None  # why its file is not read though it may be there
     branches: Wanted | None = None  # its counterfactual branches, where somebody asked for them: the same of their table
     chain_seed: int | None = None  # the seed of the training whose models it uses; None: the cell's own seed
+
+    @classmethod
+    def stored(cls, layout: Layout, kind: str, key: str, identity: CellIdentity, label: str, **known: Any) -> Wanted:
+        """Return what a results folder has under a key, a cell or its branches; what leads out of the folder is not read."""
+        folder, refused = layout.artifact(kind, key), None
+        path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
+        try:
+            layout.within(path)
+        except StoreError as error:
+            refused = error.message
+        return cls(identity, label, path, refused=refused, **known)
 
 
 @dataclass(frozen=True)

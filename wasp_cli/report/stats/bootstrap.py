@@ -65,7 +65,6 @@ class _Clusters:
         return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
 
     def place(self, names: Floats | Sequence[float]) -> Places:
-        """The index of each name."""
         return np.searchsorted(self.names, names)
 
     def trainings(self, cells: Sequence[CellNumbers]) -> Places:
@@ -284,7 +283,6 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
 
 
 def _constant(cell: CellNumbers, key: str, number: float) -> CellNumbers:
-    """The cell with a number for every defined value of a column."""
     column, pooled = cell.episodes[key], cell.pooled.get(key, math.nan)
     changed = {key: np.where(np.isnan(column), math.nan, number)}
     return replace(cell, episodes={**cell.episodes, **changed}, pooled={key: math.nan if math.isnan(pooled) else number})

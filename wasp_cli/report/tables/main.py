@@ -166,11 +166,7 @@ LATENCY_COLUMNS = tuple(
     for name, share in zip(TIMES, ("p50", "p95"), strict=True)
     for over in ("median", "worst")
 )
-THRESHOLD_COLUMNS = (
-    Column("tau_c", "tau_c", digits=3),
-    Column("tau_r", "tau_r", digits=3),
-    Column("tau_q", "tau_Q", digits=3),
-)
+THRESHOLD_COLUMNS = (Column("tau_c", "tau_c", digits=3), Column("tau_r", "tau_r", digits=3), Column("tau_q", "tau_Q", digits=3))
 REDUCE: dict[str, Callable[[Floats], float]] = {"median": np.median, "worst": np.max}
 
 

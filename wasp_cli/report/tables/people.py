@@ -138,10 +138,7 @@ MEASURES = tuple(
 )
 LABELS = ("Task", "Condition")
 ALONE = "human"
-DIFFERENCES = (
-    Column("return_change", "Return, to alone", signed=True),
-    Column("cost_change", "Cost, to alone", signed=True),
-)
+DIFFERENCES = (Column("return_change", "Return, to alone", signed=True), Column("cost_change", "Cost, to alone", signed=True))
 TIMES = (
     Column("decisions", "Decisions", digits=0, spread=False),
     Column("late_share", "late (%)", digits=1, scale=100.0, spread=False),
@@ -223,7 +220,6 @@ def _measures(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting
 
 
 def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
-    """A row for each scale, a column for each condition."""
     asked = [scale for scale in SCALES if any(scale in each.answers for each in sittings)]
     names = list(dict.fromkeys(condition[1:] for condition in groups))
     columns = tuple(Column("_".join(name), who_title(*name), digits=0) for name in names)

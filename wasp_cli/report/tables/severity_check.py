@@ -55,7 +55,6 @@ class SeverityLevel:
 
     @property
     def mean(self) -> float:
-        """Mean return over the episodes; NaN without any."""
         return float(np.mean(list(self.returns.values()))) if self.returns else math.nan
 
 

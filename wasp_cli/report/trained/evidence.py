@@ -40,7 +40,6 @@ Ints = NDArray[np.int64]
 
 
 def _enlarged(image: Images, side: int) -> Image.Image:
-    """A camera image [3, 64, 64] with another side."""
     shown = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0)))
     return shown.resize((side, side), Image.Resampling.NEAREST)
 
@@ -226,7 +225,6 @@ def _spread(rows: Ints, count: int) -> Ints:
 
 
 def _images(layout: Layout, shards: list[Path], rows: Ints) -> dict[int, NDArray[np.uint8]]:
-    """uint8 [6, 64, 64] of each row of the dataset."""
     images: dict[int, NDArray[np.uint8]] = {}
     begin = 0
     for shard in shards:

@@ -88,7 +88,6 @@ def training_tables(
 
 
 def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
-    """A row for each task."""
     columns, shown = [], []
     for stage, column in COLUMNS:
         read = [training.parts(task, stage) for task in training.tasks]
@@ -110,7 +109,6 @@ def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
 
 
 def _ahead(training: _Training) -> Table:
-    """A row for each task and measure, a column for each imagined step."""
     rows = []
     for task in training.tasks:
         judges = training.parts(task, "diagnostics")
