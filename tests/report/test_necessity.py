@@ -12,7 +12,7 @@ from PIL import Image
 from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
 from tests.report.test_golden import golden
-from wasp_cli.report.figures.methods import necessity_figure
+from wasp_cli.report.figures import necessity_figure
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table

@@ -25,9 +25,8 @@ from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import film as video_file
 from wasp_cli.video.film import MEANT, checked, film, palette_of, write
 from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, Timeline, film_episode
-from wasp_cli.video.imagined import displacements
 from wasp_cli.video.map import COST, Pose, things_of
-from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
+from wasp_cli.video.trace import PlayedEpisode, Source, displacements, play_episode
 
 EPISODE, HORIZON = 1, 4
 ROOT = Path(__file__).parents[2]

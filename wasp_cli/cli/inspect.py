@@ -76,8 +76,8 @@ def control(
     A paused run finishes what runs and begins nothing new. Of a run with a cancelled node everything else goes on; the next run computes
     it. A run that is over is continued by wasp run.
     """
-    from wasp_cli.run.control import control as asked
     from wasp_cli.run.record import results_of
+    from wasp_cli.run.watch import control as asked
 
     say(*asked(results_of(place.results), action, node, place.run))
 
@@ -252,7 +252,7 @@ def view(
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
     from wasp_cli.view import site_of
-    from wasp_cli.view.bundle import bundle as write_bundle
+    from wasp_cli.view.server import bundle as write_bundle
     from wasp_cli.view.server import serve
 
     if bundle is not None:

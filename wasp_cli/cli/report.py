@@ -18,8 +18,8 @@ from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
     from wasp_cli.compare import Compared
-    from wasp_cli.report.document import Report
     from wasp_cli.report.films import Draw
+    from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
 
@@ -47,8 +47,8 @@ def report(
     trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
-    from wasp_cli.report.document import missing_words
     from wasp_cli.report.provenance import last_runs
+    from wasp_cli.report.summarize import missing_words
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
 

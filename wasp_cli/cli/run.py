@@ -40,8 +40,8 @@ def run(
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
     second stops at once. Finished nodes are kept either way.
     """
-    from wasp_cli.run.control import detached
     from wasp_cli.run.session import planned
+    from wasp_cli.run.watch import detached
 
     loaded, options = asked.load(), work.options()
     if work.dry_run:

@@ -16,8 +16,7 @@ from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables import Row, Table, task_title
-from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables import PAPER_COLUMNS, Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12  # cells that a terminal names of each kind

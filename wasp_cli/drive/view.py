@@ -27,10 +27,9 @@ from wasp_cli.tasks.base import Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Readout, displacements, fit, following, imagine, integrated, rollout_start
 from wasp_cli.video.map import WIDEST, things_of
 from wasp_cli.video.replay import HORIZON
-from wasp_cli.video.trace import poses_of
+from wasp_cli.video.trace import Readout, displacements, fit, following, imagine, integrated, poses_of, rollout_start
 
 GROUND = 2048  # px of a side of the picture of the ground at most
 FINE = 0.02  # m of a pixel of it, where that is not too many

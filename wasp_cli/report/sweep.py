@@ -12,11 +12,10 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.document import name_missing
 from wasp_cli.report.figures.by_axis import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
 from wasp_cli.report.stats import Missing
-from wasp_cli.report.summarize import identity_of, report_run
+from wasp_cli.report.summarize import identity_of, name_missing, report_run
 from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import (
     SWEEP_COLUMNS,

@@ -18,12 +18,12 @@ from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.run.control import announce
 from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.run.show import board
+from wasp_cli.run.watch import announce
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec

@@ -20,9 +20,18 @@ from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, s
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video.film import checked, write
-from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
-from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
+from wasp_cli.video.trace import (
+    ImaginedTrajectories,
+    PlayedDecision,
+    PlayedEpisode,
+    Progress,
+    Source,
+    imagine,
+    integrated,
+    play_episode,
+    threads_of_evaluations,
+)
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title

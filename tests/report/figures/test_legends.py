@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures import Line, by_axis, draw_lines, drawn, legend, methods
+from wasp_cli.report import figures as methods
+from wasp_cli.report.figures import Line, by_axis, draw_lines, drawn, legend
 from wasp_cli.report.stats import Frame
 
 ROWS = [name for name, info in METHODS.items() if info.impaired][:9]

@@ -15,9 +15,8 @@ from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictRepor
 from wasp_cli.report.render import markdown_row, rendered
 from wasp_cli.report.stats.bootstrap import Limits
 from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables import Row, Table, task_title, who_title
+from wasp_cli.report.tables import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS, Row, Table, task_title, who_title
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
-from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:

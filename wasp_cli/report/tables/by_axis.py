@@ -10,17 +10,22 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
 from wasp_cli.report.stats.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
-from wasp_cli.report.tables.main import (
+from wasp_cli.report.tables import (
     AUTONOMY,
     LABELS,
     MEANINGS,
     MORE_COLUMNS,
     PAPER_COLUMNS,
+    Column,
+    Row,
+    Table,
+    assistant_title,
     full_groups,
     labels_of,
     missing_notes,
+    operator_title,
     part_of,
+    task_title,
     values,
 )
 from wasp_cli.store.tables import CellIdentity
