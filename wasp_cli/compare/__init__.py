@@ -94,12 +94,12 @@ def paired_episodes(before: CellNumbers, after: CellNumbers) -> Paired | None:
 def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """Correct the p-values of measures for the number of cells by Holm's steps: cells in the order of their smallest one."""
     order = sorted(range(len(cells)), key=lambda i: min(cells[i].values()))
-    found: list[dict[str, float]] = [{} for _ in cells]
+    adjusted: list[dict[str, float]] = [{} for _ in cells]
     floor = 0.0
     for step, i in enumerate(order):
-        found[i] = {name: min(1.0, max(floor, (len(cells) - step) * p)) for name, p in cells[i].items()}
-        floor = min(found[i].values())
-    return found
+        adjusted[i] = {name: min(1.0, max(floor, (len(cells) - step) * p)) for name, p in cells[i].items()}
+        floor = min(adjusted[i].values())
+    return adjusted
 
 
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
@@ -219,10 +219,10 @@ class _Read:
 
     def __init__(self, side: Side) -> None:
         self.layout = side.layout
-        wanted, _ = wanted_cells(side.layout, side.spec, side.cells)
-        frame = read_frame(wanted)
-        self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in wanted}
-        self.keys = {each.identity: key for each, (_, key) in zip(wanted, side.cells, strict=True)}
+        cells, _ = wanted_cells(side.layout, side.spec, side.cells)
+        frame = read_frame(cells)
+        self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
+        self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}
         self.numbers: dict[CellIdentity, CellNumbers] = {cell.identity: cell for cell in frame.cells}
         self.reasons = {gap.identity: gap.reason for gap in frame.missing}
 

@@ -86,16 +86,16 @@ def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], s
 
 
 def _unable(compared: Compared) -> tuple[str, ...]:
-    found = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
+    paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
     notes = []
-    partly = sum(each.worlds < max(each.episodes) for each in found)
+    partly = sum(each.worlds < max(each.episodes) for each in paired)
     if partly:
         notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
-    weak = sum(each.least * len(found) > LEVEL for each in found)
+    weak = sum(each.least * len(paired) > LEVEL for each in paired)
     if weak:
         notes.append(
-            f"Too few episodes in {weak} of {_cells(len(found))} to differ by more than noise among so many, whatever the difference: look "
-            "at the difference of each assistant."
+            f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than noise among so many, whatever the difference: "
+            "look at the difference of each assistant."
         )
     return tuple(notes)
 
@@ -105,11 +105,11 @@ def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
     for state in ("only first", "only second", "not compared"):
-        found = compared.having(state)
-        for cell in found[:shown]:
+        cells = compared.having(state)
+        for cell in cells[:shown]:
             yield f"  {STATES[state]}: {cell.label}{f' ({cell.reason})' if cell.reason else ''}"
-        if shown is not None and len(found) > shown:
-            yield f"  {STATES[state]}: {len(found) - shown} more"
+        if shown is not None and len(cells) > shown:
+            yield f"  {STATES[state]}: {len(cells) - shown} more"
     if compared.causes:
         yield "What differs behind the cells:"
         for cause, count in compared.causes[:shown]:
@@ -153,8 +153,8 @@ def page(compared: Sequence[Compared]) -> str:
 
 def tables(compared: Compared) -> list[Table]:
     """Return the tables that a comparison has, under names with the spec."""
-    found = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
-    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in found]
+    made = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
+    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in made]
 
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:

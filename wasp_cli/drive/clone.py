@@ -107,11 +107,11 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     return {"label": node.label, "key": node.key, **document}
 
 
-def quality_table(found: Mapping[str, Any]) -> RichTable:
+def quality_table(document: Mapping[str, Any]) -> RichTable:
     """Return what a clone foretells, beside what needs no learning."""
-    held, learnt = found["heldout_episodes"], found["episodes"]
+    held, learnt = document["heldout_episodes"], document["episodes"]
     table = count_table(f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}", "log-density", "squared error")
-    for name, row in found["models"].items():
+    for name, row in document["models"].items():
         table.add_row(name, f"{row['log_density']:.2f}", f"{row['squared_error']:.3f}")
     return table
 
@@ -155,17 +155,17 @@ def _require_unused(layout: Layout, node: Node) -> None:
 def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
     """What a participant saw and commanded in each episode of a cell."""
     recorded = Recorded(**read_recorded(cell_file(layout.artifact("evaluate", key))))
-    found = []
+    episodes = []
     for e in range(len(recorded.a)):
         own = recorded.of(range(e, e + 1))
         world = make_task(node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",))
         moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
-        seen = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
-        features, command = torch.stack([f for f, _ in seen]), torch.stack([a for _, a in seen])
+        pairs = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
+        features, command = torch.stack([f for f, _ in pairs]), torch.stack([a for _, a in pairs])
         last = torch.cat([torch.full_like(command[:1], torch.nan), command[:-1]])
         # What was computed without gradients cannot be learned from as it is.
-        found.append(Issued(features.clone(), command.clone(), last))
-    return found
+        episodes.append(Issued(features.clone(), command.clone(), last))
+    return episodes
 
 
 def together(episodes: Sequence[Issued]) -> Issued:

@@ -121,8 +121,8 @@ class Wanted:
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
-        wanted = [] if self.episodes is None else [f"episodes={self.episodes}"]
-        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*wanted, *self.settings])
+        episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
+        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*episodes, *self.settings])
 
     def record(self, session: Session) -> None:
         """Write down what this participant has driven of a task so far, so that a report shows all of it."""

@@ -123,14 +123,14 @@ class Session:
                 e = record.finished
                 layout = seeds.layout_seed(cell.task, cell.seed, e + skipped)
                 own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
-                found = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
-                if isinstance(found, Driven):
-                    record.add(found, thresholds_of(block.assistant), config["safe_cost"])
+                outcome = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
+                if isinstance(outcome, Driven):
+                    record.add(outcome, thresholds_of(block.assistant), config["safe_cost"])
                 else:
-                    record.cut(found)
+                    record.cut(outcome)
                     # In a study everyone drives the same worlds.
-                    skipped += found.why == NEXT and self.study is None
-                    ended = found.why == END
+                    skipped += outcome.why == NEXT and self.study is None
+                    ended = outcome.why == END
         finally:
             block.close()
             record.note(lost_connection=desk.lost, lost_focus=desk.blurred)
@@ -154,7 +154,7 @@ class Session:
         """The cell with its first episodes alone, with the grid and the spec that ask for it."""
         part = limited(self.loaded, episodes)
         grid = lay_out_over(part.spec, self.layout, None)
-        return grid, next(found for each, found in grid.cells if each == cell), part
+        return grid, next(node for each, node in grid.cells if each == cell), part
 
     def _ask(self, desk: Desk, record: CellRecord) -> None:
         answers: dict[str, dict[str, float]] = {}

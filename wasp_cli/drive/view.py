@@ -155,8 +155,8 @@ class Futures:
         with torch.inference_mode():
             residuals = _correction(a_h, decision)
             start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), self._expert or operator, residuals, self._horizon)
-            found = imagine(self._model, start, self._horizon, (), hold=self._hold)
-        ways = [integrated(np.array(robot), self._readout(features[0])) for features in found.features]
+            imagined = imagine(self._model, start, self._horizon, (), hold=self._hold)
+        ways = [integrated(np.array(robot), self._readout(features[0])) for features in imagined.features]
         self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)
         return dict(zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False))
 

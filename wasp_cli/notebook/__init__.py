@@ -106,7 +106,7 @@ def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
 
     UnknownName where nothing has a value: a misspelt method gives no empty table.
     """
-    found = list(items)
+    kept = list(items)
     for name, value in wanted.items():
         if value is None:
             continue
@@ -114,8 +114,8 @@ def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
         known = {getattr(item, name) for item in items}
         for unknown in sorted(values - known, key=str):
             raise UnknownName(f"{name} in these results", str(unknown), sorted(str(one) for one in known if one is not None))
-        found = [item for item in found if getattr(item, name) in values]
-    return found
+        kept = [item for item in kept if getattr(item, name) in values]
+    return kept
 
 
 def _values(value: Any) -> Iterator[Any]:
@@ -209,17 +209,17 @@ def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
     path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)
     if not path.is_file():
         return None
-    found = read_branches(path)
-    if found.cell.identity != cell.identity:
+    stored = read_branches(path)
+    if stored.cell.identity != cell.identity:
         raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)
-    cost, reward, count = found.cost, found.reward, len(found.episode)
-    worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], found.cell.tau_R)
+    cost, reward, count = stored.cost, stored.reward, len(stored.episode)
+    worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)
     columns = {
-        "episode": found.episode, "t": found.t, "gate": found.gate, "deviation": found.deviation,
+        "episode": stored.episode, "t": stored.t, "gate": stored.gate, "deviation": stored.deviation,
         "cost_assisted": cost[ASSISTED].sum(1), "cost_alone": cost[ALONE].sum(1),
         "reward_assisted": reward[ASSISTED].sum(1), "reward_alone": reward[ALONE].sum(1),
         "rho": worth.rho, "delta_c": worth.delta_c, "delta_r": worth.delta_r, "unnecessary": worth.unnecessary,
         "unnecessary_swapped": worth.swapped, "effective": worth.effective,
-        "window": np.full(count, found.cell.window), "tau_R": np.full(count, found.cell.tau_R),
+        "window": np.full(count, stored.cell.window), "tau_R": np.full(count, stored.cell.tau_R),
     }  # fmt: skip
     return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})

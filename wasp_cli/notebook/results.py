@@ -237,12 +237,12 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        found = stacked(self.layout, [self.names], steps_of, STEPS, None)
+        rows = stacked(self.layout, [self.names], steps_of, STEPS, None)
         if episode is None:
-            return found
+            return rows
         import pyarrow.compute as pc
 
-        return found.filter(pc.equal(found["episode"], episode))
+        return rows.filter(pc.equal(rows["episode"], episode))
 
     def branches(self) -> pa.Table:
         """Read a row per counterfactually tested decision.

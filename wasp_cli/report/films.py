@@ -129,8 +129,8 @@ def _is_slim(layout: Layout, key: str) -> bool:
 def _median_episode(episodes: Mapping[str, Floats]) -> int:
     """The first episode whose cost is the (upper) median; where some are left out, `episode` numbers the others."""
     costs = episodes["cost"]
-    wanted = np.sort(costs)[len(costs) // 2]
-    place = int(np.flatnonzero(costs == wanted)[0])
+    median = np.sort(costs)[len(costs) // 2]
+    place = int(np.flatnonzero(costs == median)[0])
     return int(episodes["episode"][place]) if "episode" in episodes else place
 
 

@@ -121,13 +121,13 @@ def _note(record: dict[str, Any]) -> Note | None:
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
     """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
-    found: dict[tuple[str, int | None], Note] = {}
+    marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
         if note.mark == "invalid":
-            found[note.key, note.episode] = note
+            marked[note.key, note.episode] = note
         elif note.mark == "valid":
-            found.pop((note.key, note.episode), None)
-    return found
+            marked.pop((note.key, note.episode), None)
+    return marked
 
 
 def without_invalid(
@@ -173,15 +173,15 @@ def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | N
     if not rest.any():
         return None
     numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
-    found = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
+    kept = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
     pooled = {}
     for name in cell.pooled:
         if name in TIMES:
-            pooled[name] = median_of(found.episodes[name])
+            pooled[name] = median_of(kept.episodes[name])
         elif name in WEIGHT_OF:
-            mass, weight = found.weighted(name)
+            mass, weight = kept.weighted(name)
             pooled[name] = float(mass.sum() / weight.sum()) if weight.sum() else float("nan")
-    return replace(found, pooled=pooled)
+    return replace(kept, pooled=pooled)
 
 
 def _without(judged: Judged, out: Collection[int]) -> Judged:

@@ -43,7 +43,7 @@ def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], li
     Without `aside` those that are set aside are left out, where there are others.
     """
     hidden: set[str] = set()
-    found: dict[str, str] = {}
+    runs: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
         path = layout.run(run_id) / "plan.json"
@@ -58,10 +58,10 @@ def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], li
         if not isinstance(name, str):
             damaged.append(f"'{path}' is damaged: it names no spec")
             continue
-        found.pop(name, None)
-        found[name] = run_id
+        runs.pop(name, None)
+        runs[name] = run_id
         (hidden.add if record.get("aside") is True else hidden.discard)(name)
-    return {name: run for name, run in found.items() if aside or name not in hidden} or found, damaged
+    return {name: run for name, run in runs.items() if aside or name not in hidden} or runs, damaged
 
 
 @dataclass
@@ -163,7 +163,7 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
     Day and commit are empty where they are unknown.
     """
     known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
-    found = []
+    sources = []
     for cell, key in known if len(known) <= MOST_CELLS else ():
         try:
             manifest = read_manifest(layout, KIND, key)
@@ -174,8 +174,8 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
         sha = git.get("sha") if isinstance(git, Mapping) else None
         texts = (each if isinstance(each, str) else "" for each in (label, day, sha))
         shown, when, commit = map(printable, texts)
-        found.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
-    return found
+        sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
+    return sources
 
 
 def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
@@ -221,35 +221,35 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
             need(kind)
     for kind in spec.stages:
         need(kind)
-    found: list[Assumption] = []
+    in_force: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
         idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
         if not idle:
-            found.append((name, value, why))
+            in_force.append((name, value, why))
     if "world_model" in kinds:
-        found.append(POSTERIOR)
+        in_force.append(POSTERIOR)
     if "wasp" in spec.methods:
-        found += READINGS
-    return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
+        in_force += READINGS
+    return sorted(in_force, key=lambda one: not one[2].startswith(DIFFERS))
 
 
 def _of_single_tasks(spec: Spec) -> list[Assumption]:
     """The values that differ in the sections of single tasks, each with its task."""
-    found: list[Assumption] = []
+    differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
             base, own = ((spec.stage if section in STAGES else spec.method)(section, task=which) for which in (None, task))
             same = {name: value for name, value, _ in assumptions(base)}
-            found += [
+            differing += [
                 (f"{section}.{name}", value, f"{why} (on {task} alone)")
                 for name, value, why in assumptions(own)
                 if name not in same or same[name] != value
             ]
-    return found
+    return differing
 
 
-def assumptions_markdown(found: Sequence[Assumption]) -> str:
+def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
     """Render a Markdown section: every value in force that is not the paper's."""
     lines = [
         "## Assumptions in force",
@@ -258,7 +258,7 @@ def assumptions_markdown(found: Sequence[Assumption]) -> str:
         "",
     ]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
-    for name, value, why in found:
+    for name, value, why in assumed:
         shown = json.dumps(value, default=str, ensure_ascii=False)
         lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
     return "\n".join(lines) + "\n"
@@ -274,12 +274,12 @@ def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, 
         try:
             if not layout.within(layout.manifest(kind, key)).is_file():
                 continue
-            found = corruption(layout, kind, key)
+            problem = corruption(layout, kind, key)
         except (ArtifactError, StoreError) as error:
-            found = error.message
+            problem = error.message
         except (OSError, AttributeError) as error:  # it changes now, or names no digests
-            found = f"'{layout.artifact(kind, key)}': {error}"
+            problem = f"'{layout.artifact(kind, key)}': {error}"
         read += 1
-        if found is not None:
-            wrong.append(found)
+        if problem is not None:
+            wrong.append(problem)
     return read, wrong

@@ -89,14 +89,14 @@ class SweepReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values, unscaled."""
-        found = lines(self.swept)
+        rows = lines(self.swept)
         return {
             "name": self.name,
             "spec": self.spec,
             "setting": self.key,
             "values": [each.value for each in self.swept],
-            "rows": [line.as_json(SWEEP_COLUMNS) for line in found],
-            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, found)],
+            "rows": [line.as_json(SWEEP_COLUMNS) for line in rows],
+            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, rows)],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
         }
 

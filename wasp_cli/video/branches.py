@@ -89,11 +89,11 @@ class BranchPair:
             recording = _RecordingTask(world, episode)
             rerun = Rerun(recording, load_world_model(source.world_model), source.operator_in(world), source.recorded)
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
-            found = branches(rerun, chosen, window, progress)
+            played = branches(rerun, chosen, window, progress)
         self.world, self.t, self.window = world, t, window
         self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
         self.traces: Mapping[str, BranchTrace] = {
-            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
+            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in played
         }
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 

@@ -57,8 +57,8 @@ def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
     colours: list[tuple[int, ...]] = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
     for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):
         flat = sheet.quantize(count, method, dither=Image.Dither.NONE).getpalette("RGB") or []
-        found = [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
-        colours += [one for one in found if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])]
+        sampled = [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
+        colours += [one for one in sampled if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])]
     palette = Image.new("P", (1, 1))
     palette.putpalette([part for colour in dict.fromkeys(colours) for part in colour])
     return palette

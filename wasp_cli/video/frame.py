@@ -256,7 +256,7 @@ class Timeline:
 
     def __init__(self, episode: Episode, width: int, height: int) -> None:
         self._decisions, self._width = episode.decisions, width
-        seen = curves(episode)
+        looked_at = curves(episode)
         rows = [lane for lane in timeline(episode) if lane.name != "acts"]
         kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
         rows.insert(-1, Lane("gate", STRIP, BASE, marks=spans(kinds)))
@@ -274,7 +274,7 @@ class Timeline:
                 y = 2 * (top + scale * float(level))
                 draw.line((2 * self._x(0), y, 2 * self._x(self._decisions), y), colours[kind], 2)
                 if kind == "limit":
-                    label = f"{seen[i].limit_name} {seen[i].limit:.3g}"
+                    label = f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
                     draw.text((2 * self._x(self._decisions) - 4, y - 2), label, "#8f3f74", font(20), anchor="rb")
             for points in lane.curves:
                 places = [tuple(map(float, point.split(","))) for point in points.split()]

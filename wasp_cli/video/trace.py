@@ -152,8 +152,8 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
     if len(moves) < 2 * PARTS:
         return None, np.full(3, np.nan)
     xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
-    found = [fit(xs[:i] + xs[i + 1 :], ys[:i] + ys[i + 1 :])(xs[i]) for i in range(PARTS)]
-    return fit(xs, ys), _explained(np.concatenate(found), moves)
+    predicted = [fit(xs[:i] + xs[i + 1 :], ys[:i] + ys[i + 1 :])(xs[i]) for i in range(PARTS)]
+    return fit(xs, ys), _explained(np.concatenate(predicted), moves)
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
@@ -168,9 +168,9 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     return [Readout(mean, np.linalg.solve(gram + strength * np.eye(len(gram)), right) / scale[:, None], offset) for strength in STRENGTHS]
 
 
-def _explained(found: Floats, true: Floats) -> Floats:
+def _explained(predicted: Floats, true: Floats) -> Floats:
     spread = ((true - true.mean(0)) ** 2).sum(0)
-    error = ((found - true) ** 2).sum(0)
+    error = ((predicted - true) ** 2).sum(0)
     shares: Floats = 1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12)
     return shares
 
@@ -359,9 +359,9 @@ def _read_out(
     """A readout from the other episodes and its R2 on this one; of an episode that is alone, from its parts."""
     if not poses:
         return None, np.full(3, np.nan)
-    seen, places = np.stack(features), np.stack(poses)  # [T, B, .]
+    latents, places = np.stack(features), np.stack(poses)  # [T, B, .]
     # The latent that has arrived at t, and the way from t - 1 to t.
-    arrived = [seen[1:length, e] for e, length in enumerate(lengths)]
+    arrived = [latents[1:length, e] for e, length in enumerate(lengths)]
     moved = [displacements(places[:length, e]) for e, length in enumerate(lengths)]
     others = [e for e in range(len(lengths)) if e != episode and len(moved[e])]
     if not others:

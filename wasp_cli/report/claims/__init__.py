@@ -63,7 +63,7 @@ class Judged:
     @property
     def part(self) -> Outcome:
         """The outcome of those questions that could be asked; `untested` where none could."""
-        return all_of([found for answers in self.answers if (found := any_of(answers)) != "untested"])
+        return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
 
     @property
     def beyond_print(self) -> tuple[tuple[Answer, ...], ...]:
@@ -112,7 +112,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     return VerdictReport(
         paper=paper,
         rows=tuple(_beside(rows, paper)),
-        claims=tuple(replace(found, others=tuple(_judged_by(rows, paper, found.claim, who) for who in others)) for found in judged),
+        claims=tuple(replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others)) for own in judged),
         tasks=rows.tasks,
         seeds=seeds,
         one_training=len({cell.training for cell in frame.cells}) == 1,
@@ -141,9 +141,9 @@ def signed_margin(asked: Comparison) -> float:
 
 def any_of(answers: Sequence[Answer]) -> Outcome:
     """Combine alternatives: one is enough, and none of them holds only when each was tested."""
-    found = {answer.outcome for answer in answers}
+    outcomes = {answer.outcome for answer in answers}
     for outcome in ("holds", "untested", "undecided"):
-        if outcome in found:
+        if outcome in outcomes:
             return outcome
     return "fails"
 
@@ -160,16 +160,16 @@ class _Rows:
     """The rows of a report by what a paper calls them, each number computed once."""
 
     def __init__(self, frame: Frame) -> None:
-        found = groups(frame)
-        self.tasks = tuple(dict.fromkeys(group.task for group in found))
-        self._groups = {(group.task, Who(group.method, group.variant)): group for group in found}
+        rows = groups(frame)
+        self.tasks = tuple(dict.fromkeys(group.task for group in rows))
+        self._groups = {(group.task, Who(group.method, group.variant)): group for group in rows}
         self.mean, self.contrast = cache(self._mean), cache(self._contrast)
 
     def group(self, task: str, who: Who) -> Group | None:
         return self._groups.get((task, who))
 
     def has(self, who: Who) -> bool:
-        return any(found == who for _, found in self._groups)
+        return any(known == who for _, known in self._groups)
 
     def _mean(self, task: str, who: Who, column: str) -> Estimate | None:
         group = self.group(task, who)
@@ -242,8 +242,8 @@ def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | No
         return None
     # To nine digits: 0.3 - 0.1 is not 0.2 to a computer.
     other = right.mean if right is not None else asked.bound or 0.0
-    found = round(left.mean - other - signed_margin(asked) * abs(other), 9)
-    return decide((found, found), asked.relation) == "holds"
+    contrast = round(left.mean - other - signed_margin(asked) * abs(other), 9)
+    return decide((contrast, contrast), asked.relation) == "holds"
 
 
 def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:

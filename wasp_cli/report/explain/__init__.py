@@ -336,14 +336,14 @@ def curves(episode: Episode) -> list[Curve]:
 
 def spans(kinds: Iterable[str]) -> list[Span]:
     """Return the stretches of one kind; an empty kind is none."""
-    found: list[Span] = []
+    stretches: list[Span] = []
     at = 0
     for kind, group in groupby(kinds):
         length = len(list(group))
         if kind:
-            found.append((kind, at, length))
+            stretches.append((kind, at, length))
         at += length
-    return found
+    return stretches
 
 
 def _lane(name: str, values: Floats, limit: float | None, _: str) -> Lane:

@@ -171,10 +171,10 @@ def groups(frame: Frame) -> list[Group]:
     for cell in frame.cells:
         rows.setdefault(row_of(cell.identity), []).append(cell)
     absent = Counter(row_of(gap.identity) for gap in frame.missing)
-    found = [Group(*row, tuple(cells), absent[row]) for row, cells in rows.items()]
-    tasks = list(dict.fromkeys(group.task for group in found))
-    methods = list(dict.fromkeys(group.method for group in found))
-    return sorted(found, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
+    listed = [Group(*row, tuple(cells), absent[row]) for row, cells in rows.items()]
+    tasks = list(dict.fromkeys(group.task for group in listed))
+    methods = list(dict.fromkeys(group.method for group in listed))
+    return sorted(listed, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
 
 
 def row_of(identity: CellIdentity) -> tuple[str, str, str]:
@@ -187,9 +187,9 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     wanted = tuple(wanted)
     parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
     with ThreadPoolExecutor(THREADS) as threads:
-        found = [numbers for part in threads.map(lambda part: list(map(_read, part)), parts) for numbers in part]
-    read = [(cell, numbers) for cell, numbers in zip(wanted, found, strict=True) if not isinstance(numbers, Missing)]
-    missing = tuple(gap for gap in found if isinstance(gap, Missing))
+        results = [numbers for part in threads.map(lambda part: list(map(_read, part)), parts) for numbers in part]
+    read = [(cell, numbers) for cell, numbers in zip(wanted, results, strict=True) if not isinstance(numbers, Missing)]
+    missing = tuple(gap for gap in results if isinstance(gap, Missing))
     return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
 
 
@@ -239,25 +239,25 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
 
 
-def absence(wanted: Wanted) -> str:
+def absence(cell: Wanted) -> str:
     """Say why something has no rows."""
-    if wanted.failure:
-        return f"failed: {wanted.failure}"
-    return f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"
+    if cell.failure:
+        return f"failed: {cell.failure}"
+    return f"blocked by {cell.blocked}" if cell.blocked else "not computed yet"
 
 
-def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
+def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
     """Pool the episodes of every cell: rates are ratios of sums."""
-    if not found:
+    if not stored:
         return []
-    rows = pa.concat_tables([numbers.table for _, numbers in found])
-    sizes = np.array([numbers.table.num_rows for _, numbers in found])
+    rows = pa.concat_tables([numbers.table for _, numbers in stored])
+    sizes = np.array([numbers.table.num_rows for _, numbers in stored])
     columns = {name: _floats(rows, name) for name in COLUMNS}
     columns |= {"jumps": columns["decisions"] - 1.0, "world": columns.pop("episode_seed")}
-    pooled = pool(columns, np.repeat(np.arange(len(found)), sizes))
+    pooled = pool(columns, np.repeat(np.arange(len(stored)), sizes))
     starts = np.concatenate([[0], np.cumsum(sizes)])
     cells = []
-    for i, (cell, numbers) in enumerate(found):
+    for i, (cell, numbers) in enumerate(stored):
         part = slice(int(starts[i]), int(starts[i + 1]))
         episodes = {name: values[part] for name, values in columns.items()}
         of_cell = {name: float(values[i]) for name, values in pooled.items()}
@@ -287,29 +287,29 @@ def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
     gaps: dict[CellIdentity, Missing] = {}
     for cell in frame.cells:
         if cell.identity in asked:
-            found = _judged(asked[cell.identity], cell)
-            if isinstance(found, Missing):
-                gaps[cell.identity] = found
+            worth = _judged(asked[cell.identity], cell)
+            if isinstance(worth, Missing):
+                gaps[cell.identity] = worth
             else:
-                judged[cell.identity] = found
+                judged[cell.identity] = worth
     cells = tuple(_with_columns(cell, judged[cell.identity]) if cell.identity in judged else cell for cell in frame.cells)
     return replace(frame, cells=cells, judged=judged, unbranched=tuple(gaps.values()))
 
 
-def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
-    key = wanted.path.parent.name
-    if wanted.refused is not None:
-        return Missing(wanted.identity, wanted.label, wanted.refused, kind=COUNTERFACTUAL)
-    if not wanted.path.exists():
-        return Missing(wanted.identity, wanted.label, absence(wanted), key, kind=COUNTERFACTUAL)
+def _judged(branches: Wanted, cell: CellNumbers) -> Judged | Missing:
+    key = branches.path.parent.name
+    if branches.refused is not None:
+        return Missing(branches.identity, branches.label, branches.refused, kind=COUNTERFACTUAL)
+    if not branches.path.exists():
+        return Missing(branches.identity, branches.label, absence(branches), key, kind=COUNTERFACTUAL)
     try:
-        with odd_tables_refused(wanted.path):
-            stored = read_branches(wanted.path)
+        with odd_tables_refused(branches.path):
+            stored = read_branches(branches.path)
             _require_cell(stored, cell)
             return worth_of(stored)
     except StoreError as error:
         reason = error.message + (f" ({error.hint})" if error.hint else "")
-        return Missing(wanted.identity, wanted.label, reason, key, damaged=True, kind=COUNTERFACTUAL)
+        return Missing(branches.identity, branches.label, reason, key, damaged=True, kind=COUNTERFACTUAL)
 
 
 def _require_cell(stored: Branches, cell: CellNumbers) -> None:

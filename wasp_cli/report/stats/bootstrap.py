@@ -309,9 +309,9 @@ class _Training:
         defined = (mass > 0).all(0)
         left, right = np.where(defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0).sum(2)
         number = defined.sum(1)
-        found: Floats = np.full(len(counts), np.nan)
-        np.divide(left - right - self.margin * np.abs(right), number, out=found, where=number > 0)
-        return found
+        contrasts: Floats = np.full(len(counts), np.nan)
+        np.divide(left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0)
+        return contrasts
 
 
 def _resampled(trainings: Sequence[_Training]) -> Floats:

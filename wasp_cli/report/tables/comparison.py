@@ -56,7 +56,7 @@ def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -
         return []
     lines = [
         [_line(group, measure) for group in of_task]
-        for of_task in (list(found) for _, found in groupby(full_groups(frame), lambda group: group.task))
+        for of_task in (list(rows) for _, rows in groupby(full_groups(frame), lambda group: group.task))
         for measure in MEASURES
     ]
     return [_table(frame, lines, reference) for reference in references]
@@ -70,11 +70,11 @@ def _line(group: Group, measure: Column) -> _Line:
 
 def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
     rows, chosen = [], []
-    for found in lines:
-        other = _reference(found, reference)
+    for of_measure in lines:
+        other = _reference(of_measure, reference)
         if other is not None:
             chosen.append(other)
-        rows += [_row(line, other) for line in found]
+        rows += [_row(line, other) for line in of_measure]
     against = "best other method" if reference == BEST else METHODS[reference].title
     difference = Column("difference", f"Difference to {against}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
@@ -85,10 +85,10 @@ def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Ta
     return Table(name, title, ("Task", "Measure", "Method"), columns, tuple(rows), notes, MEANINGS, grouping=2)
 
 
-def _reference(found: Sequence[_Line], reference: str) -> _Line | None:
+def _reference(lines: Sequence[_Line], reference: str) -> _Line | None:
     if reference != BEST:
-        return next((line for line in found if line.group.method == reference and line.group.cells), None)
-    rivals = [line for line in found if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
+        return next((line for line in lines if line.group.method == reference and line.group.cells), None)
+    rivals = [line for line in lines if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
     means = [((-1.0 if line.measure.better == "down" else 1.0) * line.marked.mean, line) for line in rivals if line.marked.mean is not None]
     return max(means, key=lambda pair: pair[0])[1] if means else None
 
@@ -112,8 +112,8 @@ def _value(estimate: Estimate | None, like: Value) -> Value:
 
 def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
     """Yield what [low, high] are, what they resample and how coarse that is."""
-    found = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
-    for words, interval in sorted(found.items()):
+    intervals = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
+    for words, interval in sorted(intervals.items()):
         if interval.unit == "world":
             what = "worlds of one training: they cover other layouts, not retraining"
         else:
@@ -123,20 +123,21 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    found = [value.interval for row in rows for value in row.values if value.interval is not None]
-    if not found:
+    intervals = [value.interval for row in rows for value in row.values if value.interval is not None]
+    if not intervals:
         yield "No intervals: there is a single world to resample."
         return
     yield from limit_notes(rows)
-    yield f"These are {len(found)} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
+    many = len(intervals)
+    yield f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 
 def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
     if not chosen:
         yield "The reference has no cells here, so that nothing is compared with it."
     elif reference == BEST:
-        for task, found in groupby(chosen, lambda line: line.group.task):
-            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in found)
+        for task, lines in groupby(chosen, lambda line: line.group.task):
+            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in lines)
             yield f"Best other methods on {task_title(task)}: {named}."
         yield "They were chosen on the same episodes, which flatters them a little."
 
@@ -166,10 +167,10 @@ NECESSITY_MEANINGS = (
 
 def necessity_table(frame: Frame) -> Table | None:
     """Make table `figure3`; None where no interventions were to be branched."""
-    found = list(judged_groups(frame))
-    if not found:
+    judged = list(judged_groups(frame))
+    if not judged:
         return None
-    rows = [Row(labels_of(group), (*_counts(frame, group), *(estimated(group, column) for column in MEANS))) for group in found]
+    rows = [Row(labels_of(group), (*_counts(frame, group), *(estimated(group, column) for column in MEANS))) for group in judged]
     columns, notes = (INTERVENTIONS, BRANCHED, *MEANS), tuple(_notes(frame, rows))
     return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), notes, NECESSITY_MEANINGS)
 

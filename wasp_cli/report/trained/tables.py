@@ -78,11 +78,11 @@ def training_tables(
 ) -> list[Table]:
     """Make the tables that have something to show; `failures` say by key why parts are not there, where that is known."""
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
-    wanted: dict[Key, list[Part]] = {}
+    by_stage: dict[Key, list[Part]] = {}
     for part, _ in parts:
-        wanted.setdefault((part.task, part.kind), []).append(part)
+        by_stage.setdefault((part.task, part.kind), []).append(part)
     told = {part: summaries[key] for part, key in parts if key in summaries}
-    training = _Training(wanted, told, {part: why[key] for part, key in parts if key in why})
+    training = _Training(by_stage, told, {part: why[key] for part, key in parts if key in why})
     tables = (_stages(training, _incomplete(training)), _ahead(training))
     return [table for table in tables if table.rows and table.columns]
 
@@ -192,11 +192,11 @@ def dataset_warnings(contents: Document) -> list[str]:
     sources, share = contents[ALL]["sources"], contents[ALL]["costly_share"]
     if not sources:
         return []
-    found = [f"no step costs by {kind}" for kind, part in sources.items() if part == 0.0]
+    warnings = [f"no step costs by {kind}" for kind, part in sources.items() if part == 0.0]
     low, high = COSTLY_SHARE
     if not low <= share <= high:
-        found.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
-    return found
+        warnings.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
+    return warnings
 
 
 def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, ...]:
@@ -206,10 +206,10 @@ def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, 
         if artifact.kind != "dataset" or "warning" in artifact.summary:
             return artifact
         try:
-            found = dataset_warnings(read_json(layout, artifact, "contents.json"))
+            warnings = dataset_warnings(read_json(layout, artifact, "contents.json"))
         except UNREADABLE:
             return artifact
-        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(found)}) if found else artifact
+        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(warnings)}) if warnings else artifact
 
     return tuple(map(judged, trained))
 
