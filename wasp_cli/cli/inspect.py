@@ -25,7 +25,6 @@ from wasp_cli.cli.options import (
 )
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -221,6 +220,8 @@ def replay(
 
 def _say_address(results: Path, cell: FoundCell, episode: int, step: int | None) -> None:
     """Say which command shows a place in a browser; not of a file that lies outside of the results."""
+    from wasp_cli.report.render import cell_address, open_command
+
     if cell.key is not None and cell.path.absolute().parent.parent == Layout(results.absolute()).kind("evaluate"):
         plain(f"in a browser: {open_command(results, cell_address(cell.key[:8], episode, step))}")
 
