@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +20,7 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, Necessity, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
+from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import Numbers, read_numbers
@@ -27,6 +28,7 @@ from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_file, lacking, read_episodes, read_version
 
 Floats = NDArray[np.float64]
+Result = TypeVar("Result")
 
 POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")  # columns that weigh others (metrics.episode.WEIGHTS)
 
@@ -193,22 +195,31 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
 
 
-def _read(cell: Wanted) -> Numbers | Missing:
-    if cell.refused is not None:
-        return Missing(cell.identity, cell.label, cell.refused)
-    if not cell.path.exists():
-        return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
+def _or_missing(wanted: Wanted, kind: str, read: Callable[[Path], Result]) -> Result | Missing:
+    """What is read of a table; a report names what is not there or damaged and goes on, and never averages without it in silence."""
+    missing = partial(Missing, wanted.identity, wanted.label, kind=kind)
+    if wanted.refused is not None:
+        return missing(wanted.refused)
+    key = wanted.path.parent.name
+    if not wanted.path.exists():
+        blocked = f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"
+        return missing(f"failed: {wanted.failure}" if wanted.failure else blocked, key)
     try:
-        with odd_tables_refused(cell.path):
-            numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
-            if numbers.identity != cell.identity:
-                raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
-            numbers.table["episode_seed"].cast(pa.float64())  # an error where two worlds would become one number
+        with odd_tables_refused(wanted.path):
+            return read(wanted.path)
     except StoreError as error:
-        # A report names a damaged cell and goes on; it never averages without it in silence.
-        reason = error.message + (f" ({error.hint})" if error.hint else "")
-        return Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True)
-    return numbers
+        return missing(error.message + (f" ({error.hint})" if error.hint else ""), key, damaged=True)
+
+
+def _read(cell: Wanted) -> Numbers | Missing:
+    def numbers(path: Path) -> Numbers:
+        rows = read_numbers(path, COLUMNS) or _read_closely(path)
+        if rows.identity != cell.identity:
+            raise StoreError(f"{path} holds another cell: {rows.identity}")
+        rows.table["episode_seed"].cast(pa.float64())  # an error where two worlds would become one number
+        return rows
+
+    return _or_missing(cell, KIND, numbers)
 
 
 def _read_closely(path: Path) -> Numbers:
@@ -237,13 +248,6 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
     except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         what = " ".join(str(error).split())[:200]
         raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
-
-
-def absence(cell: Wanted) -> str:
-    """Say why something has no rows."""
-    if cell.failure:
-        return f"failed: {cell.failure}"
-    return f"blocked by {cell.blocked}" if cell.blocked else "not computed yet"
 
 
 def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
@@ -297,33 +301,17 @@ def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
 
 
 def _judged(branches: Wanted, cell: CellNumbers) -> Judged | Missing:
-    key = branches.path.parent.name
-    if branches.refused is not None:
-        return Missing(branches.identity, branches.label, branches.refused, kind=COUNTERFACTUAL)
-    if not branches.path.exists():
-        return Missing(branches.identity, branches.label, absence(branches), key, kind=COUNTERFACTUAL)
-    try:
-        with odd_tables_refused(branches.path):
-            stored = read_branches(branches.path)
-            _require_cell(stored, cell)
-            return worth_of(stored)
-    except StoreError as error:
-        reason = error.message + (f" ({error.hint})" if error.hint else "")
-        return Missing(branches.identity, branches.label, reason, key, damaged=True, kind=COUNTERFACTUAL)
+    def worth(path: Path) -> Judged:
+        stored = read_branches(path)
+        if stored.cell.identity != cell.identity:
+            raise ValueError(f"it holds the branches of another cell: {stored.cell.identity}")
+        if stored.cell.episodes != cell.count or (stored.episode < 0).any() or (stored.episode >= cell.count).any():
+            raise ValueError(f"it is about {stored.cell.episodes} episodes, and the cell has {cell.count}")
+        cost, reward, tau_R = stored.cost, stored.reward, stored.cell.tau_R
+        of_branches = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], tau_R)  # Eq. 19-21
+        return Judged(of_branches, stored.episode, stored.cell.window, tau_R)
 
-
-def _require_cell(stored: Branches, cell: CellNumbers) -> None:
-    if stored.cell.identity != cell.identity:
-        raise ValueError(f"it holds the branches of another cell: {stored.cell.identity}")
-    if stored.cell.episodes != cell.count or (stored.episode < 0).any() or (stored.episode >= cell.count).any():
-        raise ValueError(f"it is about {stored.cell.episodes} episodes, and the cell has {cell.count}")
-
-
-def worth_of(stored: Branches) -> Judged:
-    """Compute Eq. 19-21 from the branches of a cell."""
-    cost, reward = stored.cost, stored.reward
-    worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)
-    return Judged(worth, stored.episode, stored.cell.window, stored.cell.tau_R)
+    return _or_missing(branches, COUNTERFACTUAL, worth)
 
 
 def _with_columns(cell: CellNumbers, judged: Judged) -> CellNumbers:
