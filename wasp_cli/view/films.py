@@ -219,7 +219,7 @@ def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Lege
 
 
 def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> dict[str, Any]:
-    """Draw a film into a folder, frame by frame, and return what `films.Films.state` says of it then."""
+    """Draw a film into a folder, frame by frame, and return what `Films.state` says of it then."""
     stored = read_episode(cell, episode)
     ending = "webp" if features.check("webp") else "png"
     state: dict[str, Any] = {"state": "drawing", "ready": 0, "frames": 0, "every": every or 1, "ending": ending, "legend": []}

@@ -281,7 +281,7 @@ def median_of(values: Floats) -> float:
 
 
 def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
-    """Return the frame with `frame.JUDGED` and their weights as columns of the cells that have branches.
+    """Return the frame with JUDGED and their weights as columns of the cells that have branches.
 
     An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell. The cells that
     have rows, and not the branches that they should have, are named in `unbranched`.

@@ -25,7 +25,7 @@ from wasp_cli.report.tables import task_title
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import LARGEST, open_plain, parse, read_plain
+from wasp_cli.store.plain import open_plain, parse, read_plain
 from wasp_cli.tasks.registry import TASKS
 
 SHOWN = 24  # numbers of a stage that fit on a line; the manifests have all
@@ -151,12 +151,9 @@ def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
         yield file
 
 
-def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str], most: int) -> pa.Table:
-    """Read columns of a small Parquet file of an artifact; one of UNREADABLE where it is damaged, or has more than `most` rows."""
+def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str]) -> pa.Table:
+    """Read columns of a Parquet file of an artifact; one of UNREADABLE where it is damaged."""
     with open_parquet(layout, layout.artifact(artifact.kind, artifact.key) / name) as file:
-        size = sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups))
-        if file.metadata.num_rows > most or size > LARGEST:
-            raise ValueError(f"{name} has {file.metadata.num_rows} rows and {size} bytes")
         return file.read(columns=list(columns), use_threads=False)
 
 

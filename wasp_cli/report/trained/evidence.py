@@ -27,11 +27,10 @@ GAP, EDGE, TEXT = 6, 3, 18  # between frames, of a coloured edge, and of a line 
 SIDE, LABEL, BAR = 96, 92, 26  # of a frame of a world model, the names of its rows, and the bars of costs, in px
 PITCH = SIDE + GAP
 COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
-MOST, WINDOWS = 1000, 16  # frames that a file may have, and imagined windows that are drawn at most
+WINDOWS = 16  # imagined windows that are drawn at most
 FRAMES, BEHAVIOURS = 4, 40
 """Frames of a behaviour that are spread over all its steps, and as many costly ones; behaviours that are drawn at most."""
 FRAME = 128  # of a frame of a dataset in px: a camera image at twice its size
-NAME = 200  # characters of a name that are drawn at most
 _BATCH = 256  # rows whose images are in memory together
 _SOURCES = b"wasp.cost_sources"  # key of a shard's schema metadata: the names of the columns of `sources`, as JSON
 
@@ -56,7 +55,7 @@ class Window(NamedTuple):
 
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
     """Read the decoded frames and the imagined windows of a `diagnostics` artifact."""
-    table = read_table(layout, artifact, "images.parquet", COLUMNS, MOST)
+    table = read_table(layout, artifact, "images.parquet", COLUMNS)
     of = np.asarray(table["window"], np.int64)
     rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
     cost, predicted = (np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted"))
@@ -66,7 +65,7 @@ def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list
         first = places[0]
         title = f"{rows['behaviour'][first]}, episode {rows['episode'][first]}, step {rows['decision'][first]}"
         true, model = (np.stack([np.frombuffer(rows[name][i], np.uint8).reshape(PIXELS) for i in places]) for name in ("true", "model"))
-        return Window(title[:NAME], true, model, cost[places], np.clip(predicted[places], 0.0, 1.0))
+        return Window(title, true, model, cost[places], np.clip(predicted[places], 0.0, 1.0))
 
     numbers = sorted(set(of[of >= 0].tolist()))[:WINDOWS]
     return window(-1) if (of == -1).any() else None, [window(number) for number in numbers]
@@ -174,7 +173,7 @@ def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
     decision = np.arange(len(steps.first)) - np.maximum.accumulate(np.where(steps.first, np.arange(len(steps.first)), 0))
     for line, name in enumerate(names):
         top = GAP + line * block
-        draw.text((GAP, top + 3), f"{name[:NAME]}: front over rear", INK, font)
+        draw.text((GAP, top + 3), f"{name}: front over rear", INK, font)
         for column, row in enumerate(chosen[name].tolist()):
             x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TEXT
             colour = RED if steps.cost[row] else PAPER
@@ -183,7 +182,7 @@ def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
                 image = _enlarged(images[row][3 * camera : 3 * camera + 3], FRAME)
                 sheet.paste(image, (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
             by = " + ".join(kind for kind, costs in zip(steps.names, steps.sources[row], strict=True) if costs)
-            text = _fitting(by[:NAME] or f"episode {steps.episode[row]}, step {decision[row]}", small)
+            text = _fitting(by or f"episode {steps.episode[row]}, step {decision[row]}", small)
             draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), text, colour if by else INK, small)
     sheet.save(path, format="PNG")
 

@@ -48,9 +48,6 @@ FURTHER = (
 )  # fmt: skip
 """What the other panels over the imagined step show: key and title."""
 GROUPS, POINTS = 10, 1500  # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most
-PAIRS = 5_000_000  # decisions that a file of pairs may have
-NAME = 60  # characters of a name that are drawn at most
-HORIZON = 500  # imagined steps that are drawn at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +189,7 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
     """Read what `diagnostics` says of every imagined step, by set of episodes."""
     sets = read_json(layout, artifact, "diagnostics.json")
-    return {name: sets[name]["steps"][:HORIZON] for name in EPISODES if name in sets and sets[name]["steps"]}
+    return {name: sets[name]["steps"] for name in EPISODES if name in sets and sets[name]["steps"]}
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
@@ -247,7 +244,7 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
     On the diagonal a critic is right on average.
     """
     (artifact,) = trained
-    table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"), PAIRS)
+    table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"))
     names = np.asarray(table["critic"].to_pylist(), str)
     predicted, real = (np.asarray(table[name], np.float64) for name in ("predicted", "real"))
     critics = list(dict.fromkeys(names.tolist()))[:4]
@@ -263,5 +260,5 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
             points = Line(x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4)
             lines = [points, Line(mean_x, mean_y, colour=PALETTE[4], marker="o", size=4.0)]
             ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
-            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name[:NAME]}, predicted", ylabel="discounted sum that followed")
+            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name}, predicted", ylabel="discounted sum that followed")
         return figure
