@@ -1,8 +1,5 @@
 """A session: who drives which cells, in which order, and what is asked between them.
 
-    session = prepared(load(Path("drive"), settings), Path("results"), participant=7, session=None, ...)
-    session.run(desk)                the clock's thread: consent, practice, blocks, questionnaires, summary
-
 Cells that are there are not driven again, so that a session that broke off goes on where it was.
 """
 
