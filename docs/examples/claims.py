@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.claims import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.claims.text import PLAIN, sentence
-from wasp_cli.report.claims.verdict import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.render import markdown_row
-from wasp_cli.report.stats.branches import with_branches
-from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches

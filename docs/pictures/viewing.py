@@ -21,8 +21,8 @@ EPISODE = "/cell/goal1 s1 wasp noisy=0.45/episode/0"
 def main() -> None:
     """Take the table of cells, a decision of an episode, and the same in a narrow dark window."""
     from tests.drive.browser import chromium
+    from wasp_cli.view import site_of
     from wasp_cli.view.server import ViewServer
-    from wasp_cli.view.site import site_of
 
     with tempfile.TemporaryDirectory() as folder, chromium(Path(folder) / "chromium") as browser:
         os.chdir(folder)

@@ -229,7 +229,7 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
 
 def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wasp_cli.cli.report import show_report
-    from wasp_cli.report.document import Report
+    from wasp_cli.report.summarize import Report
     from wasp_cli.spec.paper import load_paper
 
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.cli import completion as complete
+from wasp_cli.cli.options import method_names, setting_names, task_names, variant_names
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
@@ -80,4 +80,4 @@ def test_a_plugin_that_does_not_load_offers_nothing(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr("wasp_cli.registry.Registry._entries", broken)
     monkeypatch.setattr("wasp_cli.spec.hints.settings", lambda: broken(OPERATORS))
-    assert complete.tasks() == complete.methods() == complete.variants() == complete.settings() == []
+    assert task_names() == method_names() == variant_names() == setting_names() == []

@@ -16,7 +16,6 @@ from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
-from wasp_cli.web import guard
 
 
 def wanted(results: Path, method: str = "human", speed: float = 4.0, **more: object) -> Wanted:
@@ -72,7 +71,6 @@ def patient() -> Iterator[None]:
     """On a busy machine a connection may say nothing for longer than a page ever does."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(server_module, "SILENT", 600.0)
-        patch.setattr(guard, "PATIENCE", 600.0)
         yield
 
 

@@ -17,7 +17,7 @@ import wasp_cli.cli.app
 import wasp_cli.cli.run
 import wasp_cli.drive.clone
 import wasp_cli.drive.command
-import wasp_cli.report.document
+import wasp_cli.report.summarize
 import wasp_cli.run.publish
 from tests.faults.test_random_kills import artifacts, payload, require_whole
 from tests.run import fake_stages

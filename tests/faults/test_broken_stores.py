@@ -19,7 +19,7 @@ from tests.report.invented import invent, write_rows
 from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
-from wasp_cli.report.stats.frame import read_frame
+from wasp_cli.report.stats import read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run

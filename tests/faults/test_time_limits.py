@@ -12,8 +12,7 @@ import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
 from wasp_cli.errors import TimeLimitExceeded
-from wasp_cli.run.interrupt import interruptible, was_ended
-from wasp_cli.run.job import memory_mb
+from wasp_cli.run.job import interruptible, memory_mb, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.metrics.test_episode import columns, trajectory
 from wasp_cli.metrics.episode import Trajectory, episode_metrics, pool
-from wasp_cli.report.stats.frame import CellNumbers
+from wasp_cli.report.stats import CellNumbers
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.motors import Motors
 

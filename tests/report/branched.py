@@ -10,7 +10,7 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.report.stats.frame import Wanted
+from wasp_cli.report.stats import Wanted
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, write_branches
 from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 

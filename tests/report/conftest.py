@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.report.invented import write_grid
-from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats import Frame, Wanted, read_frame
 
 
 @pytest.fixture

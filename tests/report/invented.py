@@ -12,7 +12,7 @@ import numpy as np
 from tests.plans import plans_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.stats.frame import Wanted
+from wasp_cli.report.stats import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.registry import TASKS
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from tests.report.invented import invent, write
 from wasp_cli.metrics.episode import Trajectory
-from wasp_cli.report.stats.frame import Wanted, read_frame
+from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import Condition, Swept
 from wasp_cli.store.tables import CellIdentity
 

@@ -12,9 +12,8 @@ import pytest
 from tests.report.explained import KEY, NAN, PRINTED, Invented, decision_text, episode_text, text_of
 from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
+from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.report.explain.facts import decision_json, decision_of, episode_json, exceeds, merged_runs, places_of, runs_of
-from wasp_cli.report.explain.layout import strip_lines
-from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.report.explain.text import MOST_RUNS, episode_lines
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.tables import Thresholds
@@ -54,13 +53,6 @@ Gates
   none    -                        5  62.5%
   G^c: expected costly decisions within the next 4 decisions, discounted, if the expert follows (Eq. 9)
   ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
-
-Over the episode
-  G^c       ▂▂▇▇▂▂▂▂
-  gate      ··SS··T·
-  cost      ···x·!··
-  decision  0      7
-  ▁▂▃▄ up to τ_c = 0.3, ▅▆▇█ above it; S safety gate; T task gate; x cost, ! cost that every gate missed
 
 Runs of decisions
   decisions  gate    changed          command → executed (means)       G^c (τ_c 0.300)  ΔG (τ_r 0.500)  cost  missed at
@@ -315,16 +307,6 @@ def test_a_short_quiet_run_joins_the_gate_around_it(tmp_path: Path) -> None:
     assert [(run.first, run.last, run.gate) for run in pieces] == [(0, 4, "none"), (5, 9, "safety"), (10, 19, "none")]
     assert pieces[1].gates == {"safety": 4, "none": 1}
     assert pieces[1].intervened == 4
-
-
-def test_half_of_the_strip_is_the_threshold(tmp_path: Path) -> None:
-    made = Invented()
-    made.g_cost[:] = [0.0, 0.01, 0.3, 0.301, 0.6, 9.0, NAN, 0.15]
-    curve: Any = strip_lines(made.read(tmp_path), 80)[0]
-    assert curve.plain == "  G^c       ▁▁▄▅██ ▂"
-    assert {(curve.plain[span.start], span.style) for span in curve.spans} == {
-        ("▁", "green"), ("▄", "green"), ("▅", "red"), ("█", "red"), (" ", "green"), ("▂", "green")
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize("episode", [-1, 3, 99])

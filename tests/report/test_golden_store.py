@@ -14,10 +14,9 @@ import pytest
 
 from tests.commands import run_here
 from tests.report.golden_store import STORE
-from wasp_cli.report.document import Report
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.summarize import report_run
+from wasp_cli.report.summarize import Report, report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
@@ -74,7 +73,7 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take most of the time of a report, and other tests look at them."""
-    monkeypatch.setattr("wasp_cli.report.document.draw_figures", lambda *_: [])
+    monkeypatch.setattr("wasp_cli.report.summarize.draw_figures", lambda *_: [])
 
 
 @pytest.mark.usefixtures("without_figures")

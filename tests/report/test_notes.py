@@ -13,10 +13,9 @@ import pytest
 from tests.commands import run_here
 from tests.report.golden_store import STORE
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.report.document import Report
 from wasp_cli.report.notes import FILE, LONGEST, Note, add_note, invalid, notes_of
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.summarize import report_run
+from wasp_cli.report.summarize import Report, report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 

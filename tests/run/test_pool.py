@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-from wasp_cli.run.interrupt import SIGNALS
+from wasp_cli.run.job import SIGNALS
 from wasp_cli.run.pool import _signals_wait
 
 MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"

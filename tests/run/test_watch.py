@@ -70,10 +70,8 @@ def test_a_run_that_goes_on(layout: Layout) -> None:
     (node,) = state.active
     assert (node.label, node.kind, node.share, node.text, node.memory_mb, node.gone) == ("c", "expert", 0.25, "step 5", 512.0, False)
     assert (node.started, node.seen) == (moment(at(60)), moment(at(119)))
-    assert state.per_minute == pytest.approx(1.0)  # a done and a failed node in two minutes
     assert state.left_seconds == pytest.approx(0.75 * 60 + 40)  # d waits for c, however many workers there are
     assert state.unknown == 0
-    assert state.busy_share == pytest.approx((1 + 1 + 60) / (2 * 120))
 
 
 def test_workers_share_what_does_not_wait(layout: Layout) -> None:
@@ -87,16 +85,6 @@ def test_a_running_node_has_less_left(share: float, left: float, layout: Layout)
     running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
     write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=100.0)], [started()], running)
     assert only(layout).left_seconds == pytest.approx(left)
-
-
-def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
-    nodes = [planned(number, f"n{number}") for number in range(40)]
-    events = [started(), *(ended("done", number, 600 + 6 * number) for number in range(20))]
-    write_run(layout, "20260501-120000-small-0001", nodes, events)
-    state = only(layout, 600 + 6 * 19)
-    assert state.per_minute == pytest.approx(10)  # the slow beginning is over
-    assert state.left_seconds == pytest.approx(120)
-    assert state.unknown == 0
 
 
 def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:

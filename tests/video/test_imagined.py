@@ -18,8 +18,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, following, imagine, rollout_start
-from wasp_cli.video.trace import AsRecorded
+from wasp_cli.video.trace import ROLLOUTS, AsRecorded, RolloutStart, following, imagine, rollout_start
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
 GAMMA = 0.9

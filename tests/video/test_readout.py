@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.video.imagined import PARTS, displacements, fit, fit_within, integrated
+from wasp_cli.video.trace import PARTS, displacements, fit, fit_within, integrated
 
 FEATURES = 12
 

@@ -24,7 +24,7 @@ from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.errors import ArtifactError
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
-from wasp_cli.report.explain.stored import read_episode
+from wasp_cli.report.explain import read_episode
 from wasp_cli.store.artifact import commit, read_manifest, staging_folder
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell
@@ -124,7 +124,7 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
 
 
 def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
-    from wasp_cli.video.timeline import numbers
+    from wasp_cli.video.frame import numbers
 
     made = Invented()
     made.fire(2, GATE_SAFETY)

@@ -17,20 +17,16 @@ from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.stored import Constants, Episode, read_episode
-from wasp_cli.report.explain.timeline import LOOKS
-from wasp_cli.report.figures.style import PALETTE
+from wasp_cli.report.explain import LOOKS, Constants, Episode, read_episode
+from wasp_cli.report.figures import PALETTE
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
-from wasp_cli.video import encode as video_file
-from wasp_cli.video.encode import MEANT, checked, palette_of, write
-from wasp_cli.video.film import film
-from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, film_episode
-from wasp_cli.video.imagined import displacements
+from wasp_cli.video import film as video_file
+from wasp_cli.video.film import MEANT, checked, film, palette_of, write
+from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, Timeline, film_episode
 from wasp_cli.video.map import COST, Pose, things_of
-from wasp_cli.video.timeline import Timeline
-from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
+from wasp_cli.video.trace import PlayedEpisode, Source, displacements, play_episode
 
 EPISODE, HORIZON = 1, 4
 ROOT = Path(__file__).parents[2]

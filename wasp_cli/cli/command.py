@@ -20,7 +20,7 @@ from wasp_cli.console import report_error, silence
 from wasp_cli.errors import WaspError, refusal
 
 PIPE_CLOSED = 141
-GROUPS = {
+GROUPS = {  # all commands, as `wasp --help` lists them: each with the first sentence of its docstring
     "Start": ("run", "report", "view", "drive"),
     "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
     "Compare": ("sweep", "ablate", "severities", "compare"),
@@ -28,7 +28,6 @@ GROUPS = {
     "Look into": ("show", "explain", "replay", "note", "export"),
     "Maintain": ("publish", "verify", "gc", "doctor"),
 }
-"""All commands, as `wasp --help` lists them: each with the first sentence of its docstring."""
 
 Command = TypeVar("Command", bound=Callable[..., None])
 

@@ -78,15 +78,15 @@ def _plugins() -> Iterator[Finding]:
     from wasp_cli.methods.registry import MethodInfo
 
     for registry in registries():
-        for point, found in registry.plugins():
+        for point, added in registry.plugins():
             package = f"{point.dist.name} {point.dist.version}" if point.dist else point.module
             what = f"plugin {point.name} ({registry.kind})"
             try:
-                if isinstance(found, WaspError):
-                    raise found
-                load_target(found.target)
-                if isinstance(found, MethodInfo):
-                    found.config_model()
+                if isinstance(added, WaspError):
+                    raise added
+                load_target(added.target)
+                if isinstance(added, MethodInfo):
+                    added.config_model()
             except Exception as error:  # its code is another's
                 cause = error if error.__cause__ is None else error.__cause__
                 reason = cause.message if isinstance(cause, WaspError) else f"{type(cause).__name__}: {cause}"
@@ -115,7 +115,7 @@ def _gpu() -> Finding:
     from wasp_cli.learning.device import VARIABLE, training_device
 
     stages = ", ".join(ON_DEVICE)
-    found = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none that torch can use"
+    name = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none that torch can use"
     try:
         device = training_device()
     except UsageError as error:
@@ -123,9 +123,9 @@ def _gpu() -> Finding:
     asked = f" ({VARIABLE}={os.environ[VARIABLE]})" if os.environ.get(VARIABLE) else ""
     if device.type == "cpu":
         state: Literal["ok", "optional"] = "ok" if asked else "optional"
-        return Finding("GPU", state, found, f"not needed: every stage computes on the CPU{asked}")
+        return Finding("GPU", state, name, f"not needed: every stage computes on the CPU{asked}")
     return Finding(
-        "GPU", "ok", found, f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
+        "GPU", "ok", name, f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
     )
 
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli import completion as complete
 from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import (
     RESULTS,
@@ -20,6 +19,7 @@ from wasp_cli.cli.options import (
     Sized,
     argument,
     flag,
+    method_names,
     option,
 )
 from wasp_cli.cli.report import show_report
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def drive(
     what: Annotated[str, argument("TASK|SPEC", "A task, or a spec with people among its operators.")],
     method: Annotated[
-        str | None, option("NAME", "The assistant; none: alone. (default: wasp)", "--method", "-m", among=complete.methods)
+        str | None, option("NAME", "The assistant; none: alone. (default: wasp)", "--method", "-m", among=method_names)
     ] = None,
     participant: Annotated[int | None, option("N", "Number of the participant. (default: 0)", min=0)] = None,
     episodes: Annotated[int | None, option("N", "Episodes to drive. (default: 5)", min=1)] = None,

@@ -25,7 +25,6 @@ from wasp_cli.cli.options import (
 )
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.report.address import cell_address, open_command
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -76,8 +75,8 @@ def control(
     A paused run finishes what runs and begins nothing new. Of a run with a cancelled node everything else goes on; the next run computes
     it. A run that is over is continued by wasp run.
     """
-    from wasp_cli.run.control import control as asked
     from wasp_cli.run.record import results_of
+    from wasp_cli.run.watch import control as asked
 
     say(*asked(results_of(place.results), action, node, place.run))
 
@@ -145,8 +144,8 @@ def explain(
     read.
     """
     from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.report.explain import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
-    from wasp_cli.report.explain.stored import read_episode
     from wasp_cli.report.explain.text import decision_lines, episode_lines
     from wasp_cli.store.find import find_cell
 
@@ -221,6 +220,8 @@ def replay(
 
 def _say_address(results: Path, cell: FoundCell, episode: int, step: int | None) -> None:
     """Say which command shows a place in a browser; not of a file that lies outside of the results."""
+    from wasp_cli.report.render import cell_address, open_command
+
     if cell.key is not None and cell.path.absolute().parent.parent == Layout(results.absolute()).kind("evaluate"):
         plain(f"in a browser: {open_command(results, cell_address(cell.key[:8], episode, step))}")
 
@@ -251,9 +252,9 @@ def view(
         import uvicorn  # noqa: F401
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
-    from wasp_cli.view.bundle import bundle as write_bundle
+    from wasp_cli.view import site_of
+    from wasp_cli.view.server import bundle as write_bundle
     from wasp_cli.view.server import serve
-    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")
@@ -285,7 +286,6 @@ def note(
     """
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.notes import Note, add_note, one_line
-    from wasp_cli.store.bounds import require_size
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.tables import read_episodes
 
@@ -296,7 +296,6 @@ def note(
     if stored.key is None or stored.path.absolute().parent.parent != layout.kind("evaluate").absolute():
         raise UsageError(f"'{cell}' is no cell of '{place.results}'", "a note is of a cell in the store: name it by its label or its key")
     if episode is not None:
-        require_size(stored.path)
         numbers = read_episodes([stored.path])["episode"].to_pylist()
         if episode not in numbers:
             raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")

@@ -1,4 +1,8 @@
-"""Arguments and options that commands share: single ones, and groups of them, which a command takes as one parameter."""
+"""Arguments and options that commands share: single ones, groups of them, which a command takes as one parameter, and what a shell offers.
+
+What is offered is imported when it is asked for: every command loads this module. Names in registries need neither torch nor MuJoCo. A
+plugin that does not load offers nothing, instead of a traceback.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wasp_cli.cli import completion as complete
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UnknownName, UsageError, WaspError
+from wasp_cli.registry import load_target
+from wasp_cli.spec.shipped import shipped_names
 
 if TYPE_CHECKING:
     from wasp_cli.run.session import RunOptions
@@ -20,6 +25,44 @@ if TYPE_CHECKING:
 
 RESULTS = Path("results")
 Completion = Callable[..., list[str]] | None
+
+
+SPECS = "specs/"
+
+
+def spec_names(incomplete: str) -> list[str]:
+    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
+    typed = incomplete[: incomplete.rfind("/") + 1]
+    folders = [typed] if typed else ["", SPECS]
+    files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
+    return files if typed else [*files, *shipped_names()]
+
+
+def _yaml_files(folder: Path) -> list[str]:
+    try:
+        return sorted(path.name for path in folder.glob("*.yaml"))
+    except OSError:  # no such folder, or none that may be read
+        return []
+
+
+def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:
+    """What offers the names in something that is imported when it is asked; none where a plugin does not load."""
+
+    def offered() -> list[str]:
+        try:
+            names = load_target(target)
+            return [f"{name}{ending}" for name in (names() if callable(names) else names)]
+        except WaspError:
+            return []
+
+    return offered
+
+
+task_names = _offered("wasp_cli.tasks.registry:TASKS")
+method_names = _offered("wasp_cli.methods.registry:METHODS")
+variant_names = _offered("wasp_cli.spec.names:assistant_variants")
+preset_names = _offered("wasp_cli.spec.presets:PRESETS")
+setting_names = _offered("wasp_cli.spec.hints:settings", "=")  # the keys of `--set` and `--vary`
 
 
 def parse_folder(value: str | Path) -> Path:
@@ -63,14 +106,14 @@ StoredCellArgument = Annotated[
 ]
 EpisodeOption = Annotated[int, option("E", "The episode, counted from 0.", "--episode", "-e")]
 MethodOption = Annotated[
-    list[str] | None, option("NAME", "Only this method of the spec (repeatable).", "--method", "-m", among=complete.methods)
+    list[str] | None, option("NAME", "Only this method of the spec (repeatable).", "--method", "-m", among=method_names)
 ]
-PresetOption = Annotated[str | None, option("NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=complete.presets)]
+PresetOption = Annotated[str | None, option("NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=preset_names)]
 RunOption = Annotated[str | None, option("ID", "A folder name in runs/, its end, or the name of a spec. (default: the newest)", "--run")]
 JobsOption = Annotated[
     int | None, option("N", "At most N workers; 0 computes in this process. (default: all cores)", "--jobs", "-j", min=0)
 ]
-SetOption = Annotated[list[str] | None, option("KEY=VALUE", "Override a value of the spec (repeatable).", "--set", among=complete.settings)]
+SetOption = Annotated[list[str] | None, option("KEY=VALUE", "Override a value of the spec (repeatable).", "--set", among=setting_names)]
 SelectOption = Annotated[
     list[str] | None, option("FIELD=VALUE,...", "Only these: 'task=race1,method=wasp|ida', 'stage=world_model' (repeatable).", "--select")
 ]
@@ -89,7 +132,6 @@ class Folder:
 
     @property
     def path(self) -> Path:
-        """The folder."""
         if self.folder is not None and self.results not in (self.folder, RESULTS):
             raise UsageError(f"two results folders: '{self.folder}' and --results '{self.results}'", "name one of them")
         return self.results if self.folder is None else self.folder
@@ -107,16 +149,13 @@ class Whereabouts:
 class Sized:
     """Which tasks of a spec, how large, and for which results folder."""
 
-    task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=complete.tasks)] = (
-        None
-    )
+    task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=task_names)] = None
     preset: PresetOption = None
     set_: SetOption = None
     results: ResultsOption = RESULTS
 
     @property
     def settings(self) -> list[str]:
-        """What `--preset` and `--set` say, as settings."""
         from wasp_cli.spec.derived import sized
 
         return sized(self.preset, self.set_)
@@ -126,7 +165,7 @@ class Sized:
 class SizedSpec(Sized):
     """A spec, with some of its tasks."""
 
-    spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=complete.specs)]
+    spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)]
 
     def load(self) -> Loaded:
         """Load the spec that is meant."""

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import Folder, JsonOption, argument, directory, flag, option, parse_folder
-from wasp_cli.console import err, say
+from wasp_cli.cli.options import Folder, JobsOption, JsonOption, SelectOption, SizedSpec, argument, directory, flag, option, parse_folder
+from wasp_cli.console import err, say, waiting_aloud
 from wasp_cli.console import out as console
 from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
-    from wasp_cli.compare.runs import Compared
-    from wasp_cli.report.document import Report
-    from wasp_cli.report.page.films import Draw
+    from wasp_cli.compare import Compared
+    from wasp_cli.report.films import Draw
+    from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
-
-
-import sys
-import time
-
-import typer
-
-from wasp_cli.cli.options import JobsOption, SelectOption, SizedSpec
-from wasp_cli.console import waiting_aloud
 
 
 class NotWritten(WaspError):
@@ -52,8 +47,8 @@ def report(
     trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
-    from wasp_cli.report.document import missing_words
     from wasp_cli.report.provenance import last_runs
+    from wasp_cli.report.summarize import missing_words
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
 
@@ -191,8 +186,8 @@ def compare(
 
     What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
-    from wasp_cli.compare.runs import compare as compared_runs
-    from wasp_cli.compare.runs import pairs
+    from wasp_cli.compare import compare as compared_runs
+    from wasp_cli.compare import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():
@@ -230,9 +225,8 @@ def gc(
     these were computed from.
     """
     from wasp_cli.report.notes import notes_of
-    from wasp_cli.run.reach import kept_keys, remove_unreached, unreached
+    from wasp_cli.run.reach import kept_keys, remove_unreached, removed_line, show_rubbish, unreached
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import removed_line, show_rubbish
 
     layout = results_of(results.path)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
@@ -269,9 +263,8 @@ def publish(
 
     With its report. Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
     """
-    from wasp_cli.run.publish import carry_publication, publication
+    from wasp_cli.run.publish import carry_publication, publication, show_publication
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import show_publication
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
 

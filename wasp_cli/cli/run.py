@@ -11,9 +11,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli import completion as complete
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JobsOption, JsonOption, MethodOption, ReuseOption, SelectedSpec, Sized, SizedSpec, Work, flag, option
+from wasp_cli.cli.options import (
+    JobsOption,
+    JsonOption,
+    MethodOption,
+    ReuseOption,
+    SelectedSpec,
+    Sized,
+    SizedSpec,
+    Work,
+    flag,
+    option,
+    setting_names,
+    spec_names,
+    variant_names,
+)
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import err, out, say
 from wasp_cli.errors import CellsFailed, UsageError, first
@@ -21,7 +34,7 @@ from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
     from wasp_cli.plan.plan import Plan
-    from wasp_cli.report.stats.frame import Missing
+    from wasp_cli.report.stats import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 
@@ -41,8 +54,8 @@ def run(
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
     second stops at once. Finished nodes are kept either way.
     """
-    from wasp_cli.run.control import detached
     from wasp_cli.run.session import planned
+    from wasp_cli.run.watch import detached
 
     loaded, options = asked.load(), work.options()
     if work.dry_run:
@@ -75,10 +88,10 @@ def plan(
 
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
 def ablate(
-    variant: Annotated[str, option("NAME", "The ablation, for example no-case2.", among=complete.variants)],
+    variant: Annotated[str, option("NAME", "The ablation, for example no-case2.", among=variant_names)],
     asked: Sized,
     work: Work,
-    spec: Annotated[Path, option("SPEC", "Gives operators, seeds and budgets.", among=complete.specs)] = Path("specs/table2.yaml"),
+    spec: Annotated[Path, option("SPEC", "Gives operators, seeds and budgets.", among=spec_names)] = Path("specs/table2.yaml"),
     reuse: ReuseOption = None,
 ) -> None:
     """Compare a method with one of its ablations.
@@ -103,7 +116,7 @@ def ablate(
 )
 def sweep(
     asked: SizedSpec,
-    vary: Annotated[list[str], option("KEY=V1,V2,...", "The setting and its values, each written as for --set.", among=complete.settings)],
+    vary: Annotated[list[str], option("KEY=V1,V2,...", "The setting and its values, each written as for --set.", among=setting_names)],
     work: Work,
     method: MethodOption = None,
     reuse: ReuseOption = None,

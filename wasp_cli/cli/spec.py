@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from wasp_cli.cli import completion as complete
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JsonOption, SetOption, argument, flag, option, parse_folder
+from wasp_cli.cli.options import JsonOption, SetOption, argument, flag, option, parse_folder, spec_names, task_names
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     codes="0 all are valid, 2 usage, 3 at least one is invalid",
 )
 def check(
-    specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=complete.specs)], set_: SetOption = None, json: JsonOption = False
+    specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=spec_names)], set_: SetOption = None, json: JsonOption = False
 ) -> None:
     """Name every mistake in specs and paper files.
 
@@ -230,7 +229,7 @@ def listing(*headings: str) -> Table:
     codes="0 done, 1 the environment fails or the file cannot be written, 2 usage",
 )
 def draw(
-    task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=complete.tasks)],
+    task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names)],
     seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
     out: Annotated[Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")] = None,
     steps: Annotated[int, option("N", "Also show the first N decision steps, up to the end of the episode.", min=0)] = 0,

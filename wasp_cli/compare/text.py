@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +10,13 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare.paired import LEVEL, MEASURES
-from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
+from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Row, Table, task_title
+from wasp_cli.report.tables import PAPER_COLUMNS, Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12  # cells that a terminal names of each kind
@@ -52,8 +50,12 @@ def headline(compared: Compared) -> str:
 
 def cells_table(compared: Compared) -> Table | None:
     """Tabulate every cell that differs, those with the smallest p-values first; None where none does."""
-    found = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
-    rows = [Row((cell.label, ", ".join(map(_title, cell.beyond)) or "-"), _differences(cell)) for cell in found]
+    cells = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
+    beyond = (", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-" for cell in cells)
+    rows = [
+        Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
+        for cell, names in zip(cells, beyond, strict=True)
+    ]
     notes = _unable(compared)
     return Table(
         "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
@@ -67,7 +69,7 @@ def summary_table(compared: Compared) -> Table | None:
         if assistant.differing:
             name = title_of(Who(assistant.method, assistant.variant))
             labels = (task_title(assistant.task), name, f"{assistant.differing} of {assistant.cells}")
-            rows.append(Row(labels, tuple(_value(assistant.estimates[column.key]) for column in COLUMNS)))
+            rows.append(Row(labels, _values(assistant.estimates)))
     meanings = (
         "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
         "no more than their range.",
@@ -77,35 +79,23 @@ def summary_table(compared: Compared) -> Table | None:
     ) if rows else None  # fmt: skip
 
 
-def _title(measure: str) -> str:
-    return next(column.title for column in COLUMNS if column.key == measure)
-
-
-def _differences(cell: ComparedCell) -> tuple[Value, ...]:
-    if cell.paired is None:
-        return (UNDEFINED,) * len(COLUMNS)
-    found = [cell.paired.differences[column.key] for column in COLUMNS]
-    return tuple(Value(each.value, n=1, ranked=False, interval=each.interval) for each in found)
-
-
-def _value(estimate: Estimate | None) -> Value:
-    return UNDEFINED if estimate is None else Value(estimate.value, ranked=False, interval=estimate.interval)
+def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Value, ...]:
+    """The numbers of a row, each with its interval, by the measures of the columns."""
+    row = (numbers.get(column.key) for column in COLUMNS)
+    return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
 
 def _unable(compared: Compared) -> tuple[str, ...]:
-    found = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
+    paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
     notes = []
-    unpaired = sum(each.worlds == 0 for each in found)
-    if unpaired:
-        notes.append(f"{_cells(unpaired)} without a world in common: their episodes are compared unpaired, by permuting which is whose.")
-    partly = sum(0 < each.worlds < max(each.episodes) for each in found)
+    partly = sum(each.worlds < max(each.episodes) for each in paired)
     if partly:
         notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
-    weak = sum(each.least * len(found) > LEVEL for each in found)
+    weak = sum(each.least * len(paired) > LEVEL for each in paired)
     if weak:
         notes.append(
-            f"Too few episodes in {weak} of {_cells(len(found))} to differ by more than noise among so many, whatever the difference: look "
-            "at the difference of each assistant."
+            f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than noise among so many, whatever the difference: "
+            "look at the difference of each assistant."
         )
     return tuple(notes)
 
@@ -115,11 +105,11 @@ def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
     for state in ("only first", "only second", "not compared"):
-        found = compared.having(state)
-        for cell in found[:shown]:
+        cells = compared.having(state)
+        for cell in cells[:shown]:
             yield f"  {STATES[state]}: {cell.label}{f' ({cell.reason})' if cell.reason else ''}"
-        if shown is not None and len(found) > shown:
-            yield f"  {STATES[state]}: {len(found) - shown} more"
+        if shown is not None and len(cells) > shown:
+            yield f"  {STATES[state]}: {len(cells) - shown} more"
     if compared.causes:
         yield "What differs behind the cells:"
         for cause, count in compared.causes[:shown]:
@@ -163,8 +153,8 @@ def page(compared: Sequence[Compared]) -> str:
 
 def tables(compared: Compared) -> list[Table]:
     """Return the tables that a comparison has, under names with the spec."""
-    found = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
-    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in found]
+    made = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
+    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in made]
 
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:

@@ -33,33 +33,23 @@ from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import stick
 
 GATES = {0: "none", 1: "safety", 2: "task", 3: "method", GATE_LATE: "late"}
-ALONE = "human"
-"""The method without an assistant: nobody can be late."""
+ALONE = "human"  # the method without an assistant: nobody can be late
 PATIENCE = 1.0
 """Seconds after which an assistant is late. The world slows down meanwhile: an answer that was waited for and thrown away helps nobody."""
-LEAST = 0.5
-"""Share of a period that its search has at least, however long everything else takes."""
+LEAST = 0.5  # share of a period that its search has at least, however long everything else takes
 
 
 class Beat(NamedTuple):
     """What the clock and the connection were like at a decision; NaN is unknown."""
 
-    at: float
-    """seconds since the block began"""
-    decision_ms: float
-    """how long the assistant was waited for"""
-    late: bool
-    """it had not answered after PATIENCE seconds, and the command was executed as it is"""
-    behind_ms: float
-    """how long after its beat the decision began"""
-    rest_ms: float
-    """how long everything else took: the step of the world, its images, the filter, the frame"""
-    input: int
-    """number of the last message about the controls that the command knows of"""
-    input_age_ms: float
-    """from the arrival of that message to the execution of the action"""
-    round_trip_ms: float
-    """of the last frame that the page acknowledged"""
+    at: float  # seconds since the block began
+    decision_ms: float  # how long the assistant was waited for
+    late: bool  # it had not answered after PATIENCE seconds, and the command was executed as it is
+    behind_ms: float  # how long after its beat the decision began
+    rest_ms: float  # how long everything else took: the step of the world, its images, the filter, the frame
+    input: int  # number of the last message about the controls that the command knows of
+    input_age_ms: float  # from the arrival of that message to the execution of the action
+    round_trip_ms: float  # of the last frame that the page acknowledged
     keys: str
     focused: bool
 
@@ -70,8 +60,7 @@ class Driven:
 
     layout: int
     trajectory: Trajectory
-    decision_ms: NDArray[Any]
-    """[T]"""
+    decision_ms: NDArray[Any]  # [T]
     beats: list[Beat]
     pauses: int = 0
     paused_seconds: float = 0.0
@@ -83,8 +72,7 @@ class Cut:
 
     layout: int
     decisions: int
-    why: str
-    """`restart`, `next` or `end`"""
+    why: str  # `restart`, `next` or `end`
 
 
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
@@ -94,8 +82,7 @@ SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 class How:
     """How a session is shown and paced; none of it is in a key."""
 
-    speed: float = 1.0
-    """simulated seconds per second"""
+    speed: float = 1.0  # simulated seconds per second
     shown: frozenset[str] = frozenset(SHOWN)
     simulated: bool = False
 
@@ -194,7 +181,6 @@ class _Running:
         self._return, self._cost, self._goals = 0.0, 0, 0
 
     def wait(self) -> None:
-        """Sleep until the next beat."""
         time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
 
     def decide(self) -> None:
@@ -259,7 +245,6 @@ class _Running:
         self._goals += int(step.goals[0])
 
     def show(self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None) -> None:
-        """Publish a frame of now."""
         block = self.block
         block._frames += 1
         shown, t = block.how.shown, len(self.beats)

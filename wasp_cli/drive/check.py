@@ -35,18 +35,14 @@ from wasp_cli.store.artifact import exists
 from wasp_cli.store.people import percentiles
 from wasp_cli.tasks.frames import wrapped
 
-AHEAD, ASIDE = 1.0, 0.25
-"""Angles to the goal in rad: below the first it drives forward, above the second it turns."""
-LARGEST = 4_000_000
-"""Bytes of what the server sends at most: the picture of the ground is the largest."""
+AHEAD, ASIDE = 1.0, 0.25  # angles to the goal in rad: below the first it drives forward, above the second it turns
+LARGEST = 4_000_000  # bytes of what the server sends at most: the picture of the ground is the largest
 
-ATTEMPTS, PAUSE = 20, 0.5
-"""Times that it tries to connect, and seconds between them. A page tries for ever."""
+ATTEMPTS, PAUSE = 20, 0.5  # times that it tries to connect, and seconds between them. A page tries for ever.
 
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 
-Driver = Callable[[Mapping[str, Any]], list[str]]
-"""From the header of a frame to the keys that are held."""
+Driver = Callable[[Mapping[str, Any]], list[str]]  # from the header of a frame to the keys that are held
 
 
 def to_the_goal(header: Mapping[str, Any]) -> list[str]:
@@ -96,9 +92,6 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
     """Drive a whole session, from the first frame to the end; returns how many frames were seen.
 
     `answers` fills in a form; None: consent, and the middle of every scale.
-
-    Raises:
-        WaspError: the connection was lost, or there is none.
     """
     frames, held, number = 0, [""], 0
     async with await connected(address) as ws:
@@ -163,14 +156,10 @@ def middling(form: Mapping[str, Any]) -> dict[str, Any]:
     return {"agreed": True if form["name"] == "consent" else None, "scales": {scale["name"]: 50.0 for scale in form["scales"]}}
 
 
-TOLERATED = 0.02
-"""Share of late decisions that is said to be in time."""
-TOLERATED_FIRED = 0.1
-"""The same of the decisions at which a gate fires: their 90th percentile is in time."""
-TOLERATED_PACE = 1.05
-"""By how much the world may slow down."""
-BRIEF = 30
-"""Decisions with which a session begins."""
+TOLERATED = 0.02  # share of late decisions that is said to be in time
+TOLERATED_FIRED = 0.1  # the same of the decisions at which a gate fires: their 90th percentile is in time
+TOLERATED_PACE = 1.05  # by how much the world may slow down
+BRIEF = 30  # decisions with which a session begins
 SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
 
 
@@ -182,21 +171,15 @@ class Timing:
     period_ms: float
     decisions: int
     late_share: float
-    decision_ms: tuple[float, float]
-    """median and 99th percentile of the answers, late ones too"""
-    input_ms: tuple[float, float]
-    """from the arrival of a key to the execution of what it commands; of decisions whose command was new"""
+    decision_ms: tuple[float, float]  # median and 99th percentile of the answers, late ones too
+    input_ms: tuple[float, float]  # from the arrival of a key to the execution of what it commands; of decisions whose command was new
     round_trip_ms: tuple[float, float]
     speed: float
     recommended: float
-    pace: float
-    """wall time of a decision in periods"""
-    fired: int
-    """answers with which a gate fired, late ones too"""
-    fired_late_share: float
-    """of these; 0 where there are none"""
-    fired_ms: tuple[float, float]
-    """their median and 90th percentile"""
+    pace: float  # wall time of a decision in periods
+    fired: int  # answers with which a gate fired, late ones too
+    fired_late_share: float  # of these; 0 where there are none
+    fired_ms: tuple[float, float]  # their median and 90th percentile
 
     @property
     def in_time(self) -> bool:
@@ -249,7 +232,6 @@ def checked_blocks(session: Session, most: int | None = None) -> list[Timing]:
 
 
 def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk: Desk) -> Timing:
-    """Run in the clock's thread."""
     try:
         block = session.built(desk, cell, node, node.axes["method_config"])
         try:

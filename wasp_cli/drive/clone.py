@@ -47,20 +47,14 @@ from wasp_cli.store.tables import cell_file
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
 
-FEWEST, HELD_OUT = 4, 4
-"""Episodes that are needed at least, and of how many one is held out."""
-ROUNDS = 50
-"""Of expectation and maximisation, for the shares of a baseline."""
+FEWEST, HELD_OUT = 4, 4  # episodes that are needed at least, and of how many one is held out
+ROUNDS = 50  # of expectation and maximisation, for the shares of a baseline
 
 
 def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
 
     `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are not here yet. Returns JSON values.
-
-    Raises:
-        ArtifactError: a model or a session is damaged.
-        UsageError: there are too few episodes, or results were computed from an earlier clone of the same person.
     """
     layout = Layout(results.absolute())
     grid = lay_out_over(loaded.spec, layout, None)
@@ -113,11 +107,11 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     return {"label": node.label, "key": node.key, **document}
 
 
-def quality_table(found: Mapping[str, Any]) -> RichTable:
+def quality_table(document: Mapping[str, Any]) -> RichTable:
     """Return what a clone foretells, beside what needs no learning."""
-    held, learnt = found["heldout_episodes"], found["episodes"]
+    held, learnt = document["heldout_episodes"], document["episodes"]
     table = count_table(f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}", "log-density", "squared error")
-    for name, row in found["models"].items():
+    for name, row in document["models"].items():
         table.add_row(name, f"{row['log_density']:.2f}", f"{row['squared_error']:.3f}")
     return table
 
@@ -161,17 +155,17 @@ def _require_unused(layout: Layout, node: Node) -> None:
 def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
     """What a participant saw and commanded in each episode of a cell."""
     recorded = Recorded(**read_recorded(cell_file(layout.artifact("evaluate", key))))
-    found = []
+    episodes = []
     for e in range(len(recorded.a)):
         own = recorded.of(range(e, e + 1))
         world = make_task(node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",))
         moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
-        seen = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
-        features, command = torch.stack([f for f, _ in seen]), torch.stack([a for _, a in seen])
+        pairs = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
+        features, command = torch.stack([f for f, _ in pairs]), torch.stack([a for _, a in pairs])
         last = torch.cat([torch.full_like(command[:1], torch.nan), command[:-1]])
         # What was computed without gradients cannot be learned from as it is.
-        found.append(Issued(features.clone(), command.clone(), last))
-    return found
+        episodes.append(Issued(features.clone(), command.clone(), last))
+    return episodes
 
 
 def together(episodes: Sequence[Issued]) -> Issued:
@@ -195,10 +189,7 @@ def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[s
             "squared_error": _error(clone.mean(held.features, held.last, right), held),
         }
     }
-    foretold: Mapping[str, tuple[Tensor, Tensor]] = {
-        "repeat": (learnt.last, held.last),
-        "expert": (expert(learnt.features), right),
-    }
+    foretold: Mapping[str, tuple[Tensor, Tensor]] = {"repeat": (learnt.last, held.last), "expert": (expert(learnt.features), right)}
     for name, (before, now) in foretold.items():
         spread, share = fitted_mixture(learnt.command - before)
         scores[name] = {

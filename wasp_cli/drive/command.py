@@ -23,7 +23,7 @@ from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.derived import sized
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 NONE = "none"
-WAITED = 20.0
-"""Milliseconds after their beat at which decisions may begin without a warning."""
+WAITED = 20.0  # milliseconds after their beat at which decisions may begin without a warning
 
 
 @dataclass(frozen=True)
@@ -122,8 +121,8 @@ class Wanted:
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
-        wanted = [] if self.episodes is None else [f"episodes={self.episodes}"]
-        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*wanted, *self.settings])
+        episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
+        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*episodes, *self.settings])
 
     def record(self, session: Session) -> None:
         """Write down what this participant has driven of a task so far, so that a report shows all of it."""
@@ -141,11 +140,7 @@ class Wanted:
 
 
 def drive_session(session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None) -> dict[str, Any]:
-    """Serve the page until the session is over, and say what was recorded; `scripted` drives in the place of a person.
-
-    Raises:
-        Interrupted: Ctrl-C; finished episodes are kept.
-    """
+    """Serve the page until the session is over, and say what was recorded; `scripted` drives in the place of a person."""
     if scripted is None and (told := warning(session)) is not None:
         say(f"warning: {told}")
     desk = Desk()

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
 REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
-ROUND_TRIPS = 20
-"""Frames whose acknowledgement may be outstanding before their times are forgotten."""
+ROUND_TRIPS = 20  # frames whose acknowledgement may be outstanding before their times are forgotten
 
 FORWARD, LEFT = 0, 1
 KEYS = {
@@ -34,8 +33,7 @@ class Frame(NamedTuple):
     """What there is to see after a decision."""
 
     header: Mapping[str, Any]
-    pixels: bytes
-    """RGB of the cameras, one below the other; empty where they are not shown"""
+    pixels: bytes  # RGB of the cameras, one below the other; empty where they are not shown
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,9 @@ class Held:
     """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
 
     keys: frozenset[str] = frozenset()
-    axes: tuple[float, float] = (0.0, 0.0)
-    """of a gamepad or a finger: forward, left in [-1, 1]"""
-    number: int = 0
-    """of the message that said so; 0: none did"""
-    at: float = 0.0
-    """when it arrived, on the monotonic clock"""
+    axes: tuple[float, float] = (0.0, 0.0)  # of a gamepad or a finger: forward, left in [-1, 1]
+    number: int = 0  # of the message that said so; 0: none did
+    at: float = 0.0  # when it arrived, on the monotonic clock
 
     @property
     def stick(self) -> NDArray[np.float32]:
@@ -64,8 +59,7 @@ class Desk:
 
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         """`changed` is called from any thread when there is something to send."""
-        self.held = Held()
-        """The latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock."""
+        self.held = Held()  # the latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock.
         self.changed = changed
         self._lock = threading.Condition()
         self._request: str | None = None
@@ -77,12 +71,10 @@ class Desk:
         self._state: Mapping[str, Any] = {"phase": "starting"}
         self._drivers = 0
         self.focused = False
-        self.lost, self.blurred = 0, 0
-        """How often the connection broke, and the window lost the focus, while someone drove."""
+        self.lost, self.blurred = 0, 0  # how often the connection broke, and the window lost the focus, while someone drove
         self._sent: dict[int, float] = {}
         self._free = True
-        self.round_trip = float("nan")
-        """Of the last acknowledged frame, in seconds."""
+        self.round_trip = float("nan")  # of the last acknowledged frame, in seconds
 
     # The clock's side.
 
@@ -139,7 +131,6 @@ class Desk:
 
     @property
     def present(self) -> bool:
-        """Whether a driver is connected."""
         return self._drivers > 0
 
     # The socket's side.
@@ -226,10 +217,8 @@ def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float
 
 
 T = TypeVar("T")
-KEPT = 50
-"""Decisions by which the time for everything but deciding is judged."""
-RESERVE = 0.15
-"""Share of a period that is left for it before anything is known."""
+KEPT = 50  # decisions by which the time for everything but deciding is judged
+RESERVE = 0.15  # share of a period that is left for it before anything is known
 
 
 class Clock:
@@ -247,7 +236,6 @@ class Clock:
 
     @property
     def due(self) -> float:
-        """Return when the next beat is, on the monotonic clock."""
         return self._next
 
     def beat(self) -> tuple[float, float]:
@@ -275,8 +263,7 @@ class Decider(Generic[T]):
         self._thread = ThreadPoolExecutor(1, "assistant")
         self._asked: Future[T] | None = None
         self._wanted = self._looked = 0.0
-        self.answers: list[tuple[float, bool, T]] = []
-        """Every answer: how many seconds it took, whether it was late, and what it was."""
+        self.answers: list[tuple[float, bool, T]] = []  # every answer: how many seconds it took, whether it was late, and what it was
 
     def ask(self, question: Callable[[], T], patience: float, wanted: float = -math.inf, least: float = 0.0) -> tuple[T | None, float]:
         """Return the answer, None where it is late, and the seconds waited for it.

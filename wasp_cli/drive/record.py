@@ -95,11 +95,11 @@ class CellRecord:
         summary = timing_summary(self._timing())
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
-        found = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
+        measures = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
         job = job_of(self._layout, run_id, node)
         begun = str(self._session["sittings"][0]["begun"])
         seconds = float(self._timing()["at"].to_numpy().max(initial=0.0))
-        manifest = manifest_of(job, {**found, "late": summary["late_share"]}, seconds, begun)
+        manifest = manifest_of(job, {**measures, "late": summary["late_share"]}, seconds, begun)
         with held(self._layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
             staging = staging_folder(self._layout, node.key)
             for path in self._folder.iterdir():

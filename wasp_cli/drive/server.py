@@ -20,14 +20,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.web.server import LocalServer, local, own_origin, page
+from wasp_cli.web import LocalServer, local, own_origin, page
 
-LONGEST = 8192
-"""Bytes of a message."""
+LONGEST = 8192  # bytes of a message
 MOST = 2000
 """Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
-SILENT = 10.0
-"""Seconds without any message after which a connection counts as lost; a page says something every second."""
+SILENT = 10.0  # seconds without any message after which a connection counts as lost; a page says something every second
 PAGE = Path(__file__).parent / "page"
 FILES = {"drive.js": "text/javascript", "drive.css": "text/css"}
 
@@ -96,18 +94,13 @@ class Server(LocalServer):
     def __init__(self, desk: Desk, port: int = 0) -> None:
         """Take a port, 0 for any free one."""
         self.desk = desk
-        routes = [
-            Route("/", self._index),
-            Route("/{name}", self._file),
-            WebSocketRoute("/socket", self._drive),
-        ]
+        routes = [Route("/", self._index), Route("/{name}", self._file), WebSocketRoute("/socket", self._drive)]
         super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
         desk.changed = self._changed
 
     def _changed(self) -> None:
-        """Wake the sender, from whatever thread."""
         loop, wake = self._loop, self._wake
         if loop is not None and wake is not None and not loop.is_closed():
             loop.call_soon_threadsafe(wake.set)

@@ -1,8 +1,5 @@
 """A session: who drives which cells, in which order, and what is asked between them.
 
-    session = prepared(load(Path("drive"), settings), Path("results"), participant=7, session=None, ...)
-    session.run(desk)                the clock's thread: consent, practice, blocks, questionnaires, summary
-
 Cells that are there are not driven again, so that a session that broke off goes on where it was.
 """
 
@@ -43,10 +40,8 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
-SHIPPED = Path("drive")
-"""The spec behind `wasp drive TASK`."""
-QUICK = ("goal1",)
-"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
+SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
+QUICK = ("goal1",)  # tasks whose small models are published; of the others those of the preset `cpu` are
 IN_TIME = ("rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2")
 """Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 
@@ -58,8 +53,7 @@ class Session:
     loaded: Loaded
     layout: Layout
     run_id: str
-    blocks: list[tuple[Cell, Node]]
-    """In the order in which they are driven."""
+    blocks: list[tuple[Cell, Node]]  # in the order in which they are driven
     how: How
     study: StudyConfig | None = None
     facts: dict[str, Any] = field(default_factory=dict)
@@ -68,7 +62,6 @@ class Session:
 
     @property
     def participant(self) -> str:
-        """Return the pseudonym."""
         return str(self.blocks[0][0].severity)
 
     def run(self, desk: Desk) -> None:
@@ -115,7 +108,6 @@ class Session:
         return True
 
     def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
-        """Drive one cell; whether the session goes on."""
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
         identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
@@ -128,14 +120,14 @@ class Session:
                 e = record.finished
                 layout = seeds.layout_seed(cell.task, cell.seed, e + skipped)
                 own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
-                found = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
-                if isinstance(found, Driven):
-                    record.add(found, thresholds_of(block.assistant), config["safe_cost"])
+                outcome = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
+                if isinstance(outcome, Driven):
+                    record.add(outcome, thresholds_of(block.assistant), config["safe_cost"])
                 else:
-                    record.cut(found)
+                    record.cut(outcome)
                     # In a study everyone drives the same worlds.
-                    skipped += found.why == NEXT and self.study is None
-                    ended = found.why == END
+                    skipped += outcome.why == NEXT and self.study is None
+                    ended = outcome.why == END
         finally:
             block.close()
             record.note(lost_connection=desk.lost, lost_focus=desk.blurred)
@@ -159,7 +151,7 @@ class Session:
         """The cell with its first episodes alone, with the grid and the spec that ask for it."""
         part = limited(self.loaded, episodes)
         grid = lay_out_over(part.spec, self.layout, None)
-        return grid, next(found for each, found in grid.cells if each == cell), part
+        return grid, next(node for each, node in grid.cells if each == cell), part
 
     def _ask(self, desk: Desk, record: CellRecord) -> None:
         answers: dict[str, dict[str, float]] = {}
@@ -210,10 +202,6 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     """Find the cells that a participant (None: the only one) is to drive, and compute or bring in everything that they need.
 
     Unless it is `recorded`, no run stays behind, only what had to be computed.
-
-    Raises:
-        ArtifactError: a model is damaged; the next session has it computed again.
-        UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
     """
     spec = loaded.spec
     numbers = participants(spec)
@@ -304,11 +292,7 @@ def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, An
 
 
 def driven_tasks(results: Path, participant: int) -> list[str]:
-    """Return the tasks of which a participant has driven anything.
-
-    Raises:
-        UsageError: there is none.
-    """
+    """Return the tasks of which a participant has driven anything; a UsageError where there is none."""
     tasks = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
     if not tasks:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")

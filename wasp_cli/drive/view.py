@@ -27,17 +27,13 @@ from wasp_cli.tasks.base import Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Readout, displacements, fit, following, imagine, integrated, rollout_start
 from wasp_cli.video.map import WIDEST, things_of
 from wasp_cli.video.replay import HORIZON
-from wasp_cli.video.trace import poses_of
+from wasp_cli.video.trace import Readout, displacements, fit, following, imagine, integrated, poses_of, rollout_start
 
-GROUND = 2048
-"""Px of a side of the picture of the ground at most."""
-FINE = 0.02
-"""m of a pixel of it, where that is not too many."""
-MARGIN = 1.5
-"""The picture of the ground shows so many times the map's half side: one may drive off the map."""
+GROUND = 2048  # px of a side of the picture of the ground at most
+FINE = 0.02  # m of a pixel of it, where that is not too many
+MARGIN = 1.5  # the picture of the ground shows so many times the map's half side: one may drive off the map
 _ROW = np.array([0])
 
 
@@ -126,8 +122,7 @@ def camera_bytes(observation: Observation) -> bytes:
     return np.ascontiguousarray(np.moveaxis(images, 1, -1)).tobytes()
 
 
-WORLDS, DECISIONS = 6, 50
-"""Of the expert's drive from which displacements are read out of latents."""
+WORLDS, DECISIONS = 6, 50  # of the expert's drive from which displacements are read out of latents
 ROLE = "drive-readout"
 
 
@@ -160,8 +155,8 @@ class Futures:
         with torch.inference_mode():
             residuals = _correction(a_h, decision)
             start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), self._expert or operator, residuals, self._horizon)
-            found = imagine(self._model, start, self._horizon, (), hold=self._hold)
-        ways = [integrated(np.array(robot), self._readout(features[0])) for features in found.features]
+            imagined = imagine(self._model, start, self._horizon, (), hold=self._hold)
+        ways = [integrated(np.array(robot), self._readout(features[0])) for features in imagined.features]
         self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)
         return dict(zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False))
 

@@ -18,8 +18,7 @@ class Commanded(gymnasium.Wrapper):
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
-        self.commands: NDArray[np.float32] = np.zeros((0, 2), np.float32)
-        """[T, A] of the episode to come"""
+        self.commands: NDArray[np.float32] = np.zeros((0, 2), np.float32)  # [T, A] of the episode to come
         self._t = 0
 
     def reset(self, **arguments: Any) -> Any:

@@ -21,8 +21,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.notebook import rows
-from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, planned_cells, recorded_plans, stored_cells, table_of
+from wasp_cli.notebook import (
+    BRANCH,
+    EPISODE,
+    STEPS,
+    ListedCell,
+    Names,
+    Numbers,
+    branches_of,
+    chosen,
+    episodes_of,
+    planned_cells,
+    recorded_plans,
+    stacked,
+    steps_of,
+    stored_cells,
+    table_of,
+)
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell, matching
 from wasp_cli.store.layout import Layout
@@ -110,7 +125,7 @@ class Results:
             StoreError: rows are damaged.
         """
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return rows.stacked(self._layout, cells, rows.episodes, rows.EPISODE, columns)
+        return stacked(self._layout, cells, episodes_of, EPISODE, columns)
 
     def steps(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
@@ -118,7 +133,7 @@ class Results:
     ) -> pa.Table:  # fmt: skip
         """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return rows.stacked(self._layout, cells, rows.steps, rows.STEPS, columns)
+        return stacked(self._layout, cells, steps_of, STEPS, columns)
 
     def branches(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
@@ -126,7 +141,7 @@ class Results:
     ) -> pa.Table:  # fmt: skip
         """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return rows.stacked(self._layout, cells, rows.branches, rows.BRANCH, columns)
+        return stacked(self._layout, cells, branches_of, BRANCH, columns)
 
     def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
         """Read a row per trained part: key, kind, folder, seconds, and every number that its stage reports.
@@ -214,7 +229,7 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        return rows.stacked(self.layout, [self.names], rows.episodes, rows.EPISODE, None)
+        return stacked(self.layout, [self.names], episodes_of, EPISODE, None)
 
     def steps(self, episode: int | None = None) -> pa.Table:
         """Read a row per decision, of one episode or of all.
@@ -222,12 +237,12 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        found = rows.stacked(self.layout, [self.names], rows.steps, rows.STEPS, None)
+        rows = stacked(self.layout, [self.names], steps_of, STEPS, None)
         if episode is None:
-            return found
+            return rows
         import pyarrow.compute as pc
 
-        return found.filter(pc.equal(found["episode"], episode))
+        return rows.filter(pc.equal(rows["episode"], episode))
 
     def branches(self) -> pa.Table:
         """Read a row per counterfactually tested decision.
@@ -235,7 +250,7 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        return rows.stacked(self.layout, [self.names], rows.branches, rows.BRANCH, None)
+        return stacked(self.layout, [self.names], branches_of, BRANCH, None)
 
     def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined futures, gates; uint8 [704, 976, 3] each.

@@ -8,11 +8,11 @@ from typing import Any
 import pyarrow as pa
 
 from wasp_cli.errors import UnknownName
-from wasp_cli.notebook.cells import chosen
+from wasp_cli.notebook import chosen
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.render import data_columns
 from wasp_cli.report.summarize import report_run
-from wasp_cli.report.trained.artifacts import NOT_TRAINED, Trained, scalars, trained_artifacts
+from wasp_cli.report.trained import NOT_TRAINED, Trained, scalars, trained_artifacts
 from wasp_cli.run.record import read_run
 from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import KIND
@@ -27,16 +27,16 @@ def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[st
     if not roots:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
         roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
-    found = chosen(trained_artifacts(layout, roots)[0], wanted)
+    shown = chosen(trained_artifacts(layout, roots)[0], wanted)
     columns: dict[str, list[Any]] = {
-        "key": [part.key for part in found],
-        "kind": [part.kind for part in found],
-        "task": [part.task for part in found],
-        "seed": [part.seed for part in found],
-        "seconds": [part.seconds for part in found],
-        "folder": [str(layout.artifact(part.kind, part.key)) for part in found],
+        "key": [part.key for part in shown],
+        "kind": [part.kind for part in shown],
+        "task": [part.task for part in shown],
+        "seed": [part.seed for part in shown],
+        "seconds": [part.seconds for part in shown],
+        "folder": [str(layout.artifact(part.kind, part.key)) for part in shown],
     }
-    numbers = [_numbers(part, columns) for part in found]
+    numbers = [_numbers(part, columns) for part in shown]
     for name in dict.fromkeys(name for each in numbers for name in each):
         columns[name] = [each.get(name) for each in numbers]
     return pa.table({name: _array(values) for name, values in columns.items()})

@@ -156,10 +156,10 @@ class LoadedWorldModel:
         return self.module.cost(Latent(latents.h, latents.z)).numpy()
 
     def _actions(self, actions: ArrayLike) -> Tensor:
-        found = torch.from_numpy(np.array(actions, np.float32))
-        if found.ndim < 1 or found.shape[-1] != self.action_size or not torch.isfinite(found).all():
-            raise TaskError(f"actions should be finite [..., {self.action_size}], not {list(found.shape)}")
-        return found
+        tensor = torch.from_numpy(np.array(actions, np.float32))
+        if tensor.ndim < 1 or tensor.shape[-1] != self.action_size or not torch.isfinite(tensor).all():
+            raise TaskError(f"actions should be finite [..., {self.action_size}], not {list(tensor.shape)}")
+        return tensor
 
 
 def load_world_model(which: str | Path = "results", results: str | Path = "results") -> LoadedWorldModel:

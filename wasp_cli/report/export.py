@@ -9,15 +9,16 @@ from __future__ import annotations
 import io
 import math
 import os
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
 from wasp_cli.errors import UsageError
-from wasp_cli.report.document import Report
-from wasp_cli.report.tables.main import main_table
-from wasp_cli.report.trained.artifacts import Floats
+from wasp_cli.report.summarize import Report
+from wasp_cli.report.tables import main_table
+from wasp_cli.report.trained import Floats
 from wasp_cli.report.trained.figures import driving_curves, loss_curves
 
 
@@ -54,16 +55,19 @@ def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]
 def to_tensorboard(report: Report, folder: Path) -> int:
     """Write event files below `folder`, one folder a run; returns the number of runs. Raises UsageError without the package."""
     try:
-        from torch.utils.tensorboard.writer import SummaryWriter
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.event_file_writer import EventFileWriter
     except ImportError as error:
         raise UsageError("--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'") from error
     target = _new(folder / report.name)
     count = 0
     for series in series_of(report):
-        with SummaryWriter(str(target / series.name)) as writer:  # type: ignore[no-untyped-call]
-            for step, numbers in series.points.items():
-                for name, value in numbers.items():
-                    writer.add_scalar(name, value, step)  # type: ignore[no-untyped-call]
+        writer = EventFileWriter(str(target / series.name))
+        for step, numbers in series.points.items():
+            values = [Summary.Value(tag=name, simple_value=value) for name, value in numbers.items()]
+            writer.add_event(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+        writer.close()
         count += 1
     return count
 
@@ -82,7 +86,7 @@ def to_trackio(report: Report, folder: Path) -> int:
             run = trackio.init(project=report.name, name=series.name, resume="never", embed=False, auto_log_gpu=False, auto_log_cpu=False)
             for step, numbers in series.points.items():
                 run.log(dict(numbers), step=step)
-            run.finish()
+            run.finish()  # type: ignore[no-untyped-call]
             count += 1
     return count
 

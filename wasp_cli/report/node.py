@@ -14,7 +14,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained.artifacts import duration, scalars, short
+from wasp_cli.report.trained import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -22,8 +22,7 @@ from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
-HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
-"""Provenance that is told in lines of its own."""
+HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")  # provenance that is told in lines of its own
 
 Facts = dict[str, Any]  # as `wasp show --json` prints them
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from wasp_cli.errors import StoreError, UsageError, refusal
 from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats.frame import TIMES, WEIGHT_OF, CellNumbers, Frame, Judged, Missing, median_of
+from wasp_cli.report.stats import TIMES, WEIGHT_OF, CellNumbers, Frame, Judged, Missing, median_of
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
 from wasp_cli.store.tables import CellIdentity
@@ -71,12 +71,7 @@ def author_name() -> str:
 
 
 def add_note(layout: Layout, note: Note) -> Note:
-    """Append a note; returns it with its time and author.
-
-    Raises:
-        UsageError: it is too long, or says nothing.
-        StoreError: the file is no plain one, or cannot be written.
-    """
+    """Append a note; returns it with its time and author."""
     text, author = printable(note.text).strip(), printable(note.author).strip()[:80] or author_name()
     if not text and not note.mark:
         raise UsageError("the note says nothing", "write what there is to know")
@@ -100,8 +95,7 @@ def add_note(layout: Layout, note: Note) -> Note:
 def notes_of(layout: Layout) -> list[Note]:
     """Return all notes that read, oldest first; nothing where there is no file.
 
-    Raises:
-        StoreError: there is a file, and it cannot be read: what is invalid would be taken for valid.
+    A StoreError where it cannot be read: what is invalid would be taken for valid.
     """
     path = layout.within(layout.root / FILE)
     try:
@@ -127,13 +121,13 @@ def _note(record: dict[str, Any]) -> Note | None:
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
     """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
-    found: dict[tuple[str, int | None], Note] = {}
+    marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
         if note.mark == "invalid":
-            found[note.key, note.episode] = note
+            marked[note.key, note.episode] = note
         elif note.mark == "valid":
-            found.pop((note.key, note.episode), None)
-    return found
+            marked.pop((note.key, note.episode), None)
+    return marked
 
 
 def without_invalid(
@@ -179,15 +173,15 @@ def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | N
     if not rest.any():
         return None
     numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
-    found = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
+    kept = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
     pooled = {}
     for name in cell.pooled:
         if name in TIMES:
-            pooled[name] = median_of(found.episodes[name])
+            pooled[name] = median_of(kept.episodes[name])
         elif name in WEIGHT_OF:
-            mass, weight = found.weighted(name)
+            mass, weight = kept.weighted(name)
             pooled[name] = float(mass.sum() / weight.sum()) if weight.sum() else float("nan")
-    return replace(found, pooled=pooled)
+    return replace(kept, pooled=pooled)
 
 
 def _without(judged: Judged, out: Collection[int]) -> Judged:

@@ -21,7 +21,7 @@ from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.render import markdown_row
-from wasp_cli.report.stats.frame import CellNumbers
+from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import corruption, read_manifest, read_record
@@ -40,12 +40,10 @@ Assumption = tuple[str, Any, str]  # dotted name, value, why
 def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
     """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read.
 
-    Args:
-        layout: the results folder.
-        aside: also those that are set aside, where there are others.
+    Without `aside` those that are set aside are left out, where there are others.
     """
     hidden: set[str] = set()
-    found: dict[str, str] = {}
+    runs: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
         path = layout.run(run_id) / "plan.json"
@@ -60,10 +58,10 @@ def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], li
         if not isinstance(name, str):
             damaged.append(f"'{path}' is damaged: it names no spec")
             continue
-        found.pop(name, None)
-        found[name] = run_id
+        runs.pop(name, None)
+        runs[name] = run_id
         (hidden.add if record.get("aside") is True else hidden.discard)(name)
-    return {name: run for name, run in found.items() if aside or name not in hidden} or found, damaged
+    return {name: run for name, run in runs.items() if aside or name not in hidden} or runs, damaged
 
 
 @dataclass
@@ -74,8 +72,7 @@ class Origins:
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)
     """By what it is, the number of cells that were computed with each version of it."""
-    halved: list[str] = field(default_factory=list)
-    """Labels of the cells that were computed from parts in half precision."""
+    halved: list[str] = field(default_factory=list)  # labels of the cells that were computed from parts in half precision
 
     def add(self, manifest: Mapping[str, Any]) -> None:
         """Take one more artifact into account."""
@@ -157,8 +154,7 @@ def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
 
 
-MOST_CELLS = 500
-"""A page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any."""
+MOST_CELLS = 500  # a page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any
 
 
 def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[tuple[str, int, str, str, str]]:
@@ -167,7 +163,7 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
     Day and commit are empty where they are unknown.
     """
     known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
-    found = []
+    sources = []
     for cell, key in known if len(known) <= MOST_CELLS else ():
         try:
             manifest = read_manifest(layout, KIND, key)
@@ -178,8 +174,8 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
         sha = git.get("sha") if isinstance(git, Mapping) else None
         texts = (each if isinstance(each, str) else "" for each in (label, day, sha))
         shown, when, commit = map(printable, texts)
-        found.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
-    return found
+        sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
+    return sources
 
 
 def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
@@ -194,13 +190,12 @@ def absent_fact(absent: Sequence[Part]) -> str:
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
 
-POSTERIOR = (
+POSTERIOR = (  # an assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from
     "the filter",
     "mode",
     "no setting: z_t is the mode of the posterior q(z_t | h_t, o_t), not a sample, so that filtering draws nothing and all methods see "
     "the same latent",
 )
-"""An assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from."""
 READINGS = (
     ("wasp, as printed: discounts", "gamma_r", f"{DIFFERS}: no setting: Eq. 7-8 use the rewards' discount for costs too, and V_c "
      "behind the horizon was trained with `returns.gamma_c`"),
@@ -226,35 +221,35 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
             need(kind)
     for kind in spec.stages:
         need(kind)
-    found: list[Assumption] = []
+    in_force: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
         idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
         if not idle:
-            found.append((name, value, why))
+            in_force.append((name, value, why))
     if "world_model" in kinds:
-        found.append(POSTERIOR)
+        in_force.append(POSTERIOR)
     if "wasp" in spec.methods:
-        found += READINGS
-    return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
+        in_force += READINGS
+    return sorted(in_force, key=lambda one: not one[2].startswith(DIFFERS))
 
 
 def _of_single_tasks(spec: Spec) -> list[Assumption]:
     """The values that differ in the sections of single tasks, each with its task."""
-    found: list[Assumption] = []
+    differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
             base, own = ((spec.stage if section in STAGES else spec.method)(section, task=which) for which in (None, task))
             same = {name: value for name, value, _ in assumptions(base)}
-            found += [
+            differing += [
                 (f"{section}.{name}", value, f"{why} (on {task} alone)")
                 for name, value, why in assumptions(own)
                 if name not in same or same[name] != value
             ]
-    return found
+    return differing
 
 
-def assumptions_markdown(found: Sequence[Assumption]) -> str:
+def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
     """Render a Markdown section: every value in force that is not the paper's."""
     lines = [
         "## Assumptions in force",
@@ -263,33 +258,28 @@ def assumptions_markdown(found: Sequence[Assumption]) -> str:
         "",
     ]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
-    for name, value, why in found:
+    for name, value, why in assumed:
         shown = json.dumps(value, default=str, ensure_ascii=False)
         lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
     return "\n".join(lines) + "\n"
 
 
 def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
-    """Compare the SHA-256 of every file of some artifacts with their manifests.
+    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those that are not there are left out.
 
-    Args:
-        layout: the results folder.
-        artifacts: kind and key of each; those that are not there are left out, as the report names them.
-
-    Returns:
-        How many were read, and what is wrong with each that differs.
+    Returns how many were read, and what is wrong with each that differs.
     """
     read, wrong = 0, []
     for kind, key in dict.fromkeys(artifacts):
         try:
             if not layout.within(layout.manifest(kind, key)).is_file():
                 continue
-            found = corruption(layout, kind, key)
+            problem = corruption(layout, kind, key)
         except (ArtifactError, StoreError) as error:
-            found = error.message
+            problem = error.message
         except (OSError, AttributeError) as error:  # it changes now, or names no digests
-            found = f"'{layout.artifact(kind, key)}': {error}"
+            problem = f"'{layout.artifact(kind, key)}': {error}"
         read += 1
-        if found is not None:
-            wrong.append(found)
+        if problem is not None:
+            wrong.append(problem)
     return read, wrong

@@ -22,12 +22,15 @@ import csv
 import io
 import math
 import re
+import shlex
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from rich import box
 from rich.console import Group
@@ -36,7 +39,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from wasp_cli.errors import StoreError
-from wasp_cli.report.tables.table import Row, Table
+from wasp_cli.report.tables import Row, Table
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
@@ -92,12 +95,10 @@ def data_columns(table: Table) -> dict[str, list[Any]]:
     return columns
 
 
-PARTS = ("", "_sd", "_low", "_high", "_delta")
-"""What a data file may say of a value: endings of its column's key."""
+PARTS = ("", "_sd", "_low", "_high", "_delta")  # what a data file may say of a value: endings of its column's key
 
 
 def _parts(row: Row) -> list[dict[str, float | None]]:
-    """By PARTS, for each value of a row."""
     spans = ((None, None) if value.interval is None else (value.interval.low, value.interval.high) for value in row.values)
     return [
         dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True)) for value, span in zip(row.values, spans, strict=True)
@@ -252,28 +253,31 @@ def html(table: Table) -> str:
     return str(rendered("table.html", table=table))
 
 
+TEMPLATES = ("wasp_cli.report", "page/templates")
+
+
 def rendered(template: str, /, **values: Any) -> Markup:
     """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
-    return Markup(templates("wasp_cli.report.page").get_template(template).render(values))  # every value in it has been escaped
+    return Markup(templates(TEMPLATES).get_template(template).render(values))  # every value in it has been escaped
 
 
 def trusted(name: str) -> Markup:
     """Return a file of the page that is put into it as it is."""
     from markupsafe import Markup
 
-    return Markup((files("wasp_cli.report.page") / name).read_text(encoding="utf-8"))
+    return Markup((files("wasp_cli.report") / "page" / name).read_text(encoding="utf-8"))
 
 
 @cache
-def templates(*packages: str) -> Environment:
-    """Return the templates of some packages, which escape; of one name the first package's."""
+def templates(*folders: tuple[str, str]) -> Environment:
+    """Return the templates in some folders of packages, which escape; of one name the first folder's."""
     # Imported here: most commands write no HTML.
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=ChoiceLoader(list(map(PackageLoader, packages))), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        loader=ChoiceLoader(list(starmap(PackageLoader, folders))), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
     environment.globals |= {"plain": plain, "data_uri": data_uri}
@@ -305,3 +309,18 @@ def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table])
     for name, text in texts.items():
         replace_file(folder / name, text)
     return [folder / name for name in texts]
+
+
+READABLE = "/ =+"  # characters that stand in an address as they are; a browser is given %20 for a space
+
+
+def cell_address(cell: str, episode: int | None = None, step: int | None = None) -> str:
+    """Return where a cell (its label or key), an episode of it or a decision stands: `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`."""
+    place = f"/cell/{quote(cell, READABLE)}"
+    place += "" if episode is None else f"/episode/{episode}"
+    return place if step is None else f"{place}?step={step}"
+
+
+def open_command(results: Path | str, address: str) -> str:
+    """Return the command that opens a place."""
+    return f"wasp view {shlex.quote(str(results))} --open {shlex.quote(address)}"

@@ -1,39 +1,212 @@
-"""From a results folder to the report of a run: every table once."""
+"""The report of a run as one value: made from a results folder, printed, or written as Markdown, HTML and single files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from wasp_cli.errors import ArtifactError, StoreError
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
-from wasp_cli.report.claims.text import numbers_table
-from wasp_cli.report.claims.verdict import judge
-from wasp_cli.report.document import Report
-from wasp_cli.report.notes import invalid, notes_of, without_invalid
-from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
-from wasp_cli.report.stats.branches import with_branches
-from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.claims import VerdictReport, judge
+from wasp_cli.report.claims.text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, latency_figure, necessity_figure, profile_figure
+from wasp_cli.report.figures.by_axis import severity_figure
+from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
+from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
+from wasp_cli.report.provenance import (
+    Assumption,
+    Origins,
+    absent_fact,
+    absent_parts,
+    assumptions_in_force,
+    assumptions_markdown,
+    cell_sources,
+)
+from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
+from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
+from wasp_cli.report.tables import (
+    Table,
+    ablation_table,
+    autonomy_table,
+    detail_table,
+    in_words,
+    latency_table,
+    main_table,
+    task_title,
+    threshold_table,
+)
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables
-from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
-from wasp_cli.report.tables.necessity import necessity_table
+from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
-from wasp_cli.report.tables.table import Table
-from wasp_cli.report.trained.artifacts import trained_artifacts
+from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown
+from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity, cell_file
+from wasp_cli.store.tables import CellIdentity
+
+NAMED = 12  # missing cells that the terminal names; the report names all
+TABLES = (
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
+    "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
+)  # fmt: skip
+PAGES = ("report.md", "report.html")
+KNOWN = frozenset(  # every file that a report can write
+    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+)
+TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
+"""Tables and figures that stand on the page of what was trained."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run amounts to."""
+
+    name: str
+    layout: Layout
+    facts: tuple[str, ...]  # one-line statements about the grid
+    tables: tuple[Table, ...]  # the first ones are for the terminal
+    shown: int  # how many of them
+    frame: Frame
+    trained: tuple[Trained, ...]
+    assumptions: tuple[Assumption, ...]
+    damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
+    published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
+    remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
+    keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
+    notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
+    verdict: VerdictReport | None = None  # what becomes of the paper's claims; None where nothing was evaluated
+
+    @property
+    def missing(self) -> tuple[Missing, ...]:
+        """Cells without readable rows, and branches of other cells that are not there, each with the reason."""
+        return (*self.frame.missing, *self.frame.unbranched)
+
+    def terminal(self, console: Console) -> None:
+        """Print the front tables, and name what is missing. The main results come last: they are what stays on a small screen."""
+        for table in self.tables[self.shown - 1 : 0 : -1]:
+            console.print(terminal(table, console.width))
+        for fact in (*self.published, *self.remarks):
+            console.print(Text(fact), soft_wrap=True)
+        for table in self.tables[: min(self.shown, 1)]:
+            console.print(terminal(table, console.width))
+        for line in in_words(self.frame):
+            console.print(Text(line), soft_wrap=True)
+        for line in lines_of(self.notes)[-NAMED:]:
+            console.print(Text(f"note on {line}"), soft_wrap=True)
+        if self.verdict is not None:
+            console.print(verdict_terminal(self.verdict))
+        if self.missing:
+            console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
+            name_missing(console, self.missing)
+
+    def write(
+        self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None, *, evidence: bool = False
+    ) -> list[Path]:
+        """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
+
+        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too.
+        """
+        make_own(folder)
+        figures = draw_figures(self.layout, self.frame, self.trained, folder)
+        films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
+        texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
+        pages = write_pages(folder, texts, self.tables)
+        # What an earlier report had and this one has not would pass for a part of it.
+        for name in KNOWN - {path.name for path in (*pages, *figures)}:
+            (folder / name).unlink(missing_ok=True)
+        if not evidence:
+            return [*pages, *figures]
+        from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
+
+        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
+
+    def markdown(self, figures: Sequence[str] = ()) -> str:
+        """Render the whole report as one Markdown page."""
+        parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
+        if self.missing:
+            lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
+            parts.append(
+                f"## Missing cells\n\n{missing_words(self.frame)}. Their rows are marked, and nothing stands in for them.\n\n{lines}"
+            )
+        if self.verdict is not None:
+            parts.append(verdict_markdown(self.verdict))
+        parts += [markdown(table) for table in self.tables[: self.shown]]
+        parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
+        parts += [markdown(table) for table in self.tables[self.shown :]]
+        if self.notes:
+            lines = "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes))
+            parts.append(f"## Notes\n\n{lines}")
+        if self.trained:
+            parts.append(trained_markdown(self.trained))
+        parts.append(assumptions_markdown(self.assumptions))
+        return "\n".join(parts)
+
+    def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
+        """Render the whole report as one HTML page (`page/templates/page.html`) that needs no other file and no network."""
+        svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
+        shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
+        page = rendered(
+            "page.html",
+            report=self,
+            verdict=None if self.verdict is None else verdict_html(self.verdict),
+            gaps=missing_words(self.frame) if self.missing else None,
+            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING],
+            further=self.tables[self.shown :],
+            figures=[figure for figure in shown if figure["name"] not in TRAINING],
+            films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
+            training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
+            training_figures=[figure for figure in shown if figure["name"] in TRAINING],
+            cells=cell_sources(self.layout, self.frame.cells, self.keys),
+            notes=lines_of(self.notes),
+            style=trusted("style.css"),
+            script=trusted("sort.js") + trusted("script.js"),
+            task_title=task_title,
+            cell_address=cell_address,
+            duration=duration,
+            numbers_text=numbers_text,
+            as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
+        )
+        return str(page)
+
+
+def missing_words(frame: Frame) -> str:
+    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
+    parts = []
+    if frame.missing:
+        parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
+    if frame.unbranched:
+        parts.append(f"{len(frame.unbranched)} of {len(frame.judged) + len(frame.unbranched)} sets of counterfactual branches")
+    return f"{' and '.join(parts)} {'is' if len(frame.missing) + len(frame.unbranched) == 1 else 'are'} missing"
+
+
+def name_missing(console: Console, missing: Sequence[Missing]) -> None:
+    """Print the first missing cells, each with its reason, and how many more there are."""
+    for cell in missing[:NAMED]:
+        console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
+    if len(missing) > NAMED:
+        console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
+
+
+def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
+    """Write every figure that has something to show, as PNG and SVG; returns the files."""
+    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
+    files = [path for draw in of_cells for path in draw(frame, folder)]
+    for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
+        files += [] if figure is None else figure_files(figure, folder, name)
+    return files
 
 
 def report_run(
@@ -46,15 +219,15 @@ def report_run(
     unknown: Sequence[str] = (),
     absent: Sequence[str] = (),
 ) -> Report:
-    """Summarise the cells and the trained parts of a run.
+    """Summarise the cells and the trained parts of a run, each with the key of its artifact.
 
     Args:
         results: the results folder.
         spec: what the run was asked for.
-        cells: its cells, each with the key of its evaluation.
-        parts: what it trains, each with the key of its artifact.
+        cells: its cells.
+        parts: what it trains.
         paper: whose numbers and claims the cells are held against; None: against none.
-        branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
+        branched: the cells whose interventions are judged, with the keys of their counterfactual branches.
         unknown: what the record of the run has that this version does not know.
         absent: whose cells are left out, since it is not installed here, each as a sentence.
     """
@@ -91,12 +264,7 @@ def report_run(
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
     front += people_tables(sittings)
-    ablations = ablation_table(frame)
-    if ablations is not None:
-        front.append(ablations)
-    necessary = necessity_table(frame)
-    if necessary is not None:
-        front.append(necessary)
+    front += [table for table in (ablation_table(frame), necessity_table(frame)) if table is not None]
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
@@ -142,11 +310,7 @@ def wanted_cells(
 ) -> tuple[list[Wanted], list[str]]:
     """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
 
-    Args:
-        layout: the results folder.
-        spec: what the run was asked for.
-        cells: its cells, each with the key of its evaluation.
-        branched: those with counterfactual branches, each with the key of these.
+    `branched` are those with counterfactual branches, each with the key of these.
     """
     damaged: list[str] = []
     # To look for the failure of each cell alone would take longer than to read the grid.
@@ -154,15 +318,10 @@ def wanted_cells(
     blocked = _blocked(layout, spec, failed, damaged)
 
     def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
-        folder, refused = layout.artifact(kind, key), None
-        path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
-        try:
-            layout.within(path)
-        except StoreError as error:
-            refused = error.message
-        failure = _failure(layout, key, damaged) if key in failed else None
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
-        return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches, spec.training_seed)
+        known = {"severity": cell.severity, "blocked": blocked.get(key), "branches": branches, "chain_seed": spec.training_seed}
+        failure = _failure(layout, key, damaged) if key in failed else None
+        return Wanted.stored(layout, kind, key, identity_of(cell), label, failure=failure, **known)
 
     judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
     return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged

@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.document import name_missing
 from wasp_cli.report.figures.by_axis import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
-from wasp_cli.report.stats.frame import Missing
-from wasp_cli.report.summarize import identity_of, report_run
+from wasp_cli.report.stats import Missing
+from wasp_cli.report.summarize import identity_of, name_missing, report_run
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import (
     SWEEP_COLUMNS,
     SWEEP_OPERATOR_COLUMNS,
@@ -27,7 +27,6 @@ from wasp_cli.report.tables.by_axis import (
     sweep_operator_table,
     sweep_table,
 )
-from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import Sweep
 
 
@@ -49,7 +48,6 @@ class SweepReport:
 
     @cached_property
     def tables(self) -> tuple[Table, Table]:
-        """The table over all operators, and the one for each of them."""
         return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
 
     def terminal(self, console: Console) -> None:
@@ -91,14 +89,14 @@ class SweepReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values, unscaled."""
-        found = lines(self.swept)
+        rows = lines(self.swept)
         return {
             "name": self.name,
             "spec": self.spec,
             "setting": self.key,
             "values": [each.value for each in self.swept],
-            "rows": [line.as_json(SWEEP_COLUMNS) for line in found],
-            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, found)],
+            "rows": [line.as_json(SWEEP_COLUMNS) for line in rows],
+            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, rows)],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
         }
 

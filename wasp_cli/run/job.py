@@ -1,21 +1,30 @@
-"""What travels to a worker and what comes back (names and plain values, never tensors), and what a running node says of itself."""
+"""What travels to a worker and what comes back (names and plain values, never tensors), and what a running node says of itself.
+
+And how a run and its nodes are ended early: Ctrl-C and SIGTERM for the run; a time limit, and being taken back, for each node.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
+import math
 import os
 import platform
 import resource
+import signal
 import sys
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
-from wasp_cli.errors import ArtifactError
+from wasp_cli.console import duration
+from wasp_cli.errors import ArtifactError, TimeLimitExceeded
 from wasp_cli.store.artifact import dumps, read_record, replace_file
 
 
@@ -23,31 +32,24 @@ from wasp_cli.store.artifact import dumps, read_record, replace_file
 class NodeJob:
     """One node for one worker."""
 
-    root: str
-    """The results folder."""
+    root: str  # the results folder
     run_id: str
     kind: str
     key: str
     label: str
     task: str
     seed: int
-    stage: str
-    """Import string of the stage's class."""
+    stage: str  # import string of the stage's class
     axes: Mapping[str, Any]
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    inputs: Mapping[str, tuple[str, str]]
-    """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
-    sources: Mapping[str, str]
-    """Hash by module of the code that decides the result."""
-    earlier: str | None = None
-    """Key of the same artifact with fewer episodes, whose rows may be taken over."""
+    inputs: Mapping[str, tuple[str, str]]  # kind and key of the upstream artifacts, by the name under which the stage reads them
+    sources: Mapping[str, str]  # hash by module of the code that decides the result
+    earlier: str | None = None  # key of the same artifact with fewer episodes, whose rows may be taken over
     attempt: int = 1
     threads: int = 1
-    limit: float | None = None
-    """Seconds that it may take; None for no limit."""
-    wait: bool = False
-    """Whether to wait while another run computes it; otherwise it comes back as `busy`."""
+    limit: float | None = None  # seconds that it may take; None for no limit
+    wait: bool = False  # whether to wait while another run computes it; otherwise it comes back as `busy`
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -88,14 +90,13 @@ class Heartbeat:
                 self.deaths = 1 + int(left.get("deaths", 0))
         except ArtifactError:
             self.deaths = 1
-        self.fixed: dict[str, object] = {
+        self.fixed: dict[str, object] = {  # what does not change while it runs
             "label": job.label,
             "kind": job.kind,
             **this_process(),
             "started": _now(),
             "deaths": self.deaths,
         }
-        """What does not change while it runs."""
         self._share, self._text = 0.0, ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")
@@ -155,3 +156,125 @@ def boot_id() -> str | None:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
     except (OSError, ValueError):
         return None
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Stop:
+    """Whether a run was asked to stop. Workers learn it from a file, on other machines too."""
+
+    def __init__(self, path: Path, told: Callable[[], None]) -> None:
+        self._path, self._told = path, told
+        self.asked = False
+
+    def ask(self) -> None:
+        """Let nothing new begin."""
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        with suppress(OSError):
+            self._path.touch()
+        self._told()
+
+
+@contextmanager
+def listening(stop: Stop) -> Iterator[None]:
+    """Turn signals into requests to stop. One that this process was started to ignore (`nohup`) stays ignored."""
+
+    def ask(number: int, frame: object) -> None:
+        stop.ask()
+
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    try:
+        for number in taken:
+            signal.signal(number, ask)
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, before[number])
+
+
+GRACE = 10.0  # seconds that a node has to react; one with a shorter limit gets as long again
+LOOK_SECONDS = 0.5
+HINT = "allow more time with --timeout; the log shows where it was"
+
+
+class Cancelled(BaseException):
+    """Its node was taken back. No `Exception`: what a stage catches must not keep it going."""
+
+
+class _Overdue(BaseException):
+    """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
+
+
+@contextmanager
+def interruptible(limit: float | None, cancel: Path, marker: Path, own_process: bool) -> Iterator[None]:
+    """Raise TimeLimitExceeded in the block after `limit` seconds, and Cancelled soon after a file appears.
+
+    In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
+    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours;
+    `marker` then has text, so that whoever finds it gone knows why.
+    """
+    over, thread = threading.Event(), threading.get_ident()
+    main = threading.current_thread() is threading.main_thread()
+    reason: type[BaseException] = Cancelled
+
+    def watch() -> None:
+        nonlocal reason
+        end = math.inf if limit is None else time.monotonic() + limit
+        while not cancel.exists():
+            left = end - time.monotonic()
+            if left <= 0:
+                reason = _Overdue
+                break
+            if over.wait(min(LOOK_SECONDS, left)):
+                return
+        if main:
+            signal.pthread_kill(thread, signal.SIGUSR1)
+        else:
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(reason))
+        if reason is Cancelled and not over.wait(GRACE) and own_process:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def ring(number: int, frame: object) -> None:
+        if not over.is_set():
+            raise reason
+
+    before = signal.signal(signal.SIGUSR1, ring) if main else None
+    watcher = threading.Thread(target=watch, daemon=True, name="node-watch")
+    watcher.start()
+    try:
+        with _ended_over(limit, marker) if limit is not None and own_process else nullcontext():
+            yield
+    except _Overdue:
+        raise TimeLimitExceeded(f"it took longer than the limit of {duration(limit or 0.0)}", HINT) from None
+    finally:
+        over.set()
+        watcher.join()
+        if main:
+            signal.signal(signal.SIGUSR1, before)
+        else:  # what came too late must not reach who called us
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
+
+
+@contextmanager
+def _ended_over(limit: float, marker: Path) -> Iterator[None]:
+    """End this process where it does not react to the limit."""
+    with marker.open("w", encoding="utf-8") as file:
+        # A thread of C: it fires also while a library holds the interpreter's lock.
+        faulthandler.dump_traceback_later(limit + min(GRACE, limit), exit=True, file=file)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            marker.unlink(missing_ok=True)
+
+
+def was_ended(marker: Path) -> bool:
+    """Return whether a process was ended because its node did not react to the limit."""
+    try:
+        return marker.stat().st_size > 0
+    except OSError:
+        return False

@@ -23,8 +23,7 @@ from itertools import count
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError, WaspError
-from wasp_cli.run.interrupt import SIGNALS
-from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 
 BACKENDS = ("loky", "dask", "ray", "slurm")
@@ -34,8 +33,7 @@ STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --he
 CONNECT_SECONDS = 20
 CLOSE_SECONDS = 5
 POLL_SECONDS = 0.1
-COUNT_SECONDS = 2.0
-"""Between two looks at the workers of a dask scheduler."""
+COUNT_SECONDS = 2.0  # between two looks at the workers of a dask scheduler
 
 
 class WorkersDied(Exception):
@@ -45,11 +43,9 @@ class WorkersDied(Exception):
 class Pool(ABC):
     """Computes nodes side by side."""
 
-    jobs = 1
-    """Nodes at once."""
+    jobs = 1  # nodes at once
     name = ""
-    gone: str | None = None
-    """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
+    gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
 
     @abstractmethod
     def submit(self, job: NodeJob) -> Future[NodeResult]:
@@ -140,8 +136,7 @@ class LokyPool(Pool):
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._workers: Any = None
-        self._single: list[Any] = []
-        """Executors of nodes alone."""
+        self._single: list[Any] = []  # executors of nodes alone
         # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
 

@@ -15,24 +15,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.text import Text
+
 import wasp_cli
-from wasp_cli.console import waiting_aloud
+from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import (
-    commit,
-    corruption,
-    damage,
-    discard,
-    dumps,
-    invalidate,
-    listed_files,
-    read_manifest,
-)
+from wasp_cli.store.artifact import commit, corruption, damage, discard, dumps, invalidate, listed_files, read_manifest
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
@@ -43,12 +37,9 @@ PUBLIC = (
     HALF_INPUTS,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
-SHORTEST = 4
-"""Characters of a private name at least: a shorter one is found everywhere by chance."""
-STAGED = "publish"
-"""Where in `tmp/` copies are made."""
-NAMED = 12
-"""Nodes that a refusal names."""
+SHORTEST = 4  # characters of a private name at least: a shorter one is found everywhere by chance
+STAGED = "publish"  # where in `tmp/` copies are made
+NAMED = 12  # nodes that a refusal names
 
 
 @dataclass(frozen=True)
@@ -57,8 +48,7 @@ class Item:
 
     node: Node
     size: int
-    manifest: Mapping[str, Any]
-    """As it will be published."""
+    manifest: Mapping[str, Any]  # as it will be published
 
 
 @dataclass(frozen=True)
@@ -66,28 +56,16 @@ class Publication:
     """What is to be published."""
 
     new: tuple[Item, ...]
-    there: tuple[Item, ...]
-    """Those that the published layer has already, byte for byte."""
+    there: tuple[Item, ...]  # those that the published layer has already, byte for byte
     large: tuple[Item, ...]
-    absent: tuple[Node, ...]
-    """What was not computed because nothing needs it."""
+    absent: tuple[Node, ...]  # what was not computed because nothing needs it
     reports: tuple[Path, ...]
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
-    """Return what of a spec can be published; nothing is written.
+    """Return what of a spec can be published: artifacts of at most `largest` bytes, chosen by `--select`; nothing is written.
 
-    Args:
-        spec: whose results.
-        layout: the results folder.
-        target: the published layer.
-        selectors: texts of `--select`; all cells and all trained parts without any.
-        largest: bytes of an artifact at most.
-        reuse: as for a run; with `none`, results of this code alone.
-
-    Raises:
-        UsageError: the selection means nothing.
-        ArtifactError: something is not computed, or damaged, or names this machine.
+    With the `reuse` of `none` results of this code alone. An ArtifactError where something is not computed, damaged, or names this machine.
     """
     grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
@@ -130,7 +108,6 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
-    """By key of a node, everything that it was computed from: key by recipe."""
     behind: dict[str, dict[str, str]] = {}
     for node in grid.nodes:
         if node.key in grid.reused:
@@ -143,7 +120,6 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
 
 
 def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:
-    """Why an artifact cannot be published."""
     kind, key = item.node.kind, item.node.key
     if (wrong := corruption(source, kind, key)) is not None:
         return wrong
@@ -166,7 +142,6 @@ def _private(layout: Layout) -> dict[str, str]:
 
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
-    """What private thing a file names; None where it names none."""
     for what, text in private.items():
         if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
             return what
@@ -174,7 +149,6 @@ def _named(data: bytes, private: Mapping[str, str]) -> str | None:
 
 
 def _reports(spec: Spec, layout: Layout) -> list[Path]:
-    """The files of a spec's report."""
     folder = layout.within(layout.reports(spec.name))
     try:
         with os.scandir(folder) as entries:
@@ -185,12 +159,7 @@ def _reports(spec: Spec, layout: Layout) -> list[Path]:
 
 
 def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out.
-
-    Raises:
-        ArtifactError: a file has changed since it was looked at, or half precision cannot hold a weight.
-        StoreError: a folder of the published layer is a link.
-    """
+    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out."""
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
     if not publication.new and not publication.reports:
@@ -227,3 +196,24 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
     commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
+
+
+def show_publication(publication: Publication, largest: float, console: Console) -> None:
+    """Print how much of each kind is published, how much was published before, and what is left out."""
+    table = count_table("kind", "new", "size", "there already")
+    for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
+        sizes = [item.size for item in publication.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in publication.there)
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
+    reports = [path.stat().st_size for path in publication.reports]
+    table.add_row("report", str(len(reports)), size(sum(reports)), "-")
+    table.add_section()
+    total = sum(item.size for item in publication.new) + sum(reports)
+    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
+    console.print(table)
+    for item in publication.large:
+        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
+        console.print(text, markup=False, soft_wrap=True)
+    if publication.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
+        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)

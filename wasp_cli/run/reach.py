@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from pathlib import Path
 
-from wasp_cli.console import waiting_aloud
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
@@ -21,6 +24,11 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest, read_record
 from wasp_cli.store.find import KIND
 from wasp_cli.store.gc import (
+    FAILURES,
+    LOCKS,
+    RUNS,
+    TMP,
+    WORK,
     Rubbish,
     computed_from,
     locked,
@@ -35,16 +43,11 @@ from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.reached import reached
 
-BEGINS_SECONDS = 3600.0
-"""How long a run may take from making its folder to the first line of its journal."""
+BEGINS_SECONDS = 3600.0  # how long a run may take from making its folder to the first line of its journal
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
-    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without.
-
-    Raises:
-        SpecError: one is not valid.
-    """
+    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without."""
     loaded = [load(path, ()).spec for path in specs]
     return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
@@ -82,16 +85,9 @@ def reach_of_runs(layout: Layout, own: Set[str]) -> tuple[set[str], list[str]]:
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """Return what of a results folder can go now.
+    """Return what of a results folder can go now; folders of `runs` too, and nothing that was written after `before` (seconds).
 
-    Args:
-        layout: the results folder.
-        keep: further keys to keep, with all that they were computed from.
-        runs: whether folders of runs may go.
-        before: nothing that was written after this time, in seconds since the epoch; None for no such limit.
-
-    Raises:
-        StoreError: a run does not say what it reaches.
+    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
     """
     there = stored(layout)
     own = _of_people(layout, there)
@@ -127,12 +123,10 @@ def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
 
 
 def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
-    """The keys of a plan's nodes, and of everything that they need."""
     return reached(keys & run.nodes.keys(), lambda key: run.nodes[key].needs if key in run.nodes else ())
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
-    """Whether a run computes, or a living process is to write its report."""
     with suppress(ArtifactError):  # a full disk
         record = read_record(layout.reporting(run.run_id))
         if record is not None and not is_gone(record):
@@ -147,3 +141,26 @@ def _age(layout: Layout, run_id: str) -> float:
         return abs(time.time() - layout.run(run_id).lstat().st_mtime)
     except OSError:
         return 0.0
+
+
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+
+
+def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
+    """Print how much of each kind can go."""
+    if not rubbish:
+        console.print("there is nothing to remove")
+        return
+    table = count_table("what can go", "count", "size")
+    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [what for what in LAST if any(item.what == what for item in rubbish)]
+    for kind in kinds:
+        sizes = [item.size for item in rubbish if item.what == kind]
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
+    table.add_section()
+    table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
+    console.print(table)
+
+
+def removed_line(count: int, freed: int) -> str:
+    """Return what a removal came to."""
+    return f"{count} removed, {size(freed)} freed"

@@ -41,8 +41,7 @@ class Recorded:
 
     run_id: str
     spec: Spec
-    cells: list[tuple[Cell, str]]
-    """Each cell with the key of its artifact."""
+    cells: list[tuple[Cell, str]]  # each cell with the key of its artifact
     parts: list[tuple[Part, str]]
     branched: list[tuple[Cell, str]] = field(default_factory=list)
     """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
@@ -96,11 +95,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
 
 
 def read_run(layout: Layout, run_id: str) -> Recorded:
-    """Return what a run was asked for.
-
-    Raises:
-        ArtifactError: its record is damaged, or of another version.
-    """
+    """Return what a run was asked for; an ArtifactError where its record is damaged, or of another version."""
     folder = layout.within(layout.run(run_id))
     try:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
@@ -156,8 +151,7 @@ def _taken_out(document: Any, loc: Sequence[str | int]) -> str | None:
     return f"{shown}.{name}" if shown else str(name)
 
 
-REQUIRED = ("name", "tasks", "seeds")
-"""Without one of them there is nothing to report."""
+REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report
 UNKNOWN_MOST = 200
 
 
@@ -171,11 +165,7 @@ def _first_line(error: Exception) -> str:
 
 
 def results_of(folder: Path) -> Layout:
-    """Return the layout of an existing results folder.
-
-    Raises:
-        StoreError: there is none, it cannot be read, or has links in it.
-    """
+    """Return the layout of an existing results folder; a StoreError where there is none, or it cannot be read or has links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     try:
@@ -194,8 +184,7 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        self.failure: StoreError | None = None
-        """What kept an event from being written whole; the first one."""
+        self.failure: StoreError | None = None  # what kept an event from being written whole; the first one
 
     def write(self, event: str, **facts: Any) -> None:
         """Append one event with its time. A full disk does not end the run, which says at its end what could not be written."""

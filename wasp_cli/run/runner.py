@@ -13,27 +13,22 @@ from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.interrupt import HINT, Stop, was_ended
-from wasp_cli.run.job import NodeJob, NodeResult, forget, this_process
+from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
 from wasp_cli.run.pool import Pool, WorkersDied
-from wasp_cli.run.progress import numbers
 from wasp_cli.run.record import Journal
+from wasp_cli.run.show import numbers
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 
-UNEXPLAINED = 5
-"""Deaths of idle workers that a run lives with."""
-DEATH_SECONDS = 2.0
-"""Within which the whole pool learns that one of its workers was killed."""
+UNEXPLAINED = 5  # deaths of idle workers that a run lives with
+DEATH_SECONDS = 2.0  # within which the whole pool learns that one of its workers was killed
 LOOK_SECONDS = 0.5
-ASK_SECONDS = 2.0
-"""Between two looks at a node that another run computes."""
+ASK_SECONDS = 2.0  # between two looks at a node that another run computes
 POLL_SECONDS = 0.1
-ARRIVAL_SECONDS = 60.0
-"""Within which an artifact of another machine is seen here: file systems keep for so long that a name was not there."""
+ARRIVAL_SECONDS = 60.0  # within which an artifact of another machine is seen here: file systems keep for so long that a name was not there
 ELSEWHERE = "the worker writes to another folder of this name: every machine needs the same one; then run again"
 
 
@@ -44,8 +39,7 @@ class Flight:
     node: Node
     job: NodeJob
     alone: bool = False
-    memory: float | None = None
-    """What it held when its worker was killed before, in MB."""
+    memory: float | None = None  # what it held when its worker was killed before, in MB
 
 
 @dataclass(frozen=True)
@@ -67,11 +61,9 @@ class Summary:
     """Nodes that could not run, each with the failed or cancelled node that it needs."""
     cancelled: list[Node] = field(default_factory=list)
     seconds: float = 0.0
-    busy: float = 0.0
-    """Seconds that workers spent on nodes, all together."""
+    busy: float = 0.0  # seconds that workers spent on nodes, all together
     workers: int = 1
-    untold: StoreError | None = None
-    """What kept the journal from being written."""
+    untold: StoreError | None = None  # what kept the journal from being written
 
     @property
     def busy_share(self) -> float:
@@ -80,7 +72,6 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        """Whether every node ended well."""
         return not self.failed and not self.blocked and not self.cancelled
 
 
@@ -92,23 +83,15 @@ class Runner:
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._limit, self._retries = cores, limit, retries
         self._journal = Journal(layout.journal(run_id))
-        self._unexplained = 0
-        """Deaths of workers that computed nothing."""
-        self._flying: dict[Future[NodeResult], Flight] = {}
-        """What workers compute now, in the order in which it began."""
-        self._elsewhere: dict[str, tuple[float, Flight]] = {}
-        """By key what another run computes, and when that was last seen."""
-        self._suspects: list[Flight] = []
-        """What ran when a worker was killed."""
-        self._jobs: dict[str, NodeJob] = {}
-        """What runs again, by key."""
-        self._tries: dict[str, int] = {}
-        """Further attempts that are left, by key."""
-        self._deaths: list[tuple[Flight, bool]] = []
-        """What was lost with killed workers and is not in the journal yet, and whether it ran."""
+        self._unexplained = 0  # deaths of workers that computed nothing
+        self._flying: dict[Future[NodeResult], Flight] = {}  # what workers compute now, in the order in which it began
+        self._elsewhere: dict[str, tuple[float, Flight]] = {}  # by key what another run computes, and when that was last seen
+        self._suspects: list[Flight] = []  # what ran when a worker was killed
+        self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
+        self._tries: dict[str, int] = {}  # further attempts that are left, by key
+        self._deaths: list[tuple[Flight, bool]] = []  # what was lost with killed workers and is not in the journal yet, and whether it ran
         self._nodes: dict[str, Node] = {}
-        self._begun: Mapping[str, str] = {}
-        """By key of a cell the key of another one that has its first episodes."""
+        self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
         self._paused = False
         self._deserted = False
         self._cancelling = layout.cancelled(run_id)
@@ -168,7 +151,6 @@ class Runner:
         self._block(schedule.failed(node), node)
 
     def _begin(self, schedule: Schedule) -> None:
-        """Give ready nodes to idle workers."""
         jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:

@@ -18,12 +18,12 @@ from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.run.control import announce
-from wasp_cli.run.interrupt import SIGNALS, listening
+from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import pool_of, require_backend
-from wasp_cli.run.progress import board
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
+from wasp_cli.run.show import board
+from wasp_cli.run.watch import announce
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec
@@ -55,8 +55,7 @@ class Session:
     run_id: str
     plan: Plan
     summary: Summary
-    names: Mapping[str, str]
-    """What people call a node, by its key, where that is not its label."""
+    names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
 
     def require_complete(self) -> None:
         """Raise CellsFailed when a node failed, and StoreError when the journal could not be written."""
@@ -73,15 +72,12 @@ class Session:
 class RunOptions:
     """How a run is carried out. None of it changes a result."""
 
-    jobs: int
-    """Worker processes at most; 0 computes in this process."""
-    limit: float | None = None
-    """Seconds that a node may take."""
+    jobs: int  # worker processes at most; 0 computes in this process
+    limit: float | None = None  # seconds that a node may take
     retries: int = 0
     backend: str = "loky"
     scheduler: str | None = None
-    reports: bool = False
-    """Whether this process writes a report afterwards, and then calls `record.reported`."""
+    reports: bool = False  # whether this process writes a report afterwards, and then calls `record.reported`
 
 
 def run_spec(
@@ -104,11 +100,6 @@ def run_spec(
         reuse: what of published results may be used, instead of what the spec says.
         failed: only what failed before, and what waits for it.
         aside: whether reports show it only where it is named.
-
-    Raises:
-        StoreError: the results folder cannot be written.
-        UsageError: the selection means nothing, there are no published results, or the backend is not there.
-        Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
@@ -122,11 +113,7 @@ def run_spec(
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
-    """Return the plan that `run_spec` would carry out; the results folder need not be there.
-
-    Raises:
-        UsageError: the selection means nothing, or there are no published results.
-    """
+    """Return the plan that `run_spec` would carry out; the results folder need not be there."""
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
@@ -202,7 +189,6 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
-    """What a run has not to compute; `shared` was computed by others meanwhile."""
     published = plan.count("published")
     return [f"{plan.count('cached') + shared} computed before", *([f"{published} published"] if published else [])]
 
@@ -219,23 +205,14 @@ def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
-    """Return the plan that `run_sweep` would carry out; the results folder need not be there.
-
-    Raises:
-        UsageError: there are no cells, they are the same under every value, or there are no published results.
-    """
+    """Return the plan that `run_sweep` would carry out; the results folder need not be there."""
     return plan_against(together(_grids(sweep, layout, reuse)), layout)
 
 
 def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> tuple[Session, tuple[Grid, ...]]:
     """Compute what is missing of a spec under every value of a setting, in one run over the nodes of all values.
 
-    Returns the run, and what each value asks for.
-
-    Raises:
-        UsageError: there are no cells, they are the same under every value, or there are no published results.
-        StoreError: the results folder cannot be written.
-        Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
+    Returns the run, and what each value asks for. A UsageError where there are no cells, or they are the same under every value.
     """
     grids = _grids(sweep, Layout(results.absolute()), reuse)
     with planning(results, options) as layout:

@@ -1,36 +1,172 @@
-"""What the commands print of runs: their state, the log of a node, what gc can remove, and what is published."""
+"""What a run shows while it goes on, a live board on a terminal and plain lines elsewhere, and what commands print of runs and of logs.
+
+The board goes to stderr; all of it is read from the journal, the plan, and the small files of running nodes.
+"""
 
 from __future__ import annotations
 
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+import threading
+import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
+from rich.live import Live as RichLive
 from rich.table import Table
 from rich.text import Text
 
-from wasp_cli.console import count_table, duration, size
-from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError, first
-from wasp_cli.plan.recorded import PlannedRun
+from wasp_cli.console import duration, err, plain
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
+from wasp_cli.plan.recorded import PlannedRun, planned_run
+from wasp_cli.run.record import Tail
+from wasp_cli.run.watch import desertion
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import SHOWN, find_node, matching, same_label
-from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
 if TYPE_CHECKING:
-    from wasp_cli.run.publish import Publication
     from wasp_cli.run.watch import RunState
 
+
+POLL_SECONDS = 0.25
+SHARE = 0.05  # of one core, that drawing the board may take: a long journal is read less often
+
+
+class Lines:
+    """One line for each event of a run, as the journal gets it. Starts come from the running files, so short nodes show their end only."""
+
+    starts = True  # whether a node's start is worth a line
+
+    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
+        self._layout, self._run_id, self._total, self._names = layout, run_id, total, names
+        self._tail = Tail(layout.journal(run_id))
+        self._count = 0
+        self._shown: set[str] = set()
+        self._stop = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, daemon=True, name="progress")
+
+    def __enter__(self) -> Lines:
+        self._watcher.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._stop.set()
+        self._watcher.join()
+        self._events()
+
+    def _watch(self) -> None:
+        while not self._stop.wait(POLL_SECONDS):
+            self._events()
+            if self.starts:
+                self._started()
+
+    def _events(self) -> None:
+        for event in self._tail.new():
+            self._event(event)
+
+    def _event(self, event: Mapping[str, Any]) -> None:
+        key, kind = str(event.get("key")), event["event"]
+        name = self._names.get(key, str(event.get("label")))
+        if kind in ("done", "shared", "failed"):
+            self._shown.add(key)
+            detail = event.get("message" if kind == "failed" else "numbers")
+            what = "FAILED" if kind == "failed" else kind
+            plain(f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}" + (f"  {detail}" if detail else ""))
+        elif kind == "blocked":
+            plain(f"{self._counter()} blocked {name}  (needs {self._names.get(event['by'], event['by_label'])})")
+        elif kind == "cancelled":
+            self._shown.add(key)
+            plain(f"{self._counter()} cancelled {name}")
+        elif kind in ("paused", "resumed"):
+            self._note("paused: running nodes finish, nothing new begins; wasp control resume goes on" if kind == "paused" else "resumed")
+        elif kind == "retry":
+            self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
+        elif kind == "worker killed":
+            labels = [self._names.get(suspect, label) for suspect, label in zip(event["suspects"], event["labels"], strict=True)]
+            after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
+            self._note(f"a worker process was killed{after}")
+        elif kind == "workers gone":
+            self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
+        elif kind == "workers back":
+            self._note("workers are back; the run goes on")
+        elif kind == "draining":
+            self._note("finishing running nodes; Ctrl-C again stops now")
+
+    def _started(self) -> None:
+        for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):
+            if path.stem not in self._shown:
+                try:
+                    record = read_record(path)
+                except ArtifactError:  # replaced while it was read
+                    continue
+                if record is not None:
+                    self._shown.add(path.stem)
+                    text = f"  ({record['text']})" if record.get("text") else ""
+                    plain(f"        start   {self._names.get(path.stem, str(record.get('label')))}{text}")
+
+    def _note(self, text: str) -> None:
+        plain(f"        note    {text}")
+
+    def _counter(self) -> str:
+        self._count += 1
+        return f"[{self._count:>{len(str(self._total))}}/{self._total}]"
+
+
+class Live(Lines):
+    """A board that redraws itself under the lines: a bar, the pace, what remains, and the running nodes with their share."""
+
+    starts = False
+
+    def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
+        super().__init__(layout, run_id, total, names)
+        self._run = planned_run(layout, run_id)
+        self._drawn: RenderableType = ""
+        self._next = 0.0
+        self._live = RichLive(console=err(), get_renderable=self._draw, refresh_per_second=2, transient=True, redirect_stdout=False)
+
+    def __enter__(self) -> Live:
+        super().__enter__()
+        self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._live.stop()
+        super().__exit__(kind, error, trace)
+
+    def _draw(self) -> RenderableType:
+        from wasp_cli.run.watch import state_of
+
+        now = time.monotonic()
+        if now >= self._next and self._run is not None:
+            self._drawn = progress_of(state_of(self._layout, self._run), self._names)
+            end = time.monotonic()
+            self._next = end + max(0.4, (end - now) / SHARE)
+        return self._drawn
+
+
+def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
+    """Return the board that fits where stderr goes; `names` are what people call a node, by its key, where that is not its label."""
+    fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
+    return fitting(layout, run_id, total, names)
+
+
+def numbers(summary: Mapping[str, Any]) -> str:
+    """Return the first numbers of a summary on one line."""
+    values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
+    return ", ".join(f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}" for name, value in values[:6])
+
+
 BAR = 40
-STALE_SECONDS = 30.0
-"""A node says about every second that it lives; silence for longer is worth a word."""
+STALE_SECONDS = 30.0  # a node says about every second that it lives; silence for longer is worth a word
 LISTED = 12
 
 
@@ -92,8 +228,7 @@ def life(state: RunState, now: datetime) -> str:
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
-    busy = f"; workers busy {state.busy_share:.0%} of it" if state.busy_share and state.finished else ""
-    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "") + busy
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
 
 
 def _span(start: datetime | None, end: datetime | None) -> str:
@@ -118,17 +253,11 @@ def _progress(state: RunState) -> Text:
 
 
 def pace(state: RunState) -> str:
-    """Say how fast a run goes and how long it takes yet; of one that is over, nothing."""
-    if state.state != "running":
+    """Say how long a run takes yet; of one that is over, nothing."""
+    if state.state != "running" or state.left_seconds is None:
         return ""
-    rate = state.per_minute or 0.0
-    parts = [f"{rate:.0f} nodes per minute recently" if rate >= 10 else f"{rate:.2g} nodes per minute recently"] if rate else []
-    if state.left_seconds is not None:
-        known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
-        parts.append(f"about {duration(state.left_seconds)} left{known}")
-    if state.busy_share is not None:
-        parts.append(f"workers busy {state.busy_share:.0%} so far")
-    return "; ".join(parts)
+    known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
+    return f"about {duration(state.left_seconds)} left{known}"
 
 
 def _running_table(state: RunState, now: datetime) -> Table:
@@ -142,50 +271,6 @@ def _running_table(state: RunState, now: datetime) -> Table:
         texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, odd)
         rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
     return rows
-
-
-LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
-
-
-def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
-    """Print how much of each kind can go."""
-    if not rubbish:
-        console.print("there is nothing to remove")
-        return
-    table = count_table("what can go", "count", "size")
-    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [what for what in LAST if any(item.what == what for item in rubbish)]
-    for kind in kinds:
-        sizes = [item.size for item in rubbish if item.what == kind]
-        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
-    table.add_section()
-    table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
-    console.print(table)
-
-
-def removed_line(count: int, freed: int) -> str:
-    """Return what a removal came to."""
-    return f"{count} removed, {size(freed)} freed"
-
-
-def show_publication(publication: Publication, largest: float, console: Console) -> None:
-    """Print how much of each kind is published, how much was published before, and what is left out."""
-    table = count_table("kind", "new", "size", "there already")
-    for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
-        sizes = [item.size for item in publication.new if item.node.kind == kind]
-        there = sum(item.node.kind == kind for item in publication.there)
-        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
-    reports = [path.stat().st_size for path in publication.reports]
-    table.add_row("report", str(len(reports)), size(sum(reports)), "-")
-    table.add_section()
-    total = sum(item.size for item in publication.new) + sum(reports)
-    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
-    console.print(table)
-    for item in publication.large:
-        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
-        console.print(text, markup=False, soft_wrap=True)
-    if publication.absent:
-        kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
-        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
 
 
 _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
@@ -202,12 +287,7 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
-    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first.
-
-    Raises:
-        UsageError: it names several nodes; the message lists them.
-        UnknownName: it names none that has a log.
-    """
+    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first."""
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
     matches = matching(logs, name)
@@ -231,11 +311,7 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
 
 
 def write_log(log: Log, stream: TextIO) -> None:
-    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it.
-
-    Raises:
-        StoreError: it cannot be read.
-    """
+    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it."""
     try:
         file = open_plain(log.path)
     except OSError as error:
@@ -251,7 +327,6 @@ def write_log(log: Log, stream: TextIO) -> None:
 
 
 def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
-    """The logs that a run has: of what it computed, or tried to."""
     try:
         with os.scandir(layout.within(layout.run(run.run_id) / "logs")) as entries:
             there = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}

@@ -34,10 +34,8 @@ class Drawn:
     """The cells of a sample."""
 
     cells: tuple[str, ...]
-    of: int
-    """Cells that could be computed again."""
-    others: int
-    """Cells of the folder that cannot: something that they were computed from is not there."""
+    of: int  # cells that could be computed again
+    others: int  # cells of the folder that cannot: something that they were computed from is not there
 
 
 @dataclass(frozen=True)
@@ -45,20 +43,13 @@ class Answer:
     """What became of a cell."""
 
     label: str
-    differing: tuple[str, ...]
-    """Names of the columns that are not the same; `error: ...` where it could not be computed."""
-    libraries: tuple[str, ...]
-    """Libraries of another version than then, which may round differently."""
+    differing: tuple[str, ...]  # names of the columns that are not the same; `error: ...` where it could not be computed
+    libraries: tuple[str, ...]  # libraries of another version than then, which may round differently
     seconds: float
 
 
 def draw(layout: Layout, cells: int, seed: int) -> Drawn:
-    """Draw some of the cells that can be computed again, without replacement; all of them where there are fewer.
-
-    Raises:
-        UsageError: the folder has no such cell.
-        StoreError: it cannot be read.
-    """
+    """Draw some of the cells that can be computed again, without replacement; all of them where there are fewer."""
     import numpy as np
 
     keys = sorted(stored_keys(layout, EVALUATE))
@@ -88,13 +79,7 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
-    """Compute cells again, and yield what became of each as it ends.
-
-    Args:
-        layout: the folder; see `draw`.
-        keys: of cells.
-        jobs: processes side by side.
-    """
+    """Compute cells again in `jobs` processes, and yield what became of each as it ends."""
     from joblib import Parallel, delayed
 
     yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)

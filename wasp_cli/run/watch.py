@@ -1,30 +1,37 @@
-"""How far a run is, from what it writes down: its plan, its journal, and the small files of the nodes that run now.
+"""How far a run is, from its plan, its journal and the small files of running nodes; and what is asked of it from elsewhere.
 
-Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death.
+Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death. What is asked (to
+pause, to go on, to take nodes back) is files in the folder of the run; a run looks for them twice a second. A run without its terminal is a
+child in a session of its own, which says where it is as soon as its folder is there.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import subprocess
+import sys
+import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, Literal
 
-from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, upstream_first
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, first
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs, upstream_first
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
+from wasp_cli.store.find import SHOWN, matching
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.reached import reached
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
-LATELY = 10
-"""Finished nodes behind the rate."""
-ENDS = ("done", "shared", "failed", "blocked", "cancelled")
-"""Events after which a node does not run any more."""
+ENDS = ("done", "shared", "failed", "blocked", "cancelled")  # events after which a node does not run any more
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,7 @@ class Active:
     started: datetime | None
     seen: datetime | None
     memory_mb: float | None
-    gone: bool
-    """Its process does not exist any more, so that it will say nothing more."""
+    gone: bool  # its process does not exist any more, so that it will say nothing more
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,8 @@ class RunState:
     spec: str
     state: State
     started: datetime | None
-    ended: datetime | None
-    """When it ended or was interrupted; of one that died, its last event."""
-    total: int
-    """Nodes that it was to compute; where there are none, those that it needed."""
+    ended: datetime | None  # when it ended or was interrupted; of one that died, its last event
+    total: int  # nodes that it was to compute; where there are none, those that it needed
     done: int
     shared: int
     failed: tuple[Failed, ...]
@@ -73,23 +77,15 @@ class RunState:
     retried: int
     draining: bool
     paused: bool
-    deserted: str
-    """That no worker is left, and how the run goes on; empty where that is not so."""
+    deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
-    per_minute: float | None
-    """Nodes that finished lately; None before the first."""
     left_seconds: float | None
-    """What remains, by the estimates of the plan; by the rate where it has none. None of a run that does not go on, or when unknown."""
-    unknown: int
-    """Nodes to come without an estimate: what remains takes longer by them."""
-    idle: bool
-    """Nothing had to be computed; what counts as done was there before."""
-    busy_share: float | None
-    """Share of the workers' time that went to nodes; None before there is any."""
+    """What remains, by the estimates of the plan; None of a run that does not go on, or when unknown."""
+    unknown: int  # nodes to come without an estimate: what remains takes longer by them
+    idle: bool  # nothing had to be computed; what counts as done was there before
 
     @property
     def finished(self) -> int:
-        """Nodes that will not run any more."""
         return self.done + self.shared + len(self.failed) + self.blocked + self.cancelled
 
     @property
@@ -99,7 +95,6 @@ class RunState:
 
     @property
     def waiting(self) -> int:
-        """Nodes whose turn is yet to come."""
         return max(self.total - self.finished - self.running, 0)
 
 
@@ -122,9 +117,6 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
             failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
     started = moment(start.get("at"))
-    finished = [event for event in events if event.get("event") in ("done", "shared", "failed")]
-    moments = sorted(at for event in finished if (at := moment(event.get("at"))))
-    rate = _rate(started, moments, now if going else ended)
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(_number(start, "jobs") or 1), 1)
@@ -134,8 +126,6 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     if going and not deserted:
         left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
         seconds, unknown = _left(left, active, workers, now)
-        if seconds is None and rate and len(moments) > 1:
-            seconds, unknown = (total - len(ends)) / rate * 60, 0
     counts = Counter(ends.values())
     return RunState(
         run_id=run.run_id,
@@ -154,11 +144,9 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         paused=layout.pause(run.run_id).exists() and going,
         deserted=deserted,
         active=active,
-        per_minute=rate,
         left_seconds=seconds,
         unknown=unknown,
         idle=not total,
-        busy_share=_busy_share(finished, active if going else (), workers, started, ended or now),
     )
 
 
@@ -205,7 +193,6 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
 
 
 def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any]) -> tuple[State, datetime | None]:
-    """Whether a run goes on, and when it ended."""
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
     for event in reversed(events):
@@ -257,27 +244,6 @@ def desertion(event: Mapping[str, Any]) -> str:
     return _line(f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}", "")
 
 
-def _busy_share(
-    finished: Sequence[Mapping[str, Any]], active: Sequence[Active], workers: int, started: datetime | None, until: datetime
-) -> float | None:
-    """What workers spent on nodes that ended and on those that run, over the time that they were there."""
-    there = workers * (until - started).total_seconds() if started else 0.0
-    if there <= 0:
-        return None
-    spent = sum(max(_number(event, "seconds") or 0.0, 0.0) for event in finished)
-    spent += sum(max((until - node.started).total_seconds(), 0.0) for node in active if node.started and not node.gone)
-    return min(spent / there, 1.0)
-
-
-def _rate(started: datetime | None, moments: Sequence[datetime], until: datetime | None) -> float | None:
-    """Nodes per minute over the last ones, whatever time these took."""
-    if not moments or until is None:
-        return None
-    since = moments[-LATELY - 1] if len(moments) > LATELY else started or moments[0]
-    minutes = (until - since).total_seconds() / 60
-    return min(len(moments), LATELY) / minutes if minutes > 0 else None
-
-
 def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime) -> tuple[float | None, int]:
     """Seconds for the nodes that have not ended, and how many of them have no estimate. None where none has one.
 
@@ -302,3 +268,106 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
     if not alone:
         return (0.0 if not members else None), unknown
     return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
+
+
+TOLD = "WASP_DETACHED"  # names, to the child, the file in which it says where it is
+POLL_SECONDS = 0.05
+
+
+def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
+    """Ask the runs that go on, or the one that is named, for something; return what each does now, in words.
+
+    `node` is what is cancelled: a label, or the beginning of a key.
+    """
+    if node is None and action == "cancel":
+        raise UsageError("cancel which node?", "wasp control cancel NODE; wasp status shows what runs")
+    if node is not None and action != "cancel":
+        raise UsageError(f"'{node}' is too much: {action} is for whole runs", "--run ID names a run, --results DIR a results folder")
+    planned = planned_runs(layout)
+    meant = planned if name is None else [named_run(planned, name)]
+    runs = [run for run in meant if state_of(layout, run).state == "running"]
+    if not runs:
+        what = "no run goes on" if name is None else f"the run '{meant[0].run_id}' is over"
+        raise UsageError(f"{what} in '{layout.root}'", "wasp status shows the runs")
+    if node is not None:
+        return _cancel(layout, runs, " ".join(node.split()))
+    answers = []
+    for run in runs:
+        pause = layout.pause(run.run_id)
+        if action == "pause":
+            pause.touch()
+            answer = "paused; running nodes finish"
+        else:
+            answer = "goes on" if pause.exists() else "was not paused"
+            pause.unlink(missing_ok=True)
+        answers.append(f"{run.spec}: {answer} (run {run.run_id})")
+    return answers
+
+
+def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
+    """Take a node back from every run that has it yet to compute, or computes it now."""
+    planned = [node for run in runs for node in run.nodes.values() if node.runs]
+    named = {node.key: node for node in matching(planned, text)}
+    if not named:
+        labels = {node.label for node in planned}
+        raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
+    if len(named) > 1:
+        lines = [f"'{text}' names several nodes:", *first([f"  {node.key}  {node.label}" for node in named.values()], SHOWN)]
+        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
+    ((key, node),) = named.items()
+    taken_back = []
+    for run in runs:
+        ended = {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
+        if key in run.nodes and run.nodes[key].runs and key not in ended:
+            layout.cancelled(run.run_id).mkdir(exist_ok=True)
+            layout.cancel(run.run_id, key).touch()
+            count = len(_with_dependents(run, key) - {key} - ended)
+            also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
+            taken_back.append(f"{node.label} is taken back{also} (run {run.run_id})")
+    if not taken_back:
+        raise UsageError(f"'{node.label}' has ended", "wasp status shows what runs")
+    return taken_back
+
+
+def _with_dependents(run: PlannedRun, key: str) -> set[str]:
+    """The keys of a node and of what needs it, through others too."""
+    return reached([key], lambda needed: [node.key for node in run.nodes.values() if node.runs and needed in node.needs])
+
+
+def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, str]:
+    """Start this program again without the terminal, and wait until its run has begun or it has ended.
+
+    Returns what it says of its run (None where it ended without one), its exit code (0 while it goes on), and what it printed until then.
+    """
+    # As a module where it was started so: the folder of a package is no place to import from.
+    own = Path(sys.argv[0])
+    program = ["-m", "wasp_cli"] if own.name == "__main__.py" else [str(own)]
+    with tempfile.TemporaryDirectory(prefix="wasp-") as folder:
+        told, log = Path(folder) / "run.json", Path(folder) / "terminal.log"
+        with log.open("w", encoding="utf-8") as stream:
+            process = subprocess.Popen(
+                [sys.executable, "-P", *program, *arguments],
+                stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, TOLD: str(told)},
+            )  # fmt: skip
+        while not told.exists() and process.poll() is None:
+            time.sleep(POLL_SECONDS)
+        said = json.loads(told.read_text(encoding="utf-8")) if told.exists() else None
+        return said, process.poll() or 0, log.read_text(encoding="utf-8", errors="replace")
+
+
+def announce(layout: Layout, run_id: str, spec: str) -> None:
+    """Say where this run is, where somebody has started it without a terminal and waits to hear; from then on it prints to its folder."""
+    told = os.environ.pop(TOLD, None)
+    if told is None:
+        return
+    log = layout.run(run_id).absolute() / "terminal.log"
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    for number in (1, 2):
+        os.dup2(descriptor, number)
+    os.close(descriptor)
+    said = {"spec": spec, "run": run_id, "folder": str(log.parent), "pid": os.getpid(), "log": str(log)}
+    written = Path(told + ".part")
+    written.write_text(json.dumps(said), encoding="utf-8")
+    written.rename(told)  # whole, or not there

@@ -24,8 +24,7 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
-from wasp_cli.run.interrupt import Cancelled, interruptible
-from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult
+from wasp_cli.run.job import Cancelled, Heartbeat, NodeJob, NodeResult, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
@@ -174,9 +173,6 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     """See that what is read, by kind and key, has the bytes of its manifest; what has not is computed again by the next run.
 
     Nobody computes again what a person drove: it stays as it is.
-
-    Raises:
-        ArtifactError: something is damaged, or was published without steps that are needed.
     """
     for kind, key in inputs:
         what, why = "damaged", corruption(layout, kind, key)

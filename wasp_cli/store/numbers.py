@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wasp_cli.store.bounds import MOST_EPISODES
 from wasp_cli.store.tables import OLDEST, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, columns_of
 
 ALIKE = {str(version).encode(): version for version in range(OLDEST, VERSION + 1)}
@@ -45,7 +44,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             version = ALIKE.get((file.schema_arrow.metadata or {}).get(VERSION_KEY, b""))
-            if version is None or file.num_row_groups != 1 or file.metadata.num_rows > MOST_EPISODES:
+            if version is None or file.num_row_groups != 1:
                 return None
             table = columns_of(file, every, version)
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):

@@ -20,14 +20,13 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
-from wasp_cli.video.encode import STILL, checked, write
+from wasp_cli.video.film import STILL, checked, write
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions, font
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what stands below a map."""
-NARROWEST, ROOM = 0.8, 1.35
-"""Half the side of the maps in m at least, and how much more than both paths they show."""
+NARROWEST, ROOM = 0.8, 1.35  # half the side of the maps in m at least, and how much more than both paths they show
 MS, LAST_MS = 320, 2500  # how long a frame is shown, and the last one
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
 _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
@@ -90,20 +89,16 @@ class BranchPair:
             recording = _RecordingTask(world, episode)
             rerun = Rerun(recording, load_world_model(source.world_model), source.operator_in(world), source.recorded)
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
-            found = branches(rerun, chosen, window, progress)
+            played = branches(rerun, chosen, window, progress)
         self.world, self.t, self.window = world, t, window
         self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
         self.traces: Mapping[str, BranchTrace] = {
-            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
+            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in played
         }
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
-        """Write both branches: step after step, or their last states where the ending is that of a still picture.
-
-        Raises:
-            UsageError: the file cannot be one.
-        """
+        """Write both branches: step after step, or their last states where the ending is that of a still picture."""
         checked(out, STILL)
         last = max(len(trace.cost) for trace in self.traces.values())
         if out.suffix.lower() in STILL:

@@ -1,4 +1,4 @@
-"""The small films of a report: the actions of the rows are carried out again, which takes the physics alone.
+"""The small films of a report, from the physics alone, and how frames become an animation: GIF, APNG or WebP, with Pillow alone.
 
 T = decisions of the episode, A = action size.
 """
@@ -6,20 +6,90 @@ T = decisions of the episode, A = action size.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, features
+from PIL import Image, ImageColor, features
 
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
-from wasp_cli.report.page.films import Sprite
+from wasp_cli.report.explain import LOOKS
+from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions, things_of
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapView, Pose, along, draw_actions, things_of
+
+ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
+STILL = (".png",)  # endings of a still picture, where there may be one: an animated PNG is then called .apng
+RARE, COMMON = 24, 72
+"""Colours of the palette that all frames share (then a frame stores only what has changed): some that cover all that is seen, more for
+what there is most of. Beside them are those that mean something, which must not become others."""
+MEANT = (
+    COMMAND, EXECUTED, COST, *(look.colour for look in LOOKS.values()), "#FFFFFF", "#F0D2E4", "#8F3F74", "#A0A0A0", "#D0D0D0", "#F2F2F2",
+)  # fmt: skip
+APART = 10  # by how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place
+SAMPLES = 12  # frames from which the palette is made
+_OPTIONS: dict[str, dict[str, Any]] = {"GIF": {"optimize": True, "disposal": 1}, "PNG": {}, "WEBP": {"quality": 50, "method": 2}}
+
+
+def checked(path: Path, still: Sequence[str] = ()) -> Path:
+    """Return the path if a video, or a picture with an ending of `still`, can be written there, else raise a UsageError."""
+    if path.suffix.lower() not in ENDINGS:
+        raise UsageError(
+            f"'{path}': unsupported video format", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
+        )
+    if not path.parent.is_dir():
+        raise UsageError(f"'{path}': its folder does not exist", f"create the folder '{path.parent}'")
+    if path.is_dir():
+        raise UsageError(f"'{path}' is a folder", "name a file")
+    if path.suffix.lower() == ".webp" and not features.check("webp"):
+        raise UsageError("this Pillow was built without WebP", "use .gif or .png")
+    return path
+
+
+def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
+    """Choose the colours that some frames need, as an image with a palette."""
+    sheet = Image.fromarray(np.concatenate([np.asarray(frame.reduce(2)) for frame in frames]))
+    colours: list[tuple[int, ...]] = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
+    for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):
+        flat = sheet.quantize(count, method, dither=Image.Dither.NONE).getpalette("RGB") or []
+        sampled = [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
+        colours += [one for one in sampled if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([part for colour in dict.fromkeys(colours) for part in colour])
+    return palette
+
+
+def write(
+    path: Path, count: int, frame: Callable[[int], Image.Image], milliseconds: Sequence[int], progress: Callable[[int], None]
+) -> None:
+    """Write an animation of `count` frames, complete or not at all; some frames are painted twice."""
+    kind = ENDINGS[path.suffix.lower()]
+    spread = np.unique(np.linspace(0, count - 1, min(SAMPLES, count)).round().astype(int)).tolist()
+    palette = None if kind == "WEBP" else palette_of([frame(index) for index in spread])
+
+    def painted() -> Iterator[Image.Image]:
+        for index in range(count):
+            progress(index)
+            image = frame(index)
+            yield image if palette is None else image.quantize(palette=palette, dither=Image.Dither.NONE)
+
+    whole = painted()
+    first = next(whole)
+    part = path.with_name(path.name + ".part")
+    try:
+        first.save(part, format=kind, save_all=True, append_images=list(whole), duration=list(milliseconds), loop=0, **_OPTIONS[kind])
+        part.replace(path)
+    except BaseException as error:
+        part.unlink(missing_ok=True)  # also of one that was interrupted
+        if isinstance(error, OSError):
+            raise refusal(error) from error
+        raise
+
 
 Array = NDArray[Any]
 
@@ -34,10 +104,8 @@ class Moment(NamedTuple):
 
     frame: Pixels  # uint8 [size, size, 3]
     decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
-    positions: Floats
-    """[N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is"""
-    things: tuple[tuple[str, str], ...]
-    """what its map shows, see `map.things_of`; nothing of a task without a map"""
+    positions: Floats  # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is
+    things: tuple[tuple[str, str], ...]  # what its map shows, see `map.things_of`; nothing of a task without a map
     seen: Pixels | None  # [cameras, side, side, 3] what the robot's cameras see, where that was asked for
 
 
@@ -46,23 +114,8 @@ def film(
 ) -> Iterator[Moment]:
     """Draw the map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
 
-    A frame has an orange edge when cost was paid since the frame before. Arrows: see `map.stick`.
-
-    Args:
-        task: its name.
-        action_repeat: env steps per decision.
-        layout_seed: of the world.
-        a: [T, A] executed actions.
-        a_h: [T, A] commands.
-        reward: [T]
-        every: decisions between two frames.
-        size: side of a frame in px.
-        cameras: also return what the robot's cameras see.
-
-    Raises:
-        ArtifactError: the episode is not the recorded one here, or the actions are none of this task.
-        UnknownName: no such task.
-        TaskError: the module of the task does not import.
+    A frame of `size` px has an orange edge when cost was paid since the frame before, `every` decisions ago. Arrows: see `map.stick`. An
+    ArtifactError where the episode of actions a [T, A], commands a_h [T, A] and rewards [T] is not what happens here.
     """
     made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",) if cameras else ())
     if not isinstance(made, HasScene):

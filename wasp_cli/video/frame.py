@@ -15,13 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wasp_cli.report.explain.stored import Episode
+from wasp_cli.metrics.episode import INTERVENED
+from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
+from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
-from wasp_cli.video.encode import checked, write
-from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
+from wasp_cli.video.film import checked, write
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
-from wasp_cli.video.timeline import Timeline, numbers
-from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
+from wasp_cli.video.trace import (
+    ImaginedTrajectories,
+    PlayedDecision,
+    PlayedEpisode,
+    Progress,
+    Source,
+    imagine,
+    integrated,
+    play_episode,
+    threads_of_evaluations,
+)
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
@@ -35,6 +45,8 @@ _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
 POOR = 0.5  # R2 below which a readout is said to be poor
 SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
 LAST_MS = 2000  # how long the last frame stays
+ROWS_APART = 6  # in px: between the rows of the timeline
+_SIDES = (88, 14)  # in px: left and right of it
 _PLAYED = 0.3  # share of the time that playing the cell takes
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
@@ -53,8 +65,7 @@ class WrittenVideo(NamedTuple):
     """A written video."""
 
     frames: int
-    r2: dict[str, float] | None
-    """of the readout that draws imagined paths (forward, left, turn); None where there is none"""
+    r2: dict[str, float] | None  # of the readout that draws imagined paths (forward, left, turn); None where there is none
 
 
 class Painter:
@@ -188,13 +199,11 @@ def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colo
 
 
 def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
-    """One camera of uint8 [6, 64, 64]."""
     shown = Image.fromarray(np.ascontiguousarray(np.moveaxis(images[3 * camera : 3 * camera + 3], 0, -1)))
     return shown.resize((side, side), Image.Resampling.BICUBIC)
 
 
 def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """From [0, 1] to uint8."""
     return (image * 255).round().clip(0, 255).astype(np.uint8)
 
 
@@ -240,3 +249,77 @@ def frames_of(source: Source, stored: Episode, episode: int, correction: Correct
         with threads_of_evaluations():
             frame = np.asarray(painter.frame(index))
         yield frame
+
+
+class Timeline:
+    """The timeline of the pages as a picture, with a row of all gates that fired, and where its cursor is."""
+
+    def __init__(self, episode: Episode, width: int, height: int) -> None:
+        self._decisions, self._width = episode.decisions, width
+        looked_at = curves(episode)
+        rows = [lane for lane in timeline(episode) if lane.name != "acts"]
+        kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
+        rows.insert(-1, Lane("gate", STRIP, BASE, marks=spans(kinds)))
+        colours = {look.kind: look.colour for look in LOOKS.values()} | {"cost": COST, "limit": EXECUTED, "base": "#d0d0d0"}
+        scale = min((height - 44 - ROWS_APART * len(rows)) / sum(lane.height for lane in rows), 2.0)
+        large = Image.new("RGB", (2 * width, 2 * height), _PAPER)  # drawn twice as large, which smooths its edges
+        draw = ImageDraw.Draw(large)
+        top = 8.0
+        for i, lane in enumerate(rows):
+            below = top + scale * lane.height
+            draw.text((2 * _SIDES[0] - 12, top + below), lane.name, _INK, font(22), anchor="rm")
+            for kind, first, many in lane.marks:
+                draw.rectangle((2 * self._x(first), 2 * top, 2 * self._x(first + many) - 2, 2 * below), colours[kind])
+            for kind, level in lane.levels:
+                y = 2 * (top + scale * float(level))
+                draw.line((2 * self._x(0), y, 2 * self._x(self._decisions), y), colours[kind], 2)
+                if kind == "limit":
+                    label = f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
+                    draw.text((2 * self._x(self._decisions) - 4, y - 2), label, "#8f3f74", font(20), anchor="rb")
+            for points in lane.curves:
+                places = [tuple(map(float, point.split(","))) for point in points.split()]
+                draw.line([(2 * self._x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
+            top = below + ROWS_APART
+        for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
+            draw.text((2 * self._x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
+        self.image = large.reduce(2)
+        x, small = float(_SIDES[0]), ImageDraw.Draw(self.image)
+        fired = [(look.words, look.colour) for gate, look in LOOKS.items() if (episode.gate == gate).any()]
+        for words, colour in [*fired, ("cost paid", COST)]:
+            x = _legend_entry(small, x, height - 22, words, colour, "dot")
+
+    def _x(self, decisions: float) -> float:
+        return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
+
+    def cursor(self, t: int) -> float:
+        """Return the column of decision t in px."""
+        return self._x(t + 0.5)
+
+
+def numbers(episode: Episode, t: int) -> list[str]:
+    """Say what there is to say of decision `t`, a line each."""
+    gate, limits = LOOKS.get(int(episode.gate[t])), episode.thresholds
+    deviation, alone = float(episode.numbers["deviation"][t]), episode.at("alone_cost", t)
+    lines = [
+        f"gate: {gate.words}" if gate else "gate: none, the command stands",
+        f"command   {action(episode.a_h[t].tolist())}",
+        f"executed  {action(episode.a[t].tolist())}",
+        f"‖a − aᴴ‖  {deviation:.2f}" if deviation > INTERVENED else "‖a − aᴴ‖  0",
+    ]
+    if episode.gated:
+        lines += _against("Ḡᶜ", episode.at("g_cost", t), "τ_c", limits.tau_c)
+        lines += _against("ΔG", episode.at("delta_g", t), "τ_r", limits.tau_r)
+        if (cost := episode.at("plan_cost", t)) is not None:
+            lines.append(f"plan's cost {cost:.2f}" + ("" if alone is None else f", without it {alone:.2f}"))
+    else:
+        lines += _against(episode.signal.name, episode.at("signal", t), "limit", episode.signal_limit)
+    reward, cost_env, goals = (episode.numbers[name][: t + 1] for name in ("reward", "cost_env", "goals"))
+    lines.append(f"reward {reward[-1]:+.3f}, so far {reward.sum():.2f}")
+    lines.append(f"cost so far {int(cost_env.sum())}, goals {int(goals.sum())}")
+    return lines
+
+
+def _against(name: str, value: float | None, limit_name: str, limit: float | None) -> list[str]:
+    if value is None:
+        return []
+    return [f"{name} {value:.2f}" + ("" if limit is None else f" {'>' if value > limit else '≤'} {limit_name} {limit:.3g}")]

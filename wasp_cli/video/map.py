@@ -20,11 +20,9 @@ from wasp_cli.tasks.make import require_mujoco
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
 """Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
 colour blindness, and unlike the things on the maps."""
-WIDEST = 4.0
-"""Half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen."""
+WIDEST = 4.0  # half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
-REACH, ROBOT = 0.24, 0.05
-"""As shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins."""
+REACH, ROBOT = 0.24, 0.05  # as shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins
 _SMOOTH = 2
 
 

@@ -19,12 +19,11 @@ from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
-from wasp_cli.report.explain.stored import Episode, imagines_expert, number, read_episode
+from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
-from wasp_cli.report.stats.frame import odd_tables_refused
+from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists, read_manifest, read_record, stored_keys
-from wasp_cli.store.bounds import require_size
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, is_key, slug
@@ -52,26 +51,11 @@ SAID: dict[str, tuple[type, ...]] = {
 def replay(
     layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress
 ) -> tuple[Path, WrittenVideo]:
-    """Write the video of an episode.
+    """Write the video of an episode, a frame for every `every` decisions (None: FRAMES at most); returns the file, and what was written.
 
-    Args:
-        layout: the results folder, which has the models of the cell.
-        cell: the cell.
-        episode: which of its episodes.
-        out: the file; None: `<task>_<method>_<operator>_e<episode>.gif` in the current folder.
-        every: decisions between two frames; None: so many that there are at most FRAMES.
-        progress: told the share that is done.
-
-    Returns:
-        The written file, and what was written.
-
-    Raises:
-        UsageError: no such episode, the file cannot be one, or the cell has no manifest.
-        ArtifactError: a model is missing or damaged, or played again, the cell is not the recorded one.
-        StoreError: the rows cannot be read.
-        TaskError: the task cannot be imported.
+    An ArtifactError where a model is missing or damaged, or where the cell that is played again is not the recorded one.
     """
-    from wasp_cli.video.encode import checked
+    from wasp_cli.video.film import checked
     from wasp_cli.video.frame import film_episode
 
     stored = read_episode(cell, episode)
@@ -117,7 +101,6 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     rounded = without_steps(cell.manifest)
     world_model, policies = (_model(layout, kind, upstream[kind], rounded=rounded) for kind in MODELS)
     expert = _model(layout, EXPERT, upstream[EXPERT], rounded=rounded) if EXPERT in upstream else None
-    require_size(cell.path)
     recorded = _alone(cell, episode) if rounded else Recorded(**read_recorded(cell.path))
     # Cells of earlier versions were evaluated as one batch.
     size = cell.setting("settings", "side_by_side")
@@ -231,24 +214,9 @@ class Verdict:
 
 
 def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: Path | None, progress: Progress) -> tuple[Path, Verdict]:
-    """Play both branches of a decision, write them as a video or a still picture, and judge them.
-
-    Args:
-        layout: the results folder, which has the models of the cell.
-        cell: the cell.
-        episode: which of its episodes.
-        step: which decision.
-        out: the file; None: `<task>_<method>_<operator>_e<episode>_s<step>.gif` in the current folder.
-        progress: told the share that is done.
-
-    Raises:
-        UsageError: no such episode or decision, or the file cannot be one.
-        ArtifactError: a model is missing or damaged, or played again, the cell is not the recorded one.
-        StoreError: the rows cannot be read.
-        TaskError: the task cannot be imported, or has no snapshots.
-    """
+    """Play both branches of a decision, write them as a video or a still picture, and judge them; errors are those of `replay`."""
     from wasp_cli.video.branches import BranchPair
-    from wasp_cli.video.encode import STILL, checked
+    from wasp_cli.video.film import STILL, checked
 
     if without_steps(cell.manifest):
         raise UsageError(

@@ -15,21 +15,20 @@ from rich.text import Text
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.notebook.cells import ListedCell
-from wasp_cli.report.address import cell_address, open_command
-from wasp_cli.report.explain.stored import Episode, read_episode
+from wasp_cli.notebook import ListedCell
+from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.explain.text import decision_lines, episode_lines
-from wasp_cli.report.explain.timeline import LOOKS, timeline
-from wasp_cli.report.stats.frame import odd_tables_refused
-from wasp_cli.report.tables.table import Column
+from wasp_cli.report.render import cell_address, open_command
+from wasp_cli.report.stats import odd_tables_refused
+from wasp_cli.report.tables import Column
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import Criterion, Verdict, judge
+from wasp_cli.view import Site
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
-from wasp_cli.view.site import Site
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -42,7 +41,7 @@ COLUMNS = (
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
 )  # fmt: skip
 """What is shown of an episode in numbers."""
-COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad", "green": "good"}
+COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}
 """Classes of a page by the colours of a terminal."""
 
 

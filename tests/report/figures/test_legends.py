@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures import by_axis, methods
-from wasp_cli.report.figures.style import Line, draw_lines, drawn, legend
-from wasp_cli.report.stats.frame import Frame
+from wasp_cli.report import figures as methods
+from wasp_cli.report.figures import Line, by_axis, draw_lines, drawn, legend
+from wasp_cli.report.stats import Frame
 
 ROWS = [name for name, info in METHODS.items() if info.impaired][:9]
 TASKS = ("goal1", "formula1", "race1")

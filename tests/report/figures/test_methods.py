@@ -9,10 +9,9 @@ import numpy as np
 from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.figures import LINES, PALETTE, STYLES, cost_return_figure, latency_figure, place_of_round, profile, profile_figure
 from wasp_cli.report.figures.by_axis import severity_figure
-from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, profile, profile_figure
-from wasp_cli.report.figures.style import LINES, PALETTE, STYLES, place_of_round
-from wasp_cli.report.stats.frame import Frame, Wanted, groups, read_frame
+from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
 
 
 def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:

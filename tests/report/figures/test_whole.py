@@ -14,7 +14,7 @@ DRAW = """
 import os, signal, sys
 from pathlib import Path
 from matplotlib.figure import Figure
-from wasp_cli.report.figures.style import drawn, figure_files
+from wasp_cli.report.figures import drawn, figure_files
 
 real, left = Figure.savefig, int(sys.argv[2])
 

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.report.page.films import SIZE, TaskFilms, film_page, films_of
-from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.films import SIZE, TaskFilms, film_page, films_of
+from wasp_cli.report.stats import Frame, Wanted, read_frame
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import Slimming, slim

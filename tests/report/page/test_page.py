@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.report.claims.verdict import judge
-from wasp_cli.report.document import Report
-from wasp_cli.report.figures.methods import latency_figure
-from wasp_cli.report.stats.frame import Frame, Missing
-from wasp_cli.report.tables.main import detail_table, main_table
-from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.claims import judge
+from wasp_cli.report.figures import latency_figure
+from wasp_cli.report.stats import Frame, Missing
+from wasp_cli.report.summarize import Report
+from wasp_cli.report.tables import detail_table, main_table
+from wasp_cli.report.trained import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
 from wasp_cli.report.stats.bootstrap import (
     RESAMPLES,
     Estimate,
@@ -26,7 +27,6 @@ from wasp_cli.report.stats.bootstrap import (
     mean_of,
     t_limits,
 )
-from wasp_cli.report.stats.frame import WEIGHT_OF, CellNumbers
 from wasp_cli.report.stats.summary import paired_difference, summarise
 from wasp_cli.store.tables import CellIdentity
 

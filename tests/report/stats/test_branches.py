@@ -10,9 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.report.branched import TAU_R, WINDOW, with_invented_branches
+from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, read_frame, with_branches
 from wasp_cli.report.stats.bootstrap import mean_of
-from wasp_cli.report.stats.branches import with_branches
-from wasp_cli.report.stats.frame import JUDGED, CellNumbers, Frame, Wanted, read_frame
 
 Grid = Callable[..., list[Wanted]]
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted, groups, read_frame
+from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
 from wasp_cli.report.stats.summary import distinct_resamples, over_episodes, over_seeds, paired_difference, spread_note, summarise
 from wasp_cli.store.tables import CellIdentity, read_episodes
 

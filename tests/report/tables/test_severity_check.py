@@ -15,7 +15,7 @@ from tests.report.invented import write_returns
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.plan.node import Cell
 from wasp_cli.report.render import csv_text, markdown, terminal, write_pages
-from wasp_cli.report.stats.frame import Frame, Wanted
+from wasp_cli.report.stats import Frame, Wanted
 from wasp_cli.report.tables.severity_check import SeverityCheck, as_json, check_table, judge, judged, read_checks
 from wasp_cli.spec.model import Spec, validate
 

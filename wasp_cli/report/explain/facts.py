@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.stored import GATES, PREDICTED, Bools, Episode, Floats, number
+from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, Floats, number
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
@@ -96,8 +96,7 @@ class Happened:
     costly: int  # decisions with cost
     goals: int
     intervened: int  # decisions
-    discounted: float | None
-    """costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known"""
+    discounted: float | None  # costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,6 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 
 
 def _run(episode: Episode, first: int, end: int) -> Run:
-    """The decisions `first` ... `end - 1`."""
     part, numbers = slice(first, end), episode.numbers
     return Run(
         first=first,

@@ -1,13 +1,11 @@
-"""How explanations are set out: headings, fields and tables in lines of text, numbers, and an episode as a strip."""
+"""How explanations are set out: headings, fields and tables in lines of text, and numbers."""
 
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Iterable, Sequence
 
-import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.segment import Segment
@@ -16,16 +14,13 @@ from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain.facts import Range, exceeds, places_of
-from wasp_cli.report.explain.stored import Constants, Episode
-from wasp_cli.report.explain.timeline import LOOKS
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.explain import Constants, Episode
+from wasp_cli.report.explain.facts import Range
+from wasp_cli.report.tables import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
 NUMBER = re.compile(r"[-+.…%\d]*")
-BLOCKS = "▁▂▃▄▅▆▇█"
-LABEL = 12  # columns before the strip
 
 
 def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
@@ -59,13 +54,7 @@ def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
 
 
 def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
-    """Set rows in columns: numbers at the right, words at the left. A column of `-` alone is left out.
-
-    Args:
-        titles: one for each column.
-        rows: the cells of each row; `-` where there is nothing to say.
-        styles: one for each row.
-    """
+    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A column of `-` alone is left out."""
     columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
@@ -183,50 +172,3 @@ def count(number: int, thing: str) -> str:
 def ms(value: float) -> str:
     """Return a time in milliseconds, with three digits."""
     return f"{value:.3g} ms" if value < 1000 else f"{value / 1000:.3g} s"
-
-
-def strip_lines(episode: Episode, width: int) -> list[RenderableType]:
-    """Draw the safety gate's value over time, the gates below it and the costs below them.
-
-    Returns none where there is nothing to draw (no gate's value, no intervention).
-    """
-    values, name = episode.numbers["deviation"], "|a - a^H|"
-    limit: float | None = None
-    if episode.gated and np.isfinite(episode.numbers["g_cost"]).any():
-        values, name, limit = episode.numbers["g_cost"], "G^c", episode.thresholds.tau_c
-    # Half of the height is the threshold: what stands above the middle has fired, without any colour.
-    full = 2 * float(np.float32(limit)) if limit is not None and limit > 0 else float(np.nanmax(values))
-    if not full:
-        return []
-    per = max(1, math.ceil(len(values) / max(20, width - LABEL - 2)))
-    missed = set(places_of(episode.missed))
-    curve, gates, costs = (_line(title) for title in (name, "gate", "cost"))
-    for first in range(0, len(values), per):
-        part = slice(first, first + per)
-        height = float(np.fmax.reduce(values[part]))
-        curve.append(_block(height, full), "" if limit is None else "red" if exceeds(height, limit) else "green")
-        look = next((look for gate, look in LOOKS.items() if (episode.gate[part] == gate).any()), None)
-        gates.append(look.letter if look else "·", look.style if look else "dim")
-        paid = [first + t for t in places_of(episode.costly[part])]
-        costs.append(("!" if missed.intersection(paid) else "x") if paid else "·", "bold red" if paid else "dim")
-    fired = [look for gate, look in LOOKS.items() if (episode.gate == gate).any() and episode.selective]
-    columns, last = len(curve) - LABEL, str(len(values) - 1)
-    axis = _line("decision").append("0" + last.rjust(max(columns - 1, len(last) + 1)))
-    scale = [f"█ is {full:.3g}" if limit is None else f"▁▂▃▄ up to τ_c = {limit:.3g}, ▅▆▇█ above it"]
-    scale += [f"{look.letter} {look.words}" for look in fired]
-    if episode.costly.any():
-        scale.append("x cost, ! cost that every gate missed" if missed else "x cost")
-    if per > 1:
-        scale.append(f"a column is the maximum of {per} decisions")
-    return [curve, *([gates] if fired else []), *([costs] if episode.costly.any() else []), axis, *notes("; ".join(scale))]
-
-
-def _line(name: str) -> Text:
-    return Text(" " * INDENT + name.ljust(LABEL - INDENT), no_wrap=True, overflow="ignore")
-
-
-def _block(height: float, full: float) -> str:
-    """A value up to half of `full` is in the lower four blocks, the half itself too."""
-    if math.isnan(height):
-        return " "
-    return BLOCKS[min(max(math.ceil(8 * height / full) - 1, 0), 7)] if full > 0 else BLOCKS[0]

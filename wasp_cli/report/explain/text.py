@@ -1,7 +1,6 @@
 """An episode and a decision as tables, in plain words with the paper's symbols.
 
-An episode: outcome, gates, a strip of characters over time, and its runs of decisions under one gate. A decision: the action, the gates,
-the plan, and what then happened.
+An episode: outcome, gates, and its runs of decisions under one gate. A decision: the action, the gates, the plan, and what then happened.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
+from wasp_cli.report.explain import LOOKS, Episode, number
 from wasp_cli.report.explain.facts import Decision, Gate, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,
@@ -34,11 +34,8 @@ from wasp_cli.report.explain.layout import (
     set_out,
     short,
     span,
-    strip_lines,
     table,
 )
-from wasp_cli.report.explain.stored import Episode, number
-from wasp_cli.report.explain.timeline import LOOKS
 
 MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
 
@@ -60,8 +57,6 @@ def _episode_parts(episode: Episode, width: int) -> Iterator[RenderableType]:
     yield fields([*cell_fields(episode), *_outcome(episode)])
     if episode.selective:
         yield from section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
-    if strip := strip_lines(episode, width):
-        yield from section("Over the episode", *strip)
     runs = merged_runs(episode, MOST_RUNS)
     yield from section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs)))
 

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.figures.style import PALETTE, drawn, figure_files, legend, ruled, style_of
-from wasp_cli.report.stats.frame import Frame, Group, groups
+from wasp_cli.report.figures import PALETTE, drawn, figure_files, legend, ruled, style_of
+from wasp_cli.report.stats import Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
+from wasp_cli.report.tables import PAPER_COLUMNS, Column, task_title, who_title
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
-from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
@@ -34,8 +33,7 @@ MOST = 6  # operators with a curve each; of more, the mean is drawn
 DASHES = (0, (4, 3))  # of Human-only, in the colour of the operator
 MARKERS = ("o", "s", "^", "v", "D", "P")
 COLOURS = PALETTE[1:]  # one for each operator; black is the mean
-CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}
-"""Look of curves that stand beside each other."""
+CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}  # look of curves that stand beside each other
 CLEAR = {"markersize": 5, "markeredgecolor": "white", "markeredgewidth": 0.6, "linewidth": 1.5, "elinewidth": 0.8, "capsize": 2}
 
 
@@ -54,17 +52,17 @@ class Curve:
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; by task. Returns the files."""
-    found = [group for group in groups(frame) if group.variant == "full" and METHODS[group.method].impaired and group.cells]
+    assistants = [group for group in groups(frame) if group.variant == "full" and METHODS[group.method].impaired and group.cells]
     under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.operator != UNIMPAIRED)
     variants = list(dict.fromkeys(variant for variant, _ in under))
     conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
-    tasks = list(dict.fromkeys(group.task for group in found))
+    tasks = list(dict.fromkeys(group.task for group in assistants))
     if not tasks or len(conditions) < 2:
         return []
     with drawn((max(7.5, 2.2 + 0.9 * len(conditions)), 0.6 + 2.9 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), len(SEVERITY_MEASURES), squeeze=False, sharex=True)
         for row, task in zip(panels, tasks, strict=True):
-            own = [group for group in found if group.task == task]
+            own = [group for group in assistants if group.task == task]
             # Methods stand beside each other, so that none hides another.
             shifts = [0.5 * (i / max(len(own) - 1, 1) - 0.5) for i in range(len(own))]
             curves = [_over_conditions(group, conditions, shift) for group, shift in zip(own, shifts, strict=True)]
@@ -87,16 +85,16 @@ def sweep_figures(key: str, swept: Sequence[Swept], folder: Path) -> list[Path]:
 def sweep_figure(key: str, swept: Sequence[Swept], task: str) -> Figure | None:
     """Draw the curves of one task: four panels for each assistant that the setting touches. None where nothing has been computed."""
     assistants = sweep_curves(swept, task)
-    curves = [curve for found in assistants.values() for curve in found]
+    curves = [curve for own in assistants.values() for curve in own]
     if all(curve.gaps == len(swept) for curve in curves):
         return None
     # A single assistant fills a page's width in two rows; several have a row each.
     shape = (2, 2) if len(assistants) == 1 else (len(assistants), len(SWEEP_MEASURES))
     with drawn((0.6 + 2.9 * shape[1] if shape[1] == 2 else 10.5, 0.9 + 2.4 * shape[0])) as figure:
         panels = figure.subplots(*shape, squeeze=False).reshape(len(assistants), len(SWEEP_MEASURES))
-        for row, (title, found) in zip(panels, assistants.items(), strict=True):
+        for row, (title, own) in zip(panels, assistants.items(), strict=True):
             for panel, column in zip(row, SWEEP_MEASURES, strict=True):
-                for curve in found:
+                for curve in own:
                     draw_curve(panel, curve, column, CLEAR)
                 _name_values(panel, column, key, swept)
             if len(assistants) > 1:
@@ -131,7 +129,6 @@ def draw_curve(panel: Axes, curve: Curve, column: Column, look: dict[str, Any]) 
 
 
 def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float) -> Curve:
-    """One method: a line over the severities of each operator."""
     places: list[tuple[float, Condition | None]] = []
     for _, own in groupby(enumerate(conditions), key=lambda each: each[1][0]):
         places += [(place + shift, condition) for place, condition in own]
@@ -164,7 +161,7 @@ def sweep_curves(swept: Sequence[Swept], task: str) -> dict[str, list[Curve]]:
     every = by_operator if len(conditions) <= MOST else of_task
     touched = dict.fromkeys(line.group.assistant[1:] for line in of_task if line.swept is not None)
     x, _ = positions([each.value for each in swept])
-    found: dict[str, list[Curve]] = {}
+    by_assistant: dict[str, list[Curve]] = {}
     for assistant in [each for each in touched if each[0] != REFERENCE] or list(touched):
         for index, condition in enumerate(shown):
             own = _over_values(every, swept, assistant, condition)
@@ -174,8 +171,8 @@ def sweep_curves(swept: Sequence[Swept], task: str) -> dict[str, list[Curve]]:
             reference = _numbers(alone) if any(alone) else None
             curve = Curve(label, colour, MARKERS[index % len(MARKERS)], x, _numbers(own), reference, own.count(None))
             title = METHODS[assistant[0]].title if assistant[1] == "full" else who_title(*assistant)
-            found.setdefault(title, []).append(curve)
-    return found
+            by_assistant.setdefault(title, []).append(curve)
+    return by_assistant
 
 
 def positions(values: Sequence[Any]) -> tuple[list[float], bool]:
@@ -195,8 +192,8 @@ def _over_values(
     return [next((line for line in whole if line.swept in (None, each)), None) for each in swept]
 
 
-def _numbers(found: Sequence[Line | None]) -> Numbers:
-    return lambda column: [UNDEFINED if line is None else line.values((column,))[0] for line in found]
+def _numbers(rows: Sequence[Line | None]) -> Numbers:
+    return lambda column: [UNDEFINED if line is None else line.values((column,))[0] for line in rows]
 
 
 def _name_values(panel: Axes, column: Column, key: str, swept: Sequence[Swept]) -> None:

@@ -30,7 +30,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats import CellNumbers, Floats
 from wasp_cli.report.stats.summary import Interval, condition, paired_difference, summarise
 
 Places = NDArray[np.intp]
@@ -65,7 +65,6 @@ class _Clusters:
         return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
 
     def place(self, names: Floats | Sequence[float]) -> Places:
-        """The index of each name."""
         return np.searchsorted(self.names, names)
 
     def trainings(self, cells: Sequence[CellNumbers]) -> Places:
@@ -284,7 +283,6 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
 
 
 def _constant(cell: CellNumbers, key: str, number: float) -> CellNumbers:
-    """The cell with a number for every defined value of a column."""
     column, pooled = cell.episodes[key], cell.pooled.get(key, math.nan)
     changed = {key: np.where(np.isnan(column), math.nan, number)}
     return replace(cell, episodes={**cell.episodes, **changed}, pooled={key: math.nan if math.isnan(pooled) else number})
@@ -311,9 +309,9 @@ class _Training:
         defined = (mass > 0).all(0)
         left, right = np.where(defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0).sum(2)
         number = defined.sum(1)
-        found: Floats = np.full(len(counts), np.nan)
-        np.divide(left - right - self.margin * np.abs(right), number, out=found, where=number > 0)
-        return found
+        contrasts: Floats = np.full(len(counts), np.nan)
+        np.divide(left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0)
+        return contrasts
 
 
 def _resampled(trainings: Sequence[_Training]) -> Floats:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import WEIGHTS
-from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats import CellNumbers, Floats
 from wasp_cli.store.tables import ADDED, CellIdentity
 
 HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}

@@ -8,21 +8,26 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.stats.frame import CellNumbers, Frame, Group, Missing, groups
+from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
 from wasp_cli.report.stats.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables.main import (
+from wasp_cli.report.tables import (
     AUTONOMY,
     LABELS,
     MEANINGS,
     MORE_COLUMNS,
     PAPER_COLUMNS,
+    Column,
+    Row,
+    Table,
+    assistant_title,
     full_groups,
     labels_of,
     missing_notes,
+    operator_title,
     part_of,
+    task_title,
     values,
 )
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
 SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
@@ -39,11 +44,11 @@ Condition = tuple[str, float | None]  # operator variant and severity value
 
 def operator_table(frame: Frame) -> Table:
     """Tabulate return and cost per operator variant, over its severities."""
-    wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    variants = dict.fromkeys(cell.identity.operator for group in wanted for cell in group.cells if cell.identity.operator != UNIMPAIRED)
+    impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
+    variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
     columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
     rows = []
-    for group in wanted:
+    for group in impaired:
         numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
         rows.append(Row(labels_of(group), tuple(numbers)))
     headings = [
@@ -57,18 +62,18 @@ def operator_table(frame: Frame) -> Table:
 
 def severity_table(frame: Frame) -> Table | None:
     """Tabulate per task, operator and method intervention rate, cost and return at every severity; None where no operator has two."""
-    wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    cells = [cell for group in wanted for cell in group.cells if cell.identity.operator != UNIMPAIRED]
+    impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
+    cells = [cell for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
     of_variant: dict[str, set[str]] = {}
     for cell in cells:
         of_variant.setdefault(cell.identity.operator, set()).add(level(cell))
-    if all(len(found) < 2 for found in of_variant.values()):
+    if all(len(severities) < 2 for severities in of_variant.values()):
         return None
     rows = []
-    for task in dict.fromkeys(group.task for group in wanted):
+    for task in dict.fromkeys(group.task for group in impaired):
         for variant in of_variant:
-            for group in (group for group in wanted if group.task == task):
+            for group in (group for group in impaired if group.task == task):
                 own = {name: [cell for cell in group.of_variant(variant) if level(cell) == name] for name in levels}
                 numbers = (part_of(group, own[name], measure) for measure in SEVERITY_MEASURES for name in levels)
                 rows.append(Row((task_title(task), operator_title(variant), assistant_title(group)), tuple(numbers)))
@@ -92,8 +97,7 @@ class Swept:
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
     frame: Frame
-    keys: Mapping[CellIdentity, str]
-    """The key of each wanted cell; two values share a cell when its key is the same."""
+    keys: Mapping[CellIdentity, str]  # the key of each wanted cell; two values share a cell when its key is the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +106,7 @@ class Line:
 
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
-    reference: tuple[CellNumbers, ...]
-    """The cells of Human-only under the same value; empty for itself, and where it does not run."""
+    reference: tuple[CellNumbers, ...]  # the cells of Human-only under the same value; empty for itself, and where it does not run
     condition: Condition | None = None  # None for all operators
 
     @property
@@ -133,11 +136,11 @@ class Line:
 
 def lines(swept: Sequence[Swept]) -> list[Line]:
     """List a line for each assistant and value, in the order of the spec; one for an assistant that the setting does not touch."""
-    found = [{group.assistant: group for group in groups(each.frame)} for each in swept]
+    by_value = [{group.assistant: group for group in groups(each.frame)} for each in swept]
     result = []
-    for assistant in dict.fromkeys(assistant for by_assistant in found for assistant in by_assistant):
+    for assistant in dict.fromkeys(assistant for by_assistant in by_value for assistant in by_assistant):
         same = not _touched(swept, assistant)
-        for each, by_assistant in list(zip(swept, found, strict=True))[: 1 if same else None]:
+        for each, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
             if assistant in by_assistant:
                 alone = by_assistant.get((assistant[0], REFERENCE, "full"))
                 reference = alone.cells if alone is not None and assistant[1] != REFERENCE else ()
@@ -152,22 +155,22 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
     of = [line for line in of if METHODS[line.group.method].impaired]
     result = []
     for task in dict.fromkeys(line.group.task for line in of):
-        wanted = (identity for each in swept for identity in each.frame.order if identity.task == task)
-        conditions = dict.fromkeys(_condition(identity) for identity in wanted if METHODS[identity.method].impaired)
+        identities = (identity for each in swept for identity in each.frame.order if identity.task == task)
+        conditions = dict.fromkeys(_condition(identity) for identity in identities if METHODS[identity.method].impaired)
         result += [_under(line, swept, condition) for condition in conditions for line in of if line.group.task == task]
     return result
 
 
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
     """Tabulate per task, method and value the mean over all operator variants and severities."""
-    found = lines(swept)
-    rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
+    rows_of = lines(swept)
+    rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in rows_of]
     frame = combined(key, swept)
     notes = (spread_note(frame.cells), *missing_notes(frame), CHOICE)
     meanings = (
         *MEANINGS[:1],
-        *[DIFFERENCE] * any(line.reference for line in found),
-        *[UNTOUCHED_NOTE] * any(line.swept is None for line in found),
+        *[DIFFERENCE] * any(line.reference for line in rows_of),
+        *[UNTOUCHED_NOTE] * any(line.swept is None for line in rows_of),
     )
     return Table("sweep", f"Values of {key}", ("Task", "Method", key), SWEEP_COLUMNS, tuple(rows), notes, meanings)
 
@@ -209,11 +212,11 @@ def _condition(identity: CellIdentity) -> Condition:
 
 def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
     """Whether any cell of an assistant differs between two values."""
-    seen = {
+    key_sets = {
         frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.variant) == assistant)
         for each in swept
     }
-    return len(seen) > 1
+    return len(key_sets) > 1
 
 
 def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:

@@ -1,18 +1,30 @@
-"""Confidence intervals of the numbers of Table 1, and how the methods compare with a reference: `statistics`, and `statistics_best`."""
+"""Tables with intervals: how the methods compare (`statistics`, `statistics_best`), and Figure 3: what the interventions were worth."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.stats import Frame, Group, groups, row_of
 from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
-from wasp_cli.report.stats.frame import Frame, Group
 from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
-from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, missing_notes, part_of
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
+from wasp_cli.report.tables import (
+    PAPER_COLUMNS,
+    Column,
+    Row,
+    Table,
+    assistant_title,
+    full_groups,
+    labels_of,
+    missing_notes,
+    part_of,
+    task_title,
+)
 
 HUMAN = "human"
 OURS = "wasp"
@@ -44,7 +56,7 @@ def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -
         return []
     lines = [
         [_line(group, measure) for group in of_task]
-        for of_task in (list(found) for _, found in groupby(full_groups(frame), lambda group: group.task))
+        for of_task in (list(rows) for _, rows in groupby(full_groups(frame), lambda group: group.task))
         for measure in MEASURES
     ]
     return [_table(frame, lines, reference) for reference in references]
@@ -58,11 +70,11 @@ def _line(group: Group, measure: Column) -> _Line:
 
 def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
     rows, chosen = [], []
-    for found in lines:
-        other = _reference(found, reference)
+    for of_measure in lines:
+        other = _reference(of_measure, reference)
         if other is not None:
             chosen.append(other)
-        rows += [_row(line, other) for line in found]
+        rows += [_row(line, other) for line in of_measure]
     against = "best other method" if reference == BEST else METHODS[reference].title
     difference = Column("difference", f"Difference to {against}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
@@ -73,10 +85,10 @@ def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Ta
     return Table(name, title, ("Task", "Measure", "Method"), columns, tuple(rows), notes, MEANINGS, grouping=2)
 
 
-def _reference(found: Sequence[_Line], reference: str) -> _Line | None:
+def _reference(lines: Sequence[_Line], reference: str) -> _Line | None:
     if reference != BEST:
-        return next((line for line in found if line.group.method == reference and line.group.cells), None)
-    rivals = [line for line in found if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
+        return next((line for line in lines if line.group.method == reference and line.group.cells), None)
+    rivals = [line for line in lines if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
     means = [((-1.0 if line.measure.better == "down" else 1.0) * line.marked.mean, line) for line in rivals if line.marked.mean is not None]
     return max(means, key=lambda pair: pair[0])[1] if means else None
 
@@ -100,8 +112,8 @@ def _value(estimate: Estimate | None, like: Value) -> Value:
 
 def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
     """Yield what [low, high] are, what they resample and how coarse that is."""
-    found = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
-    for words, interval in sorted(found.items()):
+    intervals = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
+    for words, interval in sorted(intervals.items()):
         if interval.unit == "world":
             what = "worlds of one training: they cover other layouts, not retraining"
         else:
@@ -111,19 +123,109 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    found = [value.interval for row in rows for value in row.values if value.interval is not None]
-    if not found:
+    intervals = [value.interval for row in rows for value in row.values if value.interval is not None]
+    if not intervals:
         yield "No intervals: there is a single world to resample."
         return
     yield from limit_notes(rows)
-    yield f"These are {len(found)} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
+    many = len(intervals)
+    yield f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 
 def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
     if not chosen:
         yield "The reference has no cells here, so that nothing is compared with it."
     elif reference == BEST:
-        for task, found in groupby(chosen, lambda line: line.group.task):
-            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in found)
+        for task, lines in groupby(chosen, lambda line: line.group.task):
+            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in lines)
             yield f"Best other methods on {task_title(task)}: {named}."
         yield "They were chosen on the same episodes, which flatters them a little."
+
+
+INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
+BRANCHED = Column("branched", "Branched", digits=0, spread=False)
+MEANS = (
+    Column("rho", "ρ", digits=3),
+    Column("at_risk", "ρ > 0 (%)", digits=1, scale=100.0, spread=False, optional=True),
+    Column("delta_c", "ΔC", "up", signed=True),
+    Column("delta_r", "ΔR", "up", digits=3, signed=True),
+    Column("uir", "UIR", "down"),
+    Column("uir_swapped", "UIR swapped", optional=True),
+    Column("uir_eff", "UIR eff.", "down", optional=True),
+)
+FEW = 30  # branched interventions below which a note warns
+NECESSITY_MEANINGS = (
+    "At an intervention the real episode goes on twice for W decisions from the same state, with the same mistakes of the operator: with "
+    "the method's action first, and with the operator's command first; then the operator drives alone in both.",
+    "ρ is the mean cost per decision without the intervention (Eq. 19), ΔC the costly decisions that it avoided, ΔR the reward that it "
+    "gained (Eq. 20). UIR is the share of the interventions that avoided no cost and gained no more than τ_R (Eq. 21).",
+    "UIR swapped asks the same of the command, with the branches in each other's place: interventions that help as often as they harm have "
+    "the same in both. UIR eff. leaves out interventions whose branches are alike in every step: they changed nothing.",
+    "One action is tested, not the assistance as a whole: the branch with the intervention goes on without any further one.",
+)
+
+
+def necessity_table(frame: Frame) -> Table | None:
+    """Make table `figure3`; None where no interventions were to be branched."""
+    judged = list(judged_groups(frame))
+    if not judged:
+        return None
+    rows = [Row(labels_of(group), (*_counts(frame, group), *(estimated(group, column) for column in MEANS))) for group in judged]
+    columns, notes = (INTERVENTIONS, BRANCHED, *MEANS), tuple(_notes(frame, rows))
+    return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), notes, NECESSITY_MEANINGS)
+
+
+def judged_groups(frame: Frame) -> Iterator[Group]:
+    """Yield the rows whose interventions were to be branched, each with the cells that have branches; the others are absent."""
+    gaps = Counter(row_of(gap.identity) for gap in frame.unbranched)
+    for group in groups(frame):
+        cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
+        if cells or gaps[group.task, group.method, group.variant]:
+            yield replace(group, cells=cells, absent=group.absent + len(group.cells) - len(cells))
+
+
+def estimated(group: Group, column: Column) -> Value:
+    """Return a column of a row with its interval."""
+    estimate = mean_of(group.cells, column.key) if group.cells else None
+    value = part_of(group, group.cells, column)
+    return value if estimate is None else replace(value, interval=estimate.interval)
+
+
+def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
+    """Interventions of the row, and how many of them were branched."""
+    if not group.cells:
+        return UNDEFINED, UNDEFINED
+    seeds = len({cell.identity.seed for cell in group.cells})
+    interventions = sum(cell.episodes["intervened"].sum() for cell in group.cells)
+    branched = sum(len(frame.judged[cell.identity].episode) for cell in group.cells)
+    return Value(float(interventions), n=seeds, ranked=False), Value(float(branched), n=seeds, ranked=False)
+
+
+def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
+    if frame.judged:
+        yield f"{_thresholds(frame)}."
+        yield from limit_notes(rows)
+        if any(identity.operator == PERSON for identity in frame.judged):
+            yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
+        branched: Counter[str] = Counter()
+        for identity, judged in frame.judged.items():
+            branched[identity.method] += len(judged.episode)
+        few = [METHODS[name].title for name, count in branched.items() if count < FEW]
+        if few:
+            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
+    if frame.unbranched:
+        have = "cell has" if len(frame.unbranched) == 1 else "cells have"
+        yield (
+            f"INCOMPLETE: {len(frame.unbranched)} {have} no counterfactual branches. "
+            "Rows with [x of y cells] are partial and never marked best."
+        )
+
+
+def _thresholds(frame: Frame) -> str:
+    windows = " and ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
+    gains: dict[str, list[float]] = {}
+    for identity, judged in frame.judged.items():
+        gains.setdefault(identity.task, []).append(judged.tau_R)
+    spans = {task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()}
+    named = (f"{low if low == high else f'{low} to {high}'} on {task_title(task)}" for task, (low, high) in spans.items())
+    return f"W = {windows} decisions, τ_R = {', '.join(named)}"

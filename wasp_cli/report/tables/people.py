@@ -17,11 +17,10 @@ import pyarrow as pa
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn, limits_of
-from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Interval, Value
-from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
+from wasp_cli.report.tables import PAPER_COLUMNS, Column, Row, Table, task_title, who_title
 from wasp_cli.spec.study import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
@@ -58,16 +57,16 @@ class Sitting:
 def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
     """Read what lies beside the rows of the cells that people drove."""
     folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
-    found, damaged = [], []
+    sittings, damaged = [], []
     for cell in frame.cells:
         if cell.identity in folders:
             try:
-                found.append(_sitting(cell, folders[cell.identity]))
+                sittings.append(_sitting(cell, folders[cell.identity]))
             except (StoreError, ArtifactError) as error:
                 damaged.append(error.message)
             except (AttributeError, LookupError, TypeError, ValueError) as error:
                 damaged.append(f"{folders[cell.identity] / SESSION_FILE} is not as wasp writes it: {error}")
-    return found, damaged
+    return sittings, damaged
 
 
 def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
@@ -84,9 +83,9 @@ def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
 
 def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """By scale, with the mean of the six of the task load index where all of them were answered."""
-    found = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
+    answers = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
     tlx = [float(value) for value in given.get(TLX, {}).values()]
-    return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | found
+    return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | answers
 
 
 def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
@@ -138,10 +137,7 @@ MEASURES = tuple(
 )
 LABELS = ("Task", "Condition")
 ALONE = "human"
-DIFFERENCES = (
-    Column("return_change", "Return, to alone", signed=True),
-    Column("cost_change", "Cost, to alone", signed=True),
-)
+DIFFERENCES = (Column("return_change", "Return, to alone", signed=True), Column("cost_change", "Cost, to alone", signed=True))
 TIMES = (
     Column("decisions", "Decisions", digits=0, spread=False),
     Column("late_share", "late (%)", digits=1, scale=100.0, spread=False),
@@ -182,15 +178,15 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
     """Say of every condition in which the assistant was late how often it was: there the driver was alone."""
-    found: Counter[Condition] = Counter()
+    late_counts: Counter[Condition] = Counter()
     decisions: Counter[Condition] = Counter()
     for each in sittings:
         late = np.asarray(each.beats["late"], bool)
-        found[each.condition] += int(late.sum())
+        late_counts[each.condition] += int(late.sum())
         decisions[each.condition] += len(late)
     return [
         f"{' on '.join(reversed(_labels(condition)))}: late in {late} of {decisions[condition]} decisions, in which nobody assisted."
-        for condition, late in found.items()
+        for condition, late in late_counts.items()
         if late and condition[1] != ALONE
     ]
 
@@ -223,7 +219,6 @@ def _measures(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting
 
 
 def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
-    """A row for each scale, a column for each condition."""
     asked = [scale for scale in SCALES if any(scale in each.answers for each in sittings)]
     names = list(dict.fromkeys(condition[1:] for condition in groups))
     columns = tuple(Column("_".join(name), who_title(*name), digits=0) for name in names)
@@ -248,12 +243,12 @@ def _order(sittings: Sequence[Sitting]) -> Table:
     rows = []
     for task in dict.fromkeys(each.cell.identity.task for each in sittings):
         own = [each for each in sittings if each.cell.identity.task == task]
-        found = {column.key: deviations(own, column.key) for column in columns}
+        changes = {column.key: deviations(own, column.key) for column in columns}
         places = sorted({each.place for each in own if each.place is not None})
         if len(places) > 1:
             for place in places:
                 values = tuple(
-                    over_participants((each.participant, number) for each, number in found[column.key] if each.place == place)
+                    over_participants((each.participant, number) for each, number in changes[column.key] if each.place == place)
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
@@ -272,9 +267,9 @@ def _balance(sittings: Sequence[Sitting]) -> tuple[str, ...]:
 def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     rows = []
     for condition, own in groups.items():
-        found = timing_summary(pa.concat_tables([_own_beats(each, number) for number, each in enumerate(own)]))
-        found |= {name: sum(getattr(each, name) for each in own) for name in ("pauses", "cut", "lost")}
-        numbers = [found[column.key] for column in TIMES]
+        summary = timing_summary(pa.concat_tables([_own_beats(each, number) for number, each in enumerate(own)]))
+        summary |= {name: sum(getattr(each, name) for each in own) for name in ("pauses", "cut", "lost")}
+        numbers = [summary[column.key] for column in TIMES]
         people = len({each.participant for each in own})
         values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)
         rows.append(Row(_labels(condition), values))

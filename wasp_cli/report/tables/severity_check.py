@@ -23,10 +23,9 @@ import numpy as np
 from wasp_cli.errors import NotAccepted
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted, read_frame
+from wasp_cli.report.stats import CellNumbers, Frame, Wanted, read_frame
 from wasp_cli.report.stats.summary import UNDEFINED, Value, spread_note, summarise
-from wasp_cli.report.tables.main import AUTONOMY, PAPER_COLUMNS, missing_notes
-from wasp_cli.report.tables.table import Column, Row, Table, operator_title, task_title
+from wasp_cli.report.tables import AUTONOMY, PAPER_COLUMNS, Column, Row, Table, missing_notes, operator_title, task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.tables import CellIdentity
 
@@ -55,7 +54,6 @@ class SeverityLevel:
 
     @property
     def mean(self) -> float:
-        """Mean return over the episodes; NaN without any."""
         return float(np.mean(list(self.returns.values()))) if self.returns else math.nan
 
 

@@ -1,15 +1,19 @@
-"""Write the pictures and pages of trained parts into the folder of a report, a folder for each part."""
+"""Pictures and pages of trained parts, a folder for each: frames of a dataset, costly ones marked; what a world model sees and imagines."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wasp_cli.report.figures.style import save
-from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from wasp_cli.report.figures import save
+from wasp_cli.report.trained import PIXELS, UNREADABLE, Floats, Trained, open_parquet, read_json, read_table
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.pictures import draw_contact_sheet, draw_open_loop, draw_open_loop_film, draw_reconstructions
 from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
@@ -17,9 +21,228 @@ from wasp_cli.store.layout import Layout, slug
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
+INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)  # red is what cost, blue what was predicted to
+GAP, EDGE, TEXT = 6, 3, 18  # between frames, of a coloured edge, and of a line of text, in px
+SIDE, LABEL, BAR = 96, 92, 26  # of a frame of a world model, the names of its rows, and the bars of costs, in px
+PITCH = SIDE + GAP
+COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
+WINDOWS = 16  # imagined windows that are drawn at most
+FRAMES, BEHAVIOURS = 4, 40
+"""Frames of a behaviour that are spread over all its steps, and as many costly ones; behaviours that are drawn at most."""
+FRAME = 128  # of a frame of a dataset in px: a camera image at twice its size
+_BATCH = 256  # rows whose images are in memory together
+_SOURCES = b"wasp.cost_sources"  # key of a shard's schema metadata: the names of the columns of `sources`, as JSON
+
+Images = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+
+def _enlarged(image: Images, side: int) -> Image.Image:
+    shown = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0)))
+    return shown.resize((side, side), Image.Resampling.NEAREST)
+
+
+class Window(NamedTuple):
+    """K frames beside each other. Of an imagined window the first one is the start, seen and not imagined."""
+
+    title: str
+    true: Images  # [K, 6, 64, 64]
+    model: Images  # [K, 6, 64, 64] decoded or imagined
+    cost: Floats  # [K] real cost
+    predicted: Floats  # [K] probability of a cost
+
+
+def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
+    """Read the decoded frames and the imagined windows of a `diagnostics` artifact."""
+    table = read_table(layout, artifact, "images.parquet", COLUMNS)
+    of = np.asarray(table["window"], np.int64)
+    rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
+    cost, predicted = (np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted"))
+
+    def window(number: int) -> Window:
+        places = np.flatnonzero(of == number).tolist()
+        first = places[0]
+        title = f"{rows['behaviour'][first]}, episode {rows['episode'][first]}, step {rows['decision'][first]}"
+        true, model = (np.stack([np.frombuffer(rows[name][i], np.uint8).reshape(PIXELS) for i in places]) for name in ("true", "model"))
+        return Window(title, true, model, cost[places], np.clip(predicted[places], 0.0, 1.0))
+
+    numbers = sorted(set(of[of >= 0].tolist()))[:WINDOWS]
+    return window(-1) if (of == -1).any() else None, [window(number) for number in numbers]
+
+
+def _strip(window: Window, word: str) -> Image.Image:
+    """True front, the model's front, true rear, the model's rear, one below the other; a red edge marks a real cost."""
+    strip = Image.new("RGB", (LABEL + len(window.cost) * PITCH + GAP, GAP + 4 * PITCH), PAPER)
+    draw, font = ImageDraw.Draw(strip), ImageFont.load_default(11)
+    rows = [
+        (f"{name} {camera}", images, channel)
+        for camera, channel in (("front", 0), ("rear", 3))
+        for name, images in (("true", window.true), (word, window.model))
+    ]
+    for row, (name, images, channel) in enumerate(rows):
+        y = GAP + row * PITCH
+        draw.text((GAP, y + SIDE // 2 - 6), name, INK, font)
+        for column, image in enumerate(images):
+            x = LABEL + column * PITCH
+            strip.paste(_enlarged(image[channel : channel + 3], SIDE), (x, y))
+            if window.cost[column] > 0:
+                draw.rectangle((x - 2, y - 2, x + SIDE + 1, y + SIDE + 1), outline=RED, width=2)
+    return strip
+
+
+def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Draw true and decoded images of filtered states."""
+    decoded, _ = read_windows(layout, artifact)
+    if decoded is not None:
+        _strip(decoded, "decoded").save(path, format="PNG")
+
+
+def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Draw a block per imagined window: true and imagined images, and predicted and real cost of each step."""
+    _, windows = read_windows(layout, artifact)
+    if not windows:
+        return
+    strips = [_strip(window, "imagined") for window in windows]
+    block = TEXT + strips[0].height + BAR + TEXT + GAP
+    sheet = Image.new("RGB", (max(strip.width for strip in strips), len(windows) * block), PAPER)
+    draw, font, bold = ImageDraw.Draw(sheet), ImageFont.load_default(11), ImageFont.load_default(13)
+    for number, (window, strip) in enumerate(zip(windows, strips, strict=True)):
+        top = number * block
+        title = f"{window.title}: seen at 0, then {len(window.cost) - 1} steps imagined under the true actions"
+        draw.text((GAP, top), title, INK, bold)
+        sheet.paste(strip, (0, top + TEXT))
+        base = top + TEXT + strip.height + BAR
+        draw.text((GAP, base - BAR), "predicted cost", BLUE, font)
+        draw.text((GAP, base - BAR // 2), "real cost", RED, font)
+        for column, (cost, predicted) in enumerate(zip(window.cost, window.predicted, strict=True)):
+            x = LABEL + column * PITCH
+            draw.line((x, base, x + SIDE, base), INK)
+            draw.rectangle((x + 4, base - round((BAR - 2) * float(predicted)), x + SIDE // 2 - 4, base), BLUE)
+            if cost > 0:
+                draw.rectangle((x + SIDE // 2 + 4, base - BAR + 2, x + SIDE - 4, base), RED)
+            draw.text((x + 4, base + 1), f"{column}:  {predicted:.2f}", BLUE, font)
+    sheet.save(path, format="PNG")
+
+
+def draw_open_loop_film(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Draw the imagined windows side by side as an animated GIF, step by step."""
+    _, windows = read_windows(layout, artifact)
+    if not windows:
+        return
+    font, frames = ImageFont.load_default(11), []
+    for step in range(min(len(window.cost) for window in windows)):
+        title = f"step {step}" if step else "seen (step 0)"
+        strip = _strip(Window(title, *(np.stack([window[part][step] for window in windows]) for part in (1, 2, 3, 4))), "imagined")
+        frame = Image.new("RGB", (strip.width, strip.height + 2 * TEXT), PAPER)
+        frame.paste(strip, (0, TEXT))
+        draw = ImageDraw.Draw(frame)
+        draw.text((GAP, 1), title, INK, font)
+        for column, window in enumerate(windows):
+            draw.text((LABEL + column * PITCH, TEXT + strip.height), f"cost: {window.predicted[step]:.2f}", BLUE, font)
+        frames.append(frame.convert("P", palette=Image.Palette.ADAPTIVE))
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=[1000, *[250] * (len(frames) - 1)], loop=0)
+
+
+class Steps(NamedTuple):
+    """The rows of a dataset without their images, N in all; see `learning.shards`."""
+
+    first: NDArray[np.bool_]  # [N] begins an episode
+    cost: NDArray[np.bool_]  # [N]
+    sources: NDArray[np.bool_]  # [N, S] which cost source cost
+    episode: Ints  # [N]
+    behaviour: NDArray[Any]  # [N] str
+    names: tuple[str, ...]  # of the S cost sources
+
+
+def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Draw a row per behaviour of a dataset, front over rear; frames whose step cost have a red edge and name the source.
+
+    Images are read batch after batch and only the chosen ones are kept, so that memory does not grow with the dataset.
+    """
+    shards = sorted(layout.artifact(artifact.kind, artifact.key).glob("shard-*.parquet"))
+    if not shards:
+        return
+    steps = _steps(layout, shards)
+    names = sorted(set(steps.behaviour.tolist()))[:BEHAVIOURS]
+    chosen = {name: _chosen(steps, np.flatnonzero(steps.behaviour == name)) for name in names}
+    images = _images(layout, shards, np.unique(np.concatenate(list(chosen.values()))))
+    block = 2 * TEXT + 2 * (FRAME + EDGE) + EDGE + GAP
+    sheet = Image.new("RGB", (GAP + 2 * FRAMES * (FRAME + 2 * EDGE + GAP), GAP + len(names) * block), PAPER)
+    draw, font, small = ImageDraw.Draw(sheet), ImageFont.load_default(15), ImageFont.load_default(11)
+    decision = np.arange(len(steps.first)) - np.maximum.accumulate(np.where(steps.first, np.arange(len(steps.first)), 0))
+    for line, name in enumerate(names):
+        top = GAP + line * block
+        draw.text((GAP, top + 3), f"{name}: front over rear", INK, font)
+        for column, row in enumerate(chosen[name].tolist()):
+            x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TEXT
+            colour = RED if steps.cost[row] else PAPER
+            draw.rectangle((x, y, x + FRAME + 2 * EDGE - 1, y + 2 * FRAME + 3 * EDGE - 1), colour)
+            for camera in range(2):
+                image = _enlarged(images[row][3 * camera : 3 * camera + 3], FRAME)
+                sheet.paste(image, (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
+            by = " + ".join(kind for kind, costs in zip(steps.names, steps.sources[row], strict=True) if costs)
+            text = _fitting(by or f"episode {steps.episode[row]}, step {decision[row]}", small)
+            draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), text, colour if by else INK, small)
+    sheet.save(path, format="PNG")
+
+
+def _steps(layout: Layout, shards: list[Path]) -> Steps:
+    """Everything but the images, shard after shard."""
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in Steps._fields[:-1]}
+    sources: tuple[str, ...] = ()
+    for shard in shards:
+        with open_parquet(layout, shard) as file:
+            sources = tuple(map(str, json.loads((file.schema_arrow.metadata or {})[_SOURCES])))
+            table = file.read(columns=list(parts), use_threads=False)
+        for name in ("first", "cost"):
+            parts[name].append(np.asarray(table[name], np.float64) > 0)
+        parts["sources"].append(np.asarray(table["sources"].combine_chunks().flatten(), np.int64).reshape(len(table), len(sources)) > 0)
+        parts["episode"].append(np.asarray(table["episode"], np.int64))
+        parts["behaviour"].append(np.asarray(table["behaviour"].to_pylist(), str))
+    whole = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    return Steps(**whole, names=sources)
+
+
+def _chosen(steps: Steps, rows: Ints) -> Ints:
+    """Frames spread over the rows of a behaviour, then costly ones, from every source in turn."""
+    kinds = [rows[steps.sources[rows, i]] for i in range(steps.sources.shape[1])]
+    kinds = [kind for kind in kinds if len(kind)]
+    costly = [_spread(kind, len(range(i, FRAMES, len(kinds)))) for i, kind in enumerate(kinds)]
+    # Of different episodes, each later in its own: equal parts of all rows would show one moment of them again and again.
+    numbers, shares = np.unique(steps.episode[rows]), (np.arange(FRAMES) + 0.5) / FRAMES
+    own = [rows[steps.episode[rows] == numbers[int(share * len(numbers))]] for share in shares]
+    early = np.array([part[int(share * len(part))] for part, share in zip(own, shares, strict=True)])
+    return np.concatenate([early, *costly])
+
+
+def _spread(rows: Ints, count: int) -> Ints:
+    """At most `count` of the rows, from the middles of equal parts."""
+    count = min(count, len(rows))
+    spread: Ints = rows[((np.arange(count) + 0.5) / max(1, count) * len(rows)).astype(int)]
+    return spread
+
+
+def _images(layout: Layout, shards: list[Path], rows: Ints) -> dict[int, NDArray[np.uint8]]:
+    images: dict[int, NDArray[np.uint8]] = {}
+    begin = 0
+    for shard in shards:
+        with open_parquet(layout, shard) as file:
+            for batch in file.iter_batches(_BATCH, columns=["pixels"], use_threads=False):
+                for row in rows[(rows >= begin) & (rows < begin + len(batch))].tolist():
+                    images[row] = np.frombuffer(batch.column(0)[row - begin].as_py(), np.uint8).reshape(PIXELS)
+                begin += len(batch)
+    return images
+
+
+def _fitting(text: str, font: Any) -> str:
+    if font.getlength(text) <= FRAME:
+        return text
+    return next(short for end in range(len(text) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)
+
+
 FOLDER = "trained"  # below the folder of a report
-Draw = Callable[[Layout, Trained, Path], None]
-"""Writes a file from an artifact, or nothing where that has nothing to show."""
+Draw = Callable[[Layout, Trained, Path], None]  # writes a file from an artifact, or nothing where that has nothing to show
 
 
 def _figure(draw: Callable[[Layout, Sequence[Trained]], Figure | None]) -> Draw:
@@ -35,7 +258,7 @@ def _page(render: Callable[[Any], str], source: str) -> Draw:
     return lambda layout, artifact, path: replace_file(path, render(read_json(layout, artifact, source)))
 
 
-EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
+EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the artifact: the files and what writes each
     "expert": (("curve.png", _figure(draw_learning)),),
     "dataset": (("contents.md", _page(contents_markdown, "contents.json")), ("contact_sheet.png", draw_contact_sheet)),
     "diagnostics": (
@@ -52,7 +275,6 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     "consistency": (("quality.md", _page(quality_markdown, "quality.json")),),
     "residual": (("curve.png", _figure(draw_learning)),),
 }
-"""By the kind of the artifact: the files and what writes each."""
 KNOWN = frozenset(name for files in EVIDENCE.values() for name, _ in files)
 
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from wasp_cli.errors import WaspError
-from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn
-from wasp_cli.report.tables.table import task_title
-from wasp_cli.report.trained.artifacts import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
+from wasp_cli.report.tables import task_title
+from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
@@ -32,12 +32,11 @@ QUANTITIES = {
     "loss": "world model, loss / first loss",
 }  # fmt: skip
 """What a learning curve may show, a panel each."""
-DRIVING = {
+DRIVING = {  # stages that learn in the task: file of the curve, name in figures
     "expert": ("curve.json", "Expert"),
     "policies": ("reinforcement.json", "Latent expert"),
     "residual": ("curve.json", "SafeRL-Res"),
 }
-"""Stages that learn in the task: file of the curve, name in figures."""
 LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "cost, imagined"}
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
 UPDATES_PER_POINT = 20  # of the world model's curves
@@ -48,11 +47,7 @@ FURTHER = (
     ("predicted_over_base", "predicted cost / base rate"), ("reward_r2", "reward R2"), ("image_over_copy", "image error / error of a copy")
 )  # fmt: skip
 """What the other panels over the imagined step show: key and title."""
-GROUPS, POINTS = 10, 1500
-"""Groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most."""
-PAIRS = 5_000_000  # decisions that a file of pairs may have
-NAME = 60  # characters of a name that are drawn at most
-HORIZON = 500  # imagined steps that are drawn at most
+GROUPS, POINTS = 10, 1500  # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +189,7 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
     """Read what `diagnostics` says of every imagined step, by set of episodes."""
     sets = read_json(layout, artifact, "diagnostics.json")
-    return {name: sets[name]["steps"][:HORIZON] for name in EPISODES if name in sets and sets[name]["steps"]}
+    return {name: sets[name]["steps"] for name in EPISODES if name in sets and sets[name]["steps"]}
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
@@ -249,7 +244,7 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
     On the diagonal a critic is right on average.
     """
     (artifact,) = trained
-    table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"), PAIRS)
+    table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"))
     names = np.asarray(table["critic"].to_pylist(), str)
     predicted, real = (np.asarray(table[name], np.float64) for name in ("predicted", "real"))
     critics = list(dict.fromkeys(names.tolist()))[:4]
@@ -265,5 +260,5 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
             points = Line(x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4)
             lines = [points, Line(mean_x, mean_y, colour=PALETTE[4], marker="o", size=4.0)]
             ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
-            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name[:NAME]}, predicted", ylabel="discounted sum that followed")
+            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name}, predicted", ylabel="discounted sum that followed")
         return figure

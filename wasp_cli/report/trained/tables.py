@@ -11,11 +11,11 @@ from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.render import markdown
 from wasp_cli.report.stats.summary import Value, over_seeds
-from wasp_cli.report.tables.table import Column, Row, Table, task_title
-from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
+from wasp_cli.report.tables import Column, Row, Table, task_title
+from wasp_cli.report.trained import UNREADABLE, Trained, read_json
 from wasp_cli.store.layout import Layout
 
-COLUMNS = (
+COLUMNS = (  # stage and the number of its summary. Stages that do not tell a number leave its column out.
     ("expert", Column("return", "Expert return", digits=1)),
     ("expert", Column("cost", "Expert cost", digits=1)),
     ("expert", Column("success", "Expert succ. (%)", digits=0, scale=100.0, spread=False)),
@@ -30,8 +30,7 @@ COLUMNS = (
     ("critics", Column("rank_c", "rank V_c")),
     ("critics", Column("predicted_over_real_c", "V_c / real", optional=True)),
 )
-"""Stage and the number of its summary. Stages that do not tell a number leave its column out."""
-MEASURES = (
+MEASURES = (  # numbers of `diagnostics`, each for some imagined steps: `auprc@5`
     Column("auprc", "Cost AUPRC"),
     Column("persistence", "Cost AUPRC, persistence"),
     Column("unseen_auprc", "Cost AUPRC, operators not in the data"),
@@ -40,7 +39,6 @@ MEASURES = (
     Column("recall", "Cost recall"),
     Column("reward_r2", "Reward R²"),
 )
-"""Numbers of `diagnostics`, each for some imagined steps: `auprc@5`."""
 STEPS = (1, 5, 10, 15)
 NAMED = 6  # missing parts that a note names; the plan names all
 Key = tuple[str, str]  # task and stage of a part
@@ -80,17 +78,16 @@ def training_tables(
 ) -> list[Table]:
     """Make the tables that have something to show; `failures` say by key why parts are not there, where that is known."""
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
-    wanted: dict[Key, list[Part]] = {}
+    by_stage: dict[Key, list[Part]] = {}
     for part, _ in parts:
-        wanted.setdefault((part.task, part.kind), []).append(part)
+        by_stage.setdefault((part.task, part.kind), []).append(part)
     told = {part: summaries[key] for part, key in parts if key in summaries}
-    training = _Training(wanted, told, {part: why[key] for part, key in parts if key in why})
+    training = _Training(by_stage, told, {part: why[key] for part, key in parts if key in why})
     tables = (_stages(training, _incomplete(training)), _ahead(training))
     return [table for table in tables if table.rows and table.columns]
 
 
 def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
-    """A row for each task."""
     columns, shown = [], []
     for stage, column in COLUMNS:
         read = [training.parts(task, stage) for task in training.tasks]
@@ -112,7 +109,6 @@ def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
 
 
 def _ahead(training: _Training) -> Table:
-    """A row for each task and measure, a column for each imagined step."""
     rows = []
     for task in training.tasks:
         judges = training.parts(task, "diagnostics")
@@ -196,11 +192,11 @@ def dataset_warnings(contents: Document) -> list[str]:
     sources, share = contents[ALL]["sources"], contents[ALL]["costly_share"]
     if not sources:
         return []
-    found = [f"no step costs by {kind}" for kind, part in sources.items() if part == 0.0]
+    warnings = [f"no step costs by {kind}" for kind, part in sources.items() if part == 0.0]
     low, high = COSTLY_SHARE
     if not low <= share <= high:
-        found.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
-    return found
+        warnings.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
+    return warnings
 
 
 def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, ...]:
@@ -210,10 +206,10 @@ def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, 
         if artifact.kind != "dataset" or "warning" in artifact.summary:
             return artifact
         try:
-            found = dataset_warnings(read_json(layout, artifact, "contents.json"))
+            warnings = dataset_warnings(read_json(layout, artifact, "contents.json"))
         except UNREADABLE:
             return artifact
-        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(found)}) if found else artifact
+        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(warnings)}) if warnings else artifact
 
     return tuple(map(judged, trained))
 

@@ -17,12 +17,11 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain.stored import Episode, Floats, read_episode
-from wasp_cli.report.explain.timeline import timeline
+from wasp_cli.report.explain import Episode, Floats, read_episode, timeline
 from wasp_cli.report.render import rendered
-from wasp_cli.report.stats.frame import CellNumbers, Frame
+from wasp_cli.report.stats import CellNumbers, Frame
+from wasp_cli.report.tables import operator_title
 from wasp_cli.report.tables.severity_check import MODERATE
-from wasp_cli.report.tables.table import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
@@ -32,6 +31,7 @@ from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
     from markupsafe import Markup
+
 
 FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
@@ -47,8 +47,7 @@ class Sprite(NamedTuple):
     things: tuple[tuple[str, str], ...] = ()  # what its map shows, each with its colour `#rrggbb`
 
 
-Draw = Callable[..., Sprite]
-"""Draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it."""
+Draw = Callable[..., Sprite]  # draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +129,12 @@ def _is_slim(layout: Layout, key: str) -> bool:
 def _median_episode(episodes: Mapping[str, Floats]) -> int:
     """The first episode whose cost is the (upper) median; where some are left out, `episode` numbers the others."""
     costs = episodes["cost"]
-    wanted = np.sort(costs)[len(costs) // 2]
-    place = int(np.flatnonzero(costs == wanted)[0])
+    median = np.sort(costs)[len(costs) // 2]
+    place = int(np.flatnonzero(costs == median)[0])
     return int(episodes["episode"][place]) if "episode" in episodes else place
 
 
 def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:
-    """None where the rows cannot be read again."""
     try:
         path: Path = layout.within(cell_file(layout.artifact(KIND, key)))
         episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)
