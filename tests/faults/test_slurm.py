@@ -12,7 +12,7 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, data_of, run, start
 from wasp_cli.errors import UsageError
-from wasp_cli.run.slurm import slurm_options
+from wasp_cli.run.pool import slurm_options
 
 SBATCH = """\
 import os, pathlib, subprocess, sys

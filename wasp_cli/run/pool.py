@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import socket
 import threading
@@ -20,15 +21,17 @@ from concurrent.futures import BrokenExecutor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError, WaspError
 from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
+from wasp_cli.store.layout import Layout
 
 BACKENDS = ("loky", "dask", "ray", "slurm")
 PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
-EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
+EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379", "slurm": "--scheduler partition=cpu,time=720,mem=8GB"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 CONNECT_SECONDS = 20
 CLOSE_SECONDS = 5
@@ -77,8 +80,6 @@ def require_backend(backend: str, scheduler: str | None) -> None:
     if find_spec(package) is None:
         raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
     if backend == "slurm":
-        from wasp_cli.run.slurm import require_slurm
-
         require_slurm(scheduler)
     elif scheduler is not None:
         _require_answer(backend, scheduler)
@@ -87,14 +88,12 @@ def require_backend(backend: str, scheduler: str | None) -> None:
 
 
 def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
-    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. Others bring their own number."""
+    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. dask and ray bring their own number."""
     if backend == "dask":
         return DaskPool(scheduler)
     if backend == "ray":
         return RayPool(scheduler)
     if backend == "slurm":
-        from wasp_cli.run.slurm import SlurmPool
-
         return SlurmPool(jobs, scheduler)
     return LokyPool(jobs) if jobs else InlinePool()
 
@@ -136,7 +135,7 @@ class LokyPool(Pool):
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._workers: Any = None
-        self._single: list[Any] = []  # executors of nodes alone
+        self._single: list[Any] = []  # executors of nodes alone  # executors of nodes alone
         # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
 
@@ -326,3 +325,81 @@ class RayPool(Pool):
 
     def close(self, *, kill: bool = False) -> None:
         self._ray.shutdown()
+
+
+def slurm_options(text: str | None) -> dict[str, str | int]:
+    """Parse `KEY=VALUE,...`, options of sbatch as submitit names them: `partition=cpu,time=720` (minutes). Raises UsageError."""
+    options: dict[str, str | int] = {}
+    for part in filter(None, (text or "").split(",")):
+        match = re.fullmatch(r"\s*([a-z_]+)=(\S+)\s*", part)
+        if match is None:
+            raise UsageError(f"'{part}' is no option of sbatch", EXAMPLES["slurm"])
+        options[match[1]] = int(match[2]) if match[2].isdigit() else match[2]
+    return options
+
+
+def require_slurm(text: str | None) -> None:
+    """See that jobs can be submitted from here, and that submitit knows the options. Raises UsageError."""
+    from submitit import SlurmExecutor
+
+    if None in (shutil.which("sbatch"), shutil.which("srun")):
+        raise UsageError("the backend slurm needs sbatch and srun, which are not on this machine", "run it on a login node of the cluster")
+    try:
+        SlurmExecutor("slurm").update_parameters(**slurm_options(text))
+    except ValueError as error:
+        said, _, known = str(error).partition("Valid parameters are:")
+        names = ", ".join(re.findall(r"- (\w+) ", known))
+        raise UsageError(f"submitit passes no such option to sbatch: {said.strip().split(': ')[-1]}", f"it knows {names}") from error
+
+
+class SlurmPool(Pool):
+    """At most `jobs` Slurm jobs at a time. Their scripts and what they print lie in `runs/RUN/slurm` of the results folder."""
+
+    name = "slurm"
+
+    def __init__(self, jobs: int, options: str | None) -> None:
+        self.jobs = max(jobs, 1)
+        self._options = slurm_options(options)
+        self._executor: Any = None
+        self._pending: dict[Future[NodeResult], Any] = {}  # the Slurm job of each result that has not come yet
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True, name="slurm-watch").start()
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        result: Future[NodeResult] = Future()
+        try:
+            submitted = self._executor_of(job).submit(execute_here, job)
+        except Exception as error:  # sbatch refuses in many ways
+            result.set_exception(
+                WaspError(f"Slurm takes no job: {' '.join(str(error).split())[-300:]}", f"options of sbatch: {EXAMPLES['slurm']}")
+            )
+        else:
+            self._pending[result] = submitted
+        return result
+
+    def _executor_of(self, job: NodeJob) -> Any:
+        from submitit import SlurmExecutor
+
+        if self._executor is None:
+            folder = Layout(Path(job.root)).run(job.run_id) / "slurm"
+            self._executor = SlurmExecutor(folder, max_num_timeout=0)
+        self._executor.update_parameters(job_name="wasp", **{"cpus_per_task": job.threads, **self._options})
+        return self._executor
+
+    def _watch(self) -> None:
+        """Pass on results as they come."""
+        while not self._closed.wait(5 * POLL_SECONDS):
+            for result, job in list(self._pending.items()):
+                if not job.done():
+                    continue
+                del self._pending[result]
+                with suppress(InvalidStateError):
+                    try:
+                        result.set_result(job.result())
+                    except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
+                        result.set_exception(WorkersDied(" ".join(str(error).split())[:300]))
+
+    def close(self, *, kill: bool = False) -> None:
+        self._closed.set()
+        for job in self._pending.values():
+            job.cancel(check=False)
