@@ -1,8 +1,7 @@
-"""The workers of a run: processes of loky, this process, those of a dask scheduler or a ray cluster on other machines; `slurm` has jobs.
+"""The workers of a run: processes of loky, this process, those of a dask scheduler or a ray cluster, or Slurm jobs.
 
-Only jobs travel, which are keys, paths and plain values. Each node is a task of its own: `joblib.Parallel` takes a list, and what a node
-needs is only known to be there when another one ends. Every machine of a cluster has to see the results folder under the same path and to
-run the same source: a worker that does not refuses to publish.
+Only jobs travel: keys, paths and plain values. Each node is a task of its own, since what it needs is only there when another one ends.
+Every machine has to see the results folder under the same path and to run the same source: a worker that does not refuses to publish.
 """
 
 from __future__ import annotations
@@ -123,8 +122,7 @@ class InlinePool(Pool):
         done.set_result(execute_here(job))
         return done
 
-    def close(self, *, kill: bool = False) -> None:
-        """There are no workers."""
+    def close(self, *, kill: bool = False) -> None: ...
 
 
 class LokyPool(Pool):
@@ -339,7 +337,7 @@ def slurm_options(text: str | None) -> dict[str, str | int]:
 
 
 def require_slurm(text: str | None) -> None:
-    """See that jobs can be submitted from here, and that submitit knows the options. Raises UsageError."""
+    """See that jobs can be submitted from here with these options. Raises UsageError."""
     from submitit import SlurmExecutor
 
     if None in (shutil.which("sbatch"), shutil.which("srun")):
@@ -347,9 +345,8 @@ def require_slurm(text: str | None) -> None:
     try:
         SlurmExecutor("slurm").update_parameters(**slurm_options(text))
     except ValueError as error:
-        said, _, known = str(error).partition("Valid parameters are:")
-        names = ", ".join(re.findall(r"- (\w+) ", known))
-        raise UsageError(f"submitit passes no such option to sbatch: {said.strip().split(': ')[-1]}", f"it knows {names}") from error
+        said, *known = re.split(r"\n\s+- (\w+) .*", str(error))
+        raise UsageError(said.partition("\n")[0], f"it knows {', '.join(filter(str.strip, known))}") from error
 
 
 class SlurmPool(Pool):
@@ -393,11 +390,10 @@ class SlurmPool(Pool):
                 if not job.done():
                     continue
                 del self._pending[result]
-                with suppress(InvalidStateError):
-                    try:
-                        result.set_result(job.result())
-                    except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
-                        result.set_exception(WorkersDied(" ".join(str(error).split())[:300]))
+                try:
+                    result.set_result(job.result())
+                except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
+                    result.set_exception(WorkersDied(" ".join(str(error).split())[:300]))
 
     def close(self, *, kill: bool = False) -> None:
         self._closed.set()
