@@ -29,12 +29,14 @@ def brought(folder: Path, *labels: str) -> Path:
     """A results folder with published cells, by their labels, and their branches."""
     import json
 
+    manifests = [json.loads(path.read_text(encoding="utf-8")) for path in (PUBLISHED / "store" / "evaluate").glob("*/_manifest.json")]
     keys = {}
-    for path in sorted((PUBLISHED / "store" / "evaluate").glob("*/_manifest.json")):
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+    # Of several editions the oldest, since its later episodes have their steps.
+    for manifest in sorted(manifests, key=lambda manifest: manifest["provenance"]["started_at"], reverse=True):
         if manifest["label"] in labels:
             keys[manifest["label"]] = manifest["key"]
-            shutil.copytree(path.parent, folder / "store" / "evaluate" / path.parent.name)
+    for key in keys.values():
+        shutil.copytree(PUBLISHED / "store" / "evaluate" / key, folder / "store" / "evaluate" / key)
     for path in sorted((PUBLISHED / "store" / "counterfactual").glob("*/_manifest.json")):
         if json.loads(path.read_text(encoding="utf-8"))["upstream"]["evaluate"] in keys.values():
             shutil.copytree(path.parent, folder / "store" / "counterfactual" / path.parent.name)

@@ -30,6 +30,7 @@ from wasp_cli.view.films import Films
 
 FRESH = 2.0  # seconds for which a listing counts as new: a live store grows
 TOGETHER = 250  # cells whose numbers are read in one go, before the page is told of them
+REPORT = "report.html"
 COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 
 
@@ -217,6 +218,14 @@ class Links:
     def report(self, file: str) -> str:
         """Return a page of a report; the server has none: it may come from elsewhere."""
         return quote(self._reports.get(file, ""))
+
+    def shown_report(self, spec: str, layout: Layout) -> str:
+        """Return where the server shows the report of a spec; nothing where it has none."""
+        return f"/report/{quote(spec, '')}" if self.live and (layout.reports(spec) / REPORT).is_file() else ""
+
+    def row(self, task: str, method: str) -> str:
+        """Return the cells behind a row of a main table: the table of cells, filtered."""
+        return f"{self.cells}?{urlencode({'task': task, 'method': method})}"
 
     def run(self, run_id: str, more: str = "") -> str:
         """Return a run, or something of it."""

@@ -14,12 +14,14 @@ from typing import Any
 from wasp_cli.compare import MEASURES, paired_episodes
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook import ListedCell
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs, upstream_first
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import odd_tables_refused
+from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
+from wasp_cli.report.tables import PAPER_COLUMNS, full_groups, in_words, main_table, who_title
 from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds
@@ -28,10 +30,12 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
+from wasp_cli.tasks.registry import TASKS
 from wasp_cli.view import COLUMNS, Site, episode, words
 from wasp_cli.view.films import problem_of
 
 FIRST = 400  # rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls.
+MOST = 1500  # cells whose numbers are read for the first page: seconds
 FACTS = 200  # lines of what is known of a person's session, at most
 NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 Pair = tuple[tuple[ListedCell, FoundCell], tuple[ListedCell, FoundCell]]
@@ -209,7 +213,7 @@ def runs_of(site: Site) -> list[PlannedRun]:
 
 
 def home_page(site: Site) -> str:
-    """Return the first page: runs, what the store holds, notes."""
+    """Return the first page: the main table of each spec, runs, what the store holds, notes."""
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
     kinds = [(kind, len(stored_keys(site.layout, kind))) for kind in stored_kinds(site.layout)]
@@ -223,8 +227,32 @@ def home_page(site: Site) -> str:
     return site.render(
         "home.html", "Results", states=[(state, life(state, datetime.now(UTC))) for state in states], more=max(len(runs) - LISTED, 0),
         kinds=kinds, published=published, notes=notes[-50:][::-1], left_out=len(invalid(notes)), problems=problems,
-        listed={cell.key: cell for cell in site.cells.listed()},
+        listed={cell.key: cell for cell in site.cells.listed()}, tables=list(main_tables(site)), columns=PAPER_COLUMNS,
     )  # fmt: skip
+
+
+def main_tables(site: Site) -> Iterator[dict[str, Any]]:
+    """Yield of each recorded spec, the newest first: its main table, where its rows lead, the same in words, and its report.
+
+    All its cells are read for it. Folders with more than MOST cells have the table in their reports alone.
+    """
+    listed: dict[str, list[ListedCell]] = {}
+    for cell in site.cells.listed():
+        if cell.spec is not None and cell.method in METHODS and cell.task in TASKS:  # others are not installed here
+            listed.setdefault(cell.spec, []).append(cell)
+    if not listed or sum(map(len, listed.values())) > MOST:
+        return
+    known = site.cells.wait()
+    for spec, cells in listed.items():
+        there = [(cell.identity, cell, known[cell.key]) for cell in cells]
+        numbers = tuple(shown.numbers for _, _, shown in there if shown.numbers is not None)
+        missing = [Missing(who, cell.label, shown.reason, cell.key, shown.damaged) for who, cell, shown in there if shown.numbers is None]
+        frame = Frame(numbers, tuple(missing), tuple(who for who, _, _ in there))
+        if numbers:
+            yield {
+                "spec": spec, "table": main_table(frame), "said": in_words(frame), "report": site.links.shown_report(spec, site.layout),
+                "rows": [site.links.row(group.task, who_title(group.method, "full")) for group in full_groups(frame)],
+            }  # fmt: skip
 
 
 def reports(site: Site) -> Iterator[Path]:

@@ -32,8 +32,9 @@ from wasp_cli.console import following, plain, say
 from wasp_cli.errors import StoreError, UsageError, WaspError
 from wasp_cli.notebook import ListedCell
 from wasp_cli.store.find import KIND
+from wasp_cli.store.plain import open_plain
 from wasp_cli.store.tables import cell_file
-from wasp_cli.view import Links, Site, pages
+from wasp_cli.view import REPORT, Links, Site, pages
 from wasp_cli.view.episode import episode_page, load, step_part
 from wasp_cli.view.films import FILM, KINDS, Films, drawing, problem_of, read_state
 from wasp_cli.web import LocalServer, local, own_origin, page
@@ -41,6 +42,10 @@ from wasp_cli.web import LocalServer, local, own_origin, page
 POLICY = (  # what a page may load: nothing but from this server. It has no form to send.
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
+)
+STRANGER = (  # a report: no origin of its own, so no cookie, and nothing to load
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "frame-ancestors 'none'"
 )
 FILES = {
     "view.js": ("wasp_cli.view", "page/view.js", "text/javascript"),
@@ -72,6 +77,7 @@ class ViewServer(LocalServer):
             "/compare/cells": self._beside,
             film: lambda request: _json(self._films(request).state(*_film(request))),
             film + "/frame/{frame:int}": self._frame,
+            "/report/{spec}": self._report,
             "/run/{run}": lambda request: pages.run_page(site, request.path_params["run"]),
             "/run/{run}/now": lambda request: str(pages.run_now(site, request.path_params["run"])),
             "/run/{run}/log/{key}": lambda request: pages.log_page(site, request.path_params["run"], request.path_params["key"]),
@@ -143,9 +149,18 @@ class ViewServer(LocalServer):
         # By name among FILES: what was asked for never becomes a path.
         known = FILES.get(request.path_params["name"])
         if known is None:
-            return PlainTextResponse("not artifact", 404)
+            return PlainTextResponse("not found", 404)
         package, name, kind = known
         return page((files(package) / name).read_bytes(), kind, POLICY, referrer=REFERRER)
+
+    def _report(self, request: Request) -> Response:
+        """Return the report of a spec, which is one file. It may come from elsewhere: it runs as a stranger to these pages."""
+        path = self.site.layout.within(self.site.layout.reports(request.path_params["spec"]) / REPORT)
+        try:
+            with open_plain(path) as file:
+                return page(file.read(), "text/html", STRANGER, referrer=REFERRER)
+        except OSError as error:
+            raise UsageError(f"this report cannot be read: {error.strerror or error}", "wasp report DIR writes it") from error
 
     def _explain(self, request: Request) -> str:
         cell, artifact = self.site.one(request.path_params["cell"])
@@ -167,7 +182,7 @@ class ViewServer(LocalServer):
     def _frame(self, request: Request) -> Response:
         key, number, kind, step = _film(request)
         frame = self._films(request).frame(key, number, kind, request.path_params["frame"], step)
-        return PlainTextResponse("not artifact", 404) if frame is None else page(*frame, POLICY)
+        return PlainTextResponse("not found", 404) if frame is None else page(*frame, POLICY)
 
 
 def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:

@@ -14,6 +14,7 @@
       if (link.hash === "#" + page.id) link.setAttribute("aria-current", "page");
       else link.removeAttribute("aria-current");
     }
+    for (let part = target && target.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
     if (target === page || !target) window.scrollTo(0, 0);
     else target.scrollIntoView();
     for (const stop of stops) stop();
