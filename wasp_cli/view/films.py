@@ -1,8 +1,8 @@
 """Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room.
 
-    films = Films(Layout(Path("results")))
-    films.ask(key, 3, FILM)        begins to draw, where nobody has; returns how far it is
-    films.frame(key, 3, FILM, 17)  the bytes of a frame, None while it is not there
+films = Films(Layout(Path("results")))
+films.ask(key, 3, FILM)        begins to draw, where nobody has; returns how far it is
+films.frame(key, 3, FILM, 17)  the bytes of a frame, None while it is not there
 """
 
 from __future__ import annotations
