@@ -35,7 +35,7 @@ def declared(*extras: str) -> set[str]:
     return {NAMES.get(name, name.replace("-", "_")) for name in names}
 
 
-def test_every_import_is_declared() -> None:
+def test_every_import_is_declared():
     imported: dict[str, set[str]] = {}
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
         for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - OPTIONAL - {"wasp_cli"}:
@@ -48,5 +48,5 @@ def test_every_import_is_declared() -> None:
 @pytest.mark.parametrize(
     ("source", "expected"), [("def f():\n from a.b import c", {"a"}), ("import x.y as z", {"x"}), ("from . import q", set())]
 )
-def test_the_walk_sees_what_is_imported(source: str, expected: set[str]) -> None:
+def test_the_walk_sees_what_is_imported(source, expected):
     assert modules_of(source) == expected

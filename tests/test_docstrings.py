@@ -58,14 +58,14 @@ def _package() -> list[Function]:
     ]
 
 
-def test_public_functions_have_docstrings() -> None:
+def test_public_functions_have_docstrings():
     # A method may leave its docstring to the protocol or the base class that documents a method of that name.
     functions = _package()
     documented = {each.name for each in functions if each.owner and each.docstring}
     assert not [each.place for each in functions if not each.docstring and not (each.owner and each.name in documented)]
 
 
-def test_arrays_have_shapes() -> None:
+def test_arrays_have_shapes():
     # In brackets, in the docstring or in the legend of the class or the module.
     silent = [
         each.place

@@ -24,13 +24,13 @@ def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def home(tmp_path) -> Path:
     for name in ("halfway.py", "halfway.yaml"):
         shutil.copy(EXAMPLES / name, tmp_path)
     return tmp_path
 
 
-def test_the_page_shows_both_files_as_they_are() -> None:
+def test_the_page_shows_both_files_as_they_are():
     page = (EXAMPLES.parent / "extending.md").read_text(encoding="utf-8")
     for name, language in (("halfway.py", "python"), ("halfway.yaml", "yaml")):
         assert f"```{language}\n{(EXAMPLES / name).read_text(encoding='utf-8')}```" in page
@@ -42,7 +42,7 @@ def nodes(home: Path) -> dict[str, dict[str, str]]:
     return {node["label"]: node for node in json.loads(done.stdout)["nodes"]}
 
 
-def test_it_stands_beside_wasp_on_published_worlds(home: Path) -> None:
+def test_it_stands_beside_wasp_on_published_worlds(home):
     before = nodes(home)
     own = {label for label in before if NAME in label}
     assert {label for label, node in before.items() if node["state"] == "missing" and node["kind"] == "evaluate"} == own
@@ -75,7 +75,7 @@ def test_it_stands_beside_wasp_on_published_worlds(home: Path) -> None:
         ("class Halfway:\n    def reset(self, rows, seeds): ...\n", "the assistant 'halfway:Halfway' has no decide"),
     ],
 )
-def test_mistakes_in_it_are_shown_where_the_spec_names_it(home: Path, source: str | None, message: str) -> None:
+def test_mistakes_in_it_are_shown_where_the_spec_names_it(home, source, message):
     (home / "halfway.py").unlink()
     if source is not None:
         (home / "halfway.py").write_text(source, encoding="utf-8")

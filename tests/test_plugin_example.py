@@ -56,7 +56,7 @@ class Home:
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+def home(tmp_path_factory) -> Home:
     return Home(tmp_path_factory.mktemp("plugin"))
 
 
@@ -69,7 +69,7 @@ def blocks() -> list[tuple[str, str]]:
     return re.findall(r"^```(python|toml|yaml)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def test_the_page_links_every_file_and_shows_them_as_they_are() -> None:
+def test_the_page_links_every_file_and_shows_them_as_they_are():
     text = PAGE.read_text(encoding="utf-8")
     assert [path.name for path in files() if f"]({path.relative_to(PAGE.parent).as_posix()})" not in text] == []
     known = {path.read_text(encoding="utf-8") for path in [*files(), *EXAMPLE.parent.glob("halfway.*")]}
@@ -77,12 +77,12 @@ def test_the_page_links_every_file_and_shows_them_as_they_are() -> None:
 
 
 @pytest.mark.slow
-def test_its_own_tests_pass(home: Home) -> None:
+def test_its_own_tests_pass(home):
     done = home.python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests"))
     assert done.returncode == 0, done.stdout
 
 
-def test_its_spec_is_checked_and_planned(home: Home) -> None:
+def test_its_spec_is_checked_and_planned(home):
     assert "ok, 5 cells" in home.wasp("check", "careful.yaml")
     assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(home.first_keys)
     wrong = home.python("-m", "wasp_cli", "check", "careful.yaml", "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3")
@@ -100,7 +100,7 @@ def test_its_spec_is_checked_and_planned(home: Home) -> None:
         ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
     ],
 )
-def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: str, moved: str) -> None:
+def test_a_key_covers_what_its_node_runs(home, file, old, new, moved):
     path, before = home.site / "wasp_example" / file, home.first_keys
     text = path.read_text(encoding="utf-8")
     assert old in text
@@ -112,7 +112,7 @@ def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: s
     assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
 
 
-def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_stage_trains_what_its_assistant_reads(home, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(home.site))
     import torch
 
@@ -145,7 +145,7 @@ def _imported(name: str) -> Any:
 
 
 @pytest.mark.slow
-def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> None:
+def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home):
     home.wasp("run", "careful.yaml", "-j", "2", sets=SMALL)
     printed = home.wasp("report", "results")
     assert re.search(r"Careful +\S+", printed)

@@ -16,7 +16,7 @@ EPISODES, PAIRS = 10, 3
 
 
 @pytest.mark.parametrize("kind", [kind for kind in THRESHOLDS if kind != "gate"])
-def test_decisions_of_a_cell(benchmark: Any, kind: str) -> None:
+def test_decisions_of_a_cell(benchmark, kind):
     """One core; `peer_over_this` is the time of every one-hot row as a product over that of rows that are looked up."""
     keep_memory()
     torch.set_num_threads(1)

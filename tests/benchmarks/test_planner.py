@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import pytest
 import torch
@@ -15,7 +14,7 @@ THREADS = min(2, os.cpu_count() or 1)
 
 @pytest.mark.parametrize("planner", ["paper", "cpu"])
 @pytest.mark.parametrize("kind", THRESHOLDS)
-def test_decision(benchmark: Any, planner: str, kind: str) -> None:
+def test_decision(benchmark, planner, kind):
     """One episode, all cores of a small machine: the operator is waiting."""
     torch.set_num_threads(THREADS)
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,7 +41,7 @@ SIZES: dict[str, dict[str, int]] = {"quick": {"deter": 192, "variables": 12, "cl
 
 
 @pytest.mark.parametrize("preset", SIZES)
-def test_world_model_update(benchmark: Any, preset: str) -> None:
+def test_world_model_update(benchmark, preset):
     """A whole training step of 16 sequences of 32 steps, a quarter of them decoded, beside its images alone."""
     config = WorldModelConfig(**SIZES[preset])
     model = build(config, 2)
@@ -73,7 +72,7 @@ def test_world_model_update(benchmark: Any, preset: str) -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 10])
-def test_filter_step(benchmark: Any, batch: int) -> None:
+def test_filter_step(benchmark, batch):
     """What a decision waits for before anything is decided, beside its image encoder alone."""
     model = build(WorldModelConfig(), 2)
     pixels = torch.randint(0, 256, (batch, 6, 64, 64), dtype=torch.uint8)
@@ -87,7 +86,7 @@ def test_filter_step(benchmark: Any, batch: int) -> None:
 
 
 @pytest.mark.parametrize("batch", [300, 4096])
-def test_imagination(benchmark: Any, batch: int) -> None:
+def test_imagination(benchmark, batch):
     """Fifteen prior steps under given actions, as a share of what plain matrix products reach."""
     config, horizon = WorldModelConfig(), 15
     model = build(config, 2)
@@ -103,7 +102,7 @@ def test_imagination(benchmark: Any, batch: int) -> None:
     benchmark.extra_info["share_of_matrix_products"] = rate * products / matrix_rate()
 
 
-def test_decision_against_matrix_products(benchmark: Any, tmp_path: Path) -> None:
+def test_decision_against_matrix_products(benchmark, tmp_path):
     parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
     always = {"tau_c": 1e-9, "candidates": 64, "elites": 20, "feasible": 20, "iterations": 3, "probe": 64}
     assistant = build_assistant("wasp", always, parts)

@@ -104,7 +104,6 @@ def _observations(r: Recording) -> list[Check]:
     forced["goal"][: len(at)] = r["goal_after"][before]
     forced["control"][: len(at)] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
     state = task.restore(forced).state
-    assert state is not None
     ours, theirs = state[: len(at)], r["obs"][which]
     meta = json.loads(str(r["meta"]))
     checks, start = [], 0

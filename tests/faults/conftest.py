@@ -10,7 +10,7 @@ __all__ = ["fakes"]
 
 
 @pytest.fixture
-def small_spec(tmp_path: Path) -> Path:
+def small_spec(tmp_path) -> Path:
     """One seed is enough where processes die."""
     path = tmp_path / "small.yaml"
     path.write_text(SMALL.replace("[0, 1]", "[0]"), encoding="utf-8")

@@ -16,7 +16,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from tests.report.invented import invent, write_rows
-from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
+from tests.run.harness import ROOT, SMALL, data_of, prepared, run
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
 from wasp_cli.report.stats.frame import read_frame
@@ -34,7 +34,7 @@ def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
+def small_disk(tmp_path) -> Iterator[Path]:
     """A file system of one megabyte; where none may be mounted, there is nothing to test with."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -48,9 +48,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("jobs", [2, pytest.param(0, marks=pytest.mark.slow)])
-def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
-    jobs: int, fakes: Fakes, small_spec: Path, small_disk: Path, tmp_path: Path
-) -> None:
+def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(jobs, fakes, small_spec, small_disk, tmp_path):
     results = small_disk / "results"
     fakes.set(bytes=150_000)
     done = fake_wasp("run", small_spec, "--results", results, "-j", jobs)
@@ -70,7 +68,7 @@ def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
     assert data_of(results) == data_of(tmp_path / "calm")
 
 
-def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes: Fakes, small_spec: Path, small_disk: Path) -> None:
+def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes, small_spec, small_disk):
     results = small_disk / "results"
     run(small_spec, results)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
@@ -92,7 +90,7 @@ def flip(path: Path, at: int = -5) -> None:
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
 
 
-def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes, small_spec, tmp_path):
     """safetensors has no checksum: flipped weights load without a word."""
     results = tmp_path / "results"
     fakes.set(weights=True)
@@ -120,7 +118,7 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert data_of(results) == data_of(tmp_path / "calm")
 
 
-def test_a_cut_file_is_seen_by_the_plan(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_cut_file_is_seen_by_the_plan(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(weights=True)
     run(small_spec, results)
@@ -134,9 +132,7 @@ def test_a_cut_file_is_seen_by_the_plan(fakes: Fakes, small_spec: Path, tmp_path
     assert (again.done, again.complete) == (1, True)
 
 
-def test_a_wall_clock_that_jumps_back_changes_nothing(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wall_clock_that_jumps_back_changes_nothing(fakes, small_spec, tmp_path, monkeypatch):
     """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})
@@ -153,7 +149,7 @@ def test_a_wall_clock_that_jumps_back_changes_nothing(
 
     def jump(self: Runner, node: object, result: object) -> None:
         layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
-        real(self, node, result)  # type: ignore[arg-type]
+        real(self, node, result)
 
     monkeypatch.setattr(Runner, "_ended", jump)
     assert Runner(layout, run_id, InlinePool()).run(plan).complete
@@ -163,7 +159,7 @@ def test_a_wall_clock_that_jumps_back_changes_nothing(
     assert not again.to_run()
 
 
-def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeypatch):
     """A flipped bit in a cell keeps its size, so only who reads the numbers can see it."""
     spec = tmp_path / "small.yaml"
     spec.write_text(SMALL, encoding="utf-8")

@@ -15,7 +15,7 @@ import pytest
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.faults.test_random_kills import payload
-from tests.run.harness import ROOT, Fakes, data_of, run, start, wait_until
+from tests.run.harness import ROOT, data_of, run, start, wait_until
 from wasp_cli.store.tables import same_rows
 
 
@@ -24,7 +24,7 @@ def through(cluster: Cluster, spec: Path, results: Path, cwd: Path = ROOT) -> su
     return start("run", spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address, cwd=cwd)
 
 
-def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_grid_through_dask_has_the_same_bytes(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse"})
     with dask_cluster(tmp_path / "dask") as cluster:
@@ -45,7 +45,7 @@ def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, 
 
 
 @pytest.mark.slow
-def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_dask_run_drains(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.5)
     with dask_cluster(tmp_path / "dask") as cluster:
@@ -59,7 +59,7 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
     assert ran == there < 18
 
 
-def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"})
     with dask_cluster(tmp_path / "dask") as cluster:
@@ -70,7 +70,7 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     assert len(list(results.glob("store/*/*/_manifest.json"))) == 17
 
 
-def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spec, tmp_path):
     """By a path that leads every process to another folder: that of its own working directory."""
     here, there, results = tmp_path / "here", tmp_path / "there", Path("/proc/self/cwd/results")
     here.mkdir()
@@ -86,7 +86,7 @@ def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes: Fakes, sm
     assert not list(here.glob("results/store/*/*"))
 
 
-def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
@@ -113,7 +113,7 @@ def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes: Fakes, 
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, small_spec, tmp_path):
     """dask would wait for ever."""
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
@@ -141,9 +141,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fake
         (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask and ray"),
     ],
 )
-def test_a_backend_that_is_not_there_is_a_usage_error(
-    arguments: tuple[str, ...], message: str, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_backend_that_is_not_there_is_a_usage_error(arguments, message, fakes, small_spec, tmp_path):
     process = start("run", small_spec, "--results", tmp_path / "results", *arguments)
     _, errors = process.communicate(timeout=600)
     assert process.returncode == 2
@@ -151,7 +149,7 @@ def test_a_backend_that_is_not_there_is_a_usage_error(
     assert "Traceback" not in errors
 
 
-def test_workers_with_several_threads_are_refused(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_workers_with_several_threads_are_refused(fakes, small_spec, tmp_path):
     with dask_cluster(tmp_path / "dask", workers=1, threads=2) as cluster:
         process = through(cluster, small_spec, tmp_path / "results")
         _, errors = process.communicate(timeout=600)
@@ -160,7 +158,7 @@ def test_workers_with_several_threads_are_refused(fakes: Fakes, small_spec: Path
 
 
 @pytest.mark.slow
-def test_the_smoke_grid_through_dask(tmp_path: Path) -> None:
+def test_the_smoke_grid_through_dask(tmp_path):
     """The real stages on two dask workers, and on two of ours: the same bytes."""
     spec, environment = ROOT / "specs" / "smoke.yaml", {**os.environ, "PYTHONPATH": str(ROOT)}
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.faults.conftest import fakes
 from tests.report.golden_store import STORE
-from tests.run.harness import ROOT, Fakes, prepared, run
+from tests.run.harness import ROOT, prepared, run
 from wasp_cli.errors import StoreError
 from wasp_cli.report.notes import FILE, invalid, notes_of
 from wasp_cli.run.record import Journal
@@ -38,7 +38,7 @@ def note(results: Path, *arguments: str, room: int | None = None) -> subprocess.
 
 
 @pytest.mark.parametrize("cut", [1, 30, 0])
-def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path: Path, cut: int) -> None:
+def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path, cut):
     layout = Layout(shutil.copytree(STORE, tmp_path / "results"))
     assert note(layout.root, "it is as it should be").returncode == 0
     path = layout.root / FILE
@@ -54,7 +54,7 @@ def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path: Path
     assert list(invalid(notes_of(layout))) == [(KEY, 1)]
 
 
-def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path: Path) -> None:
+def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path):
     path = tmp_path / "journal.jsonl"
     child = os.fork()
     if not child:
@@ -74,9 +74,7 @@ def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path: Pat
     assert [event["event"] for event in read_json_lines(path)] == ["first", "third"]
 
 
-def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(fakes, small_spec, tmp_path, monkeypatch):
     monkeypatch.setattr(Layout, "journal", lambda self, run_id: Path("/dev/full"))
     results = tmp_path / "results"
     summary = run(small_spec, results)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, finished, group_is_gone, run, start, wait_until
+from tests.run.harness import data_of, finished, group_is_gone, run, start, wait_until
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_json_lines
 
@@ -28,9 +28,7 @@ def end(process: subprocess.Popen[str]) -> tuple[str, str]:
         pytest.param(signal.SIGINT, True, 0, id="ctrl-c without workers", marks=pytest.mark.slow),
     ],
 )
-def test_the_first_signal_lets_finish_what_runs(
-    number: signal.Signals, whole_group: bool, jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_the_first_signal_lets_finish_what_runs(number, whole_group, jobs, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.5)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
@@ -57,7 +55,7 @@ def test_the_first_signal_lets_finish_what_runs(
 
 
 @pytest.mark.parametrize("jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)])
-def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
@@ -82,10 +80,9 @@ def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs: int,
 
 
 @pytest.mark.parametrize(
-    "everything",
-    [pytest.param(False, id="parent killed"), pytest.param(True, id="everything killed", marks=pytest.mark.slow)],
+    "everything", [pytest.param(False, id="parent killed"), pytest.param(True, id="everything killed", marks=pytest.mark.slow)]
 )
-def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: bool, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", "2")
@@ -108,7 +105,7 @@ def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: boo
     assert events[-1] == "run ended"
 
 
-def test_two_runs_share_one_store(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_two_runs_share_one_store(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.05)
     both = [start("run", small_spec, "--results", results, "-j", "2") for _ in range(2)]

@@ -110,14 +110,14 @@ def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) 
     return data_of(results), data_of(tmp_path / "calm")
 
 
-def test_kills_at_random_instants(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_kills_at_random_instants(fakes, small_spec, tmp_path):
     stormy, calm = fake_storm(6, 1, fakes, small_spec, tmp_path)
     assert stormy == calm
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
-def test_fifty_kills_over_fake_stages(seed: int, fakes: Fakes, tmp_path: Path) -> None:
+def test_fifty_kills_over_fake_stages(seed, fakes, tmp_path):
     spec = tmp_path / "small.yaml"
     spec.write_text(SMALL.replace("tasks: [goal1]", "tasks: [goal1, race1, formula1]"), encoding="utf-8")
     stormy, calm = fake_storm(50, 100 + seed, fakes, spec, tmp_path)
@@ -134,7 +134,7 @@ def payload(results: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_fifty_kills_over_the_smoke_grid(tmp_path: Path) -> None:
+def test_fifty_kills_over_the_smoke_grid(tmp_path):
     """The real stages: the resumed store has the bytes of an undisturbed run, timing and provenance aside."""
     spec, calm, stormy = ROOT / "specs" / "smoke.yaml", tmp_path / "calm", tmp_path / "stormy"
     arguments: list[str | Path] = ["run", spec, "-j", "2", "--real", "--results"]

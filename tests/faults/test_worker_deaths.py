@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from tests.run.harness import Fakes, data_of, run
+from tests.run.harness import data_of, run
 from wasp_cli.run.pool import LokyPool
 from wasp_cli.run.worker import KILLED
 
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"}, seconds=0.05)
     pool = LokyPool(jobs)
     try:
@@ -30,7 +28,7 @@ def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs: int, 
     assert (again.done, again.complete) == (1, True)
 
 
-def test_a_worker_killed_by_chance_costs_a_repetition_and_no_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_worker_killed_by_chance_costs_a_repetition_and_no_failure(fakes, small_spec, tmp_path):
     run(small_spec, tmp_path / "calm")
     fakes.set(behave={"goal1 s0 world_model": "kill once"})
     pool = LokyPool(2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -12,11 +11,11 @@ from tests.cells import Evaluated, evaluated
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def inputs(tmp_path_factory) -> dict[str, Path]:
     return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+def cell(inputs, tmp_path_factory) -> Evaluated:
     """IDA takes over wherever more of its ensemble are for it than against it."""
     return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -25,21 +23,19 @@ EAGER = {"vote": 0.0}
 """IDA that intervenes at some decisions, and not at others, although nothing is trained."""
 
 
-def test_batches_have_one_size_but_for_the_last() -> None:
+def test_batches_have_one_size_but_for_the_last():
     assert batches(0, 7, 3) == [range(3), range(3, 6), range(6, 7)]
     assert batches(3, 6, 3) == [range(3, 6)]
     assert batches(0, 2, 10) == [range(2)]
 
 
 @pytest.fixture(scope="module")
-def whole(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+def whole(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
 
 
 @pytest.mark.parametrize(("episodes", "kept"), [(3, 2), (4, 4)])
-def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
-    episodes: int, kept: int, whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(episodes, kept, whole, inputs, tmp_path, monkeypatch):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=episodes, side_by_side=2)
     begun: list[int] = []
     monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
@@ -52,7 +48,7 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
 
-def test_rows_know_the_motors_of_their_task(whole: Evaluated) -> None:
+def test_rows_know_the_motors_of_their_task(whole):
     rows, steps = read_episodes([whole.path]), read_steps(whole.path)
     episode, a, a_h = (np.array(steps[name].to_pylist()) for name in ("episode", "a", "a_h"))
     apart = np.linalg.norm(np.clip(a, -0.02, 0.02) / 0.02 - np.clip(a_h, -0.02, 0.02) / 0.02, axis=1)
@@ -61,7 +57,7 @@ def test_rows_know_the_motors_of_their_task(whole: Evaluated) -> None:
     assert 0 < sum(rows["mag_eff"].to_pylist()) != pytest.approx(sum(rows["mag"].to_pylist()), rel=0.05)
 
 
-def test_rows_of_an_earlier_version_are_not_continued(inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, monkeypatch):
     """They lack columns, which would then be means over the other episodes alone."""
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)
     table = pq.read_table(fewer.path).drop_columns([*ADDED])
@@ -73,9 +69,7 @@ def test_rows_of_an_earlier_version_are_not_continued(inputs: Mapping[str, Path]
     assert read_episodes([again.path])["int_eff"].null_count == 0
 
 
-def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(
-    whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(whole, inputs, tmp_path):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=4, side_by_side=2)
     copy = shutil.copytree(whole.path.parent, tmp_path / "cut")
     summary = first_episodes(copy, 4)
@@ -94,7 +88,7 @@ def counted(begun: list[int]) -> object:
     return seed
 
 
-def test_the_branches_of_every_batch_come_back_in_it(whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_the_branches_of_every_batch_come_back_in_it(whole, inputs, tmp_path):
     """What the recorded action earns is what it earned: bit for bit, in all batches."""
     cell = whole
     heldout, out = tmp_path / "heldout", tmp_path / "out"

@@ -44,7 +44,7 @@ def job(root: Path, progress: Any = silent, task: str = "race1") -> Job:
     return Job("expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress)
 
 
-def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped() -> None:
+def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped():
     env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)  # every episode terminates after 5 of at most 6
     env.spread = True
     env.reset()
@@ -64,7 +64,7 @@ def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrappe
     assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)  # every episode costs in its second decision; cut ones count here
 
 
-def test_without_spreading_nothing_is_cut() -> None:
+def test_without_spreading_nothing_is_cut():
     env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     env.reset()
     for t in range(1, 11):
@@ -72,7 +72,7 @@ def test_without_spreading_nothing_is_cut() -> None:
         assert (env.step_wait()[2] == (t % 5 == 0)).all()
 
 
-def test_the_multiplier_follows_the_cost_over_an_episodes_length() -> None:
+def test_the_multiplier_follows_the_cost_over_an_episodes_length():
     """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over three of them does not."""
     env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     rule = MultiplierRule(initial=0.5, rate=0.1, bound=10.0, limit=100.0)
@@ -92,7 +92,7 @@ class Interrupted(Exception):
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def trained(tmp_path_factory) -> tuple[Path, Any]:
     """Folder of a finished artifact, and its summary."""
     root = tmp_path_factory.mktemp("trained")
     summary = ExpertStage().run(job(root))
@@ -101,7 +101,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rollouts", [1, 4, 7, 8])
-def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
+def test_an_interrupted_training_ends_with_the_same_bytes(trained, tmp_path, rollouts):
     count = 0
 
     def interrupt(share: float, text: str) -> None:
@@ -130,14 +130,14 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
         assert (whole / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
-def test_a_damaged_state_is_named(tmp_path: Path) -> None:
+def test_a_damaged_state_is_named(tmp_path):
     root = job(tmp_path)
     (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
     with pytest.raises(ArtifactError, match=r"training\.safetensors"):
         ExpertStage().run(root)
 
 
-def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
+def test_a_task_without_snapshots_leaves_no_state(tmp_path):
     class Forgetful(Staggered):
         def snapshot(self) -> dict[str, Any]:
             raise TaskError("no snapshot")
@@ -151,7 +151,7 @@ def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
     assert state.restore() == []
 
 
-def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) -> None:
+def test_the_artifact_says_how_every_checkpoint_does(trained):
     out, summary = trained
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert list(evaluation) == ["0.25", "1"]
@@ -170,7 +170,7 @@ def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) 
     assert (summary["interactions"], summary["accepted"]) == (800, False)
 
 
-def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path: Path) -> None:
+def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path):
     easy = TINY.model_copy(update={"bars": {"race1": Bars(most_cost=1e6)}})
     summary = ExpertStage().run(dataclasses.replace(job(tmp_path), config=easy))
     assert (summary["interactions"], summary["accepted"]) == (600, True)
@@ -179,7 +179,7 @@ def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path: Path) -> No
     assert without["interactions"] == 600
 
 
-def test_statistics_of_episodes() -> None:
+def test_statistics_of_episodes():
     sums = EpisodeSums(*(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500])))
     assert sums.statistics(7) == {
         "return": 3.0, "return_sd": pytest.approx(np.sqrt(8)), "cost": 15.0, "cost_sd": pytest.approx(np.sqrt(450)),
@@ -189,7 +189,7 @@ def test_statistics_of_episodes() -> None:
     assert one.statistics(7)["return_sd"] is None
 
 
-def test_bars_are_asked_for_one_by_one() -> None:
+def test_bars_are_asked_for_one_by_one():
     bars = Bars(least_return=18.0, most_cost=10.0)
     assert bars.reached(18.0, 0.0, 10.0)
     assert not bars.reached(17.9, 1.0, 0.0)
@@ -198,7 +198,7 @@ def test_bars_are_asked_for_one_by_one() -> None:
     assert Bars().reached(-1.0, 0.0, 99.0)
 
 
-def test_streams_of_seeds_go_on_where_they_stood() -> None:
+def test_streams_of_seeds_go_on_where_they_stood():
     stream, other = SeedStream("a", 3), SeedStream("a", 3)
     first = [stream() for _ in range(4)]
     assert first == [derive("a", 3, i) for i in range(4)]

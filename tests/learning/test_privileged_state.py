@@ -10,7 +10,7 @@ import torch
 
 from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.learning.configs import WorldModelConfig
-from wasp_cli.learning.privileged_state import Mirror, Readout, new_readout, teach_encoder
+from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
 from wasp_cli.learning.readout import embeddings, fit_ridge
 from wasp_cli.learning.shards import Recording, write_shard
 from wasp_cli.learning.world_model import Report, build, mean_image, train
@@ -50,7 +50,7 @@ def told(model: SafetyWorldModel, data: Recording, learned: np.ndarray, rest: np
 
 
 @pytest.mark.parametrize("mirror", [None, (np.array([0, 1, 2]), np.array([-1, 1, 1], np.float32))], ids=["straight", "mirror"])
-def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror: Mirror | None) -> None:
+def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     data = blocks()
     learned, rest = np.arange(300), np.arange(300, 400)
     model = fresh(data)
@@ -64,7 +64,7 @@ def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror: Mirr
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)), "an interrupted one begins anew"
 
 
-def test_only_the_encoder_is_taught() -> None:
+def test_only_the_encoder_is_taught():
     data = blocks(80)
     model, untaught = fresh(data), fresh(data)
     teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, silent)
@@ -74,7 +74,7 @@ def test_only_the_encoder_is_taught() -> None:
     assert moved == {"encoder"}
 
 
-def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path: Path) -> None:
+def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path):
     """Whatever the last episode holds, the same model comes out: images, vectors and their mean and deviation."""
     whole = recording()
     rows = np.flatnonzero(whole.episode < 2)
@@ -95,7 +95,7 @@ def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("mirror", [None, (np.array([1, 0, 2]), np.array([-1, 1, 0], np.float32))], ids=["unknown", "but the third"])
-def test_the_loss_counts_what_is_known(mirror: Mirror | None) -> None:
+def test_the_loss_counts_what_is_known(mirror):
     """Against loops: in a mirror the first two entries change places, one its sign, and the third is not known."""
     random = np.random.default_rng(0)
     torch.manual_seed(0)
@@ -117,7 +117,7 @@ def test_the_loss_counts_what_is_known(mirror: Mirror | None) -> None:
         assert float(readout.loss(features, privileged, torch.ones(3, dtype=torch.bool), None).detach()) == 0.0
 
 
-def test_without_weight_training_is_that_of_eq_6_alone(tmp_path: Path) -> None:
+def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
     """The head's loss is a term of its own: its weight 0 leaves the others' numbers, and all draws, as they are."""
     data, found = recording(), []
     for weight in (0.0, 1e-12):
@@ -135,7 +135,7 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path: Path) -> None:
     assert all(torch.allclose(weights[name], others[name], atol=1e-4) for name in weights)
 
 
-def test_latents_learn_to_tell_the_vector(tmp_path: Path) -> None:
+def test_latents_learn_to_tell_the_vector(tmp_path):
     data = blocks(120)
     config = TAUGHT.model_copy(update={"updates": 60, "batch": 8, "learning_rate": 3e-3, "privileged": 100.0})
     model = fresh(data, config)
@@ -157,7 +157,7 @@ def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report =
 
 
 @pytest.mark.parametrize("at", ["teaching the encoder, update 21/40", "update 8/8"])
-def test_an_interrupted_stage_ends_with_the_same_bytes(tmp_path: Path, at: str) -> None:
+def test_an_interrupted_stage_ends_with_the_same_bytes(tmp_path, at):
     """Interrupted while the encoder is taught, which begins anew, or behind a checkpoint of Eq. 6, which keeps what was taught."""
     (tmp_path / "dataset").mkdir()
     random, data = np.random.default_rng(2), recording()

@@ -14,7 +14,7 @@ from wasp_cli.learning.readout import StateReadout, embeddings, fit_ridge, imagi
 from wasp_cli.learning.world_model import build
 
 
-def test_a_ridge_regression_is_the_textbook_one() -> None:
+def test_a_ridge_regression_is_the_textbook_one():
     random = np.random.default_rng(0)
     x, fresh = random.normal(size=(80, 6)), random.normal(size=(50, 6))
     mixing = random.normal(size=(6, 4))
@@ -36,7 +36,7 @@ def test_a_ridge_regression_is_the_textbook_one() -> None:
     assert np.isnan(found["constant"]), "an entry that never varies is asked of nobody"
 
 
-def test_what_the_features_hold_is_read_and_the_rest_is_not() -> None:
+def test_what_the_features_hold_is_read_and_the_rest_is_not():
     """The latent of an untrained model knows nothing of a vector of noise, and all of one that is made of it."""
     data = recording((60, 60, 30))
     torch.manual_seed(0)
@@ -60,7 +60,7 @@ def test_what_the_features_hold_is_read_and_the_rest_is_not() -> None:
     assert all(np.isnan(share) for share in readout.imagined(fresh, rest, np.arange(0), 3, 2, 0).values())
 
 
-def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch):
     data = recording((40,))
     torch.manual_seed(0)
     model = build(TINY, 2)
@@ -74,7 +74,7 @@ def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch: p
             asked.append((features, privileged))
             return {}
 
-    StateReadout(model, {}, Told(), Told()).imagined(data, latents, starts, 4, 3, 5)  # type: ignore[arg-type]
+    StateReadout(model, {}, Told(), Told()).imagined(data, latents, starts, 4, 3, 5)
     features, privileged = asked[0]
     assert torch.equal(features, exact)
     np.testing.assert_array_equal(privileged, data.privileged[4:34])

@@ -12,7 +12,7 @@ from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.world_model import build, refit_heads
 
 
-def test_the_refit_moves_only_the_heads_that_imagination_reads() -> None:
+def test_the_refit_moves_only_the_heads_that_imagination_reads():
     torch.manual_seed(0)
     model, data = build(TINY, 2), recording()
     model.requires_grad_(False)
@@ -24,7 +24,7 @@ def test_the_refit_moves_only_the_heads_that_imagination_reads() -> None:
     assert moved == {"reward_head", "cost_head", "continue_head"}
 
 
-def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row() -> None:
+def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row():
     data = recording()
     longer = Recording(*(np.concatenate([field, field[:12]]) for field in data))
     longer.episode[36:] = 3
@@ -38,7 +38,7 @@ def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row() -> None:
         torch.testing.assert_close(value, heads[1][name], msg=name)
 
 
-def test_the_refit_teaches_where_episodes_end() -> None:
+def test_the_refit_teaches_where_episodes_end():
     data = recording((6,) * 40)
     last = np.arange(240) % 6 == 5
     data.terminal[last] = 1.0

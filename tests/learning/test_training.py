@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -21,7 +19,7 @@ from wasp_cli.learning.world_model import Report, build, train
 from wasp_cli.models.world_model import SafetyWorldModel
 
 
-def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
+def test_shards_come_back_as_they_were(tmp_path):
     whole = recording()
     for number in (0, 1):
         write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2), SOURCES)
@@ -32,14 +30,14 @@ def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
     assert cost_sources(tmp_path) == SOURCES
 
 
-def test_a_task_without_cost_sources_has_shards_too(tmp_path: Path) -> None:
+def test_a_task_without_cost_sources_has_shards_too(tmp_path):
     whole = recording()
     write_shard(tmp_path / "shard-0000.parquet", whole._replace(sources=whole.sources[:, :0]), ())
     assert read_shards(tmp_path).sources.shape == (36, 0)
     assert cost_sources(tmp_path) == ()
 
 
-def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended() -> None:
+def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended():
     data = recording((2,) * 37)
     chosen = data.held_out(0.1)
     assert set(data.episode[chosen]) == {9, 19, 29}
@@ -52,7 +50,7 @@ def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended()
     assert len(light.reward) == 6
 
 
-def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+def test_a_damaged_shard_is_named(tmp_path):
     with pytest.raises(ArtifactError, match="no shards"):
         read_shards(tmp_path)
     (tmp_path / "shard-0000.parquet").write_bytes(b"PAR1 not really")
@@ -63,7 +61,7 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mirror", "weight"), [(None, 0.0), (MIRROR, 0.0), (MIRROR, 100.0)], ids=["straight", "mirror", "with the privileged vector"]
 )
-def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None, weight: float) -> None:
+def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
     data, config = recording(), TINY.model_copy(update={"privileged": weight})
 
     def fresh() -> SafetyWorldModel:
@@ -100,7 +98,7 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None,
     assert (head is None) == (weight == 0)
 
 
-def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:
+def test_a_checkpoint_restores_moments_and_generator(tmp_path):
     module, source = torch.nn.Linear(3, 2), generator(1)
     optimizer = torch.optim.Adam(module.parameters(), lr=0.1)
     module(torch.ones(1, 3)).sum().backward()
@@ -115,14 +113,14 @@ def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:
         assert all(torch.equal(torch.as_tensor(a[k]), torch.as_tensor(b[k])) for k in a)
 
 
-def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path: Path) -> None:
+def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path):
     data = recording()
     data.reward[:] = np.nan
     with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
         train(build(TINY, 2), data, ROWS, TINY, TINY.updates, 0, tmp_path, lambda share, text: None)
 
 
-def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path: Path) -> None:
+def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path):
     data = recording()
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
     data.reward[:] = np.nan
@@ -130,7 +128,7 @@ def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path: Path) -> 
     assert skipped == 3
 
 
-def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path):
     module, source = torch.nn.Linear(3, 2), generator(1)
     optimizer = torch.optim.Adam(module.parameters())
     save_training(tmp_path, module, optimizer, source, {"update": 1})
@@ -141,7 +139,7 @@ def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path: Pat
         restore_training(tmp_path, module, optimizer, source)
 
 
-def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_a_bad_update_is_left_out_and_counted(tmp_path):
     data = recording((60, 60))
     data.reward[30] = np.inf
     torch.manual_seed(0)
@@ -152,7 +150,7 @@ def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
     assert all(torch.isfinite(value).all() for value in model.state_dict().values())
 
 
-def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) -> None:
+def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path):
     data = recording()
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
     good = (tmp_path / "training.safetensors").read_bytes()
@@ -162,7 +160,7 @@ def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) ->
     assert (tmp_path / "training.safetensors").read_bytes() == good
 
 
-def test_encoding_is_what_the_closed_loop_filters() -> None:
+def test_encoding_is_what_the_closed_loop_filters():
     torch.manual_seed(0)
     model, data = build(TINY, 2), recording()
     with torch.inference_mode():
@@ -174,7 +172,7 @@ def test_encoding_is_what_the_closed_loop_filters() -> None:
             torch.testing.assert_close(latents.at(torch.tensor([row])).h, latent.h)
 
 
-def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
+def test_the_multiplier_rises_above_the_limit_and_falls_below_it():
     rule = MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0)
     assert rule.next(0.3, 50.0) == pytest.approx(0.4)
     assert rule.next(0.3, 0.0) == pytest.approx(0.2)

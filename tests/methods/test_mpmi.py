@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -55,7 +54,7 @@ def made(shake: float = 0.0, **settings: Any) -> MPMI:
     """MPMI on that world."""
     made = object.__new__(MPMI)
     made.config = MPMIConfig(**{"horizon": H, "rollouts": 2, **settings})
-    made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)  # type: ignore[arg-type]
+    made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)
     made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
     made.noise = DecisionNoise()
     made.inputs = 2 * torch.quasirandom.SobolEngine(2).draw(made.config.candidates) - 1
@@ -76,12 +75,12 @@ def situations(rows: int = 40) -> tuple[Tensor, Tensor]:
     return torch.rand(rows, generator=source), 2 * torch.rand(rows, 2, generator=source) - 1
 
 
-def test_the_signal_is_the_cost_of_holding_the_command() -> None:
+def test_the_signal_is_the_cost_of_holding_the_command():
     h, a_h = situations()
     torch.testing.assert_close(decide(made(), h, a_h)[1].signal, expected(h, a_h))
 
 
-def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands() -> None:
+def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands():
     h, a_h = situations()
     mpmi = made(tau_c=1.4)
     action, record = decide(mpmi, h, a_h)
@@ -99,7 +98,7 @@ def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands() -> None:
     assert fates == {(False, False), (True, True), (True, False)}  # safe; replaced; unsafe, and nothing safe
 
 
-def test_where_nothing_is_safe_the_command_stands() -> None:
+def test_where_nothing_is_safe_the_command_stands():
     h, a_h = torch.tensor([0.9]), torch.tensor([[1.0, 0.3]])
     action, record = decide(made(tau_c=0.1), h, a_h)
     assert torch.equal(action, a_h)
@@ -107,7 +106,7 @@ def test_where_nothing_is_safe_the_command_stands() -> None:
     assert record.signal.item() > 0.1
 
 
-def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs() -> None:
+def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs():
     inputs = torch.tensor([[[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]]]).expand(2, -1, -1)
     a_h = torch.tensor([[0.9, 0.9], [0.9, 0.9]])
     found, safe = nearest_safe(a_h, inputs, torch.tensor([[0.0, 0.3, 0.4], [0.5, 0.6, 0.7]]), 0.3)
@@ -115,17 +114,17 @@ def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs() -> None:
     assert safe.tolist() == [True, False]
 
 
-def test_a_quiet_decision_imagines_the_command_alone() -> None:
+def test_a_quiet_decision_imagines_the_command_alone():
     mpmi, looked = made(tau_c=1.4), []
     real = mpmi.g_c
-    mpmi.g_c = lambda latent, inputs, draws: looked.append(tuple(inputs.shape[:2])) or real(latent, inputs, draws)  # type: ignore[method-assign,func-returns-value]
+    mpmi.g_c = lambda latent, inputs, draws: looked.append(tuple(inputs.shape[:2])) or real(latent, inputs, draws)
     decide(mpmi, torch.tensor([0.0, 0.1]), torch.tensor([[0.1, 0.0], [-0.5, 0.0]]))
     assert looked == [(2, 1)]
     decide(mpmi, torch.tensor([0.0, 0.5]), torch.tensor([[0.1, 0.0], [0.9, 0.0]]))
     assert looked[1:] == [(2, 1), (1, mpmi.config.candidates)]
 
 
-def test_every_input_meets_the_same_draws() -> None:
+def test_every_input_meets_the_same_draws():
     mpmi = made(shake=0.2, tau_c=1e-6)
     mpmi.reset(torch.ones(1, dtype=torch.bool), [5])
     draws = mpmi._draws(mpmi.noise.streams())
@@ -135,7 +134,7 @@ def test_every_input_meets_the_same_draws() -> None:
     assert cost[0, 0] != expected(torch.tensor(0.5), twice[0, 0])
 
 
-def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path: Path) -> None:
+def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path):
     mpmi = build_assistant("mpmi", {"candidates": 64}, load_parts(tiny_artifacts(tmp_path), ReturnsConfig()))
     assert isinstance(mpmi, MPMI)
     assert mpmi.inputs.abs().max() <= 1
@@ -144,7 +143,7 @@ def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path: Path
     assert len({tuple(cell) for cell in cells.tolist()}) == 64  # one in each cell of eight by eight
 
 
-def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost() -> None:
+def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost():
     h, a_h = situations(200)
     latent, nothing = Latent(h.unsqueeze(-1), torch.zeros(200, 1)), torch.zeros(200)
     ahead = (h > 0.5).float()

@@ -8,11 +8,8 @@ from __future__ import annotations
 import csv
 import importlib
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-
-import pytest
 
 from wasp_cli.tasks.gym import upstream
 
@@ -23,7 +20,7 @@ def make(id: str, autoreset: bool, **options: Any) -> Any:
     return upstream(id, **options)
 
 
-def test_ppo_lag_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ppo_lag_trains(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "safety_gymnasium", SimpleNamespace(make=make))
     omnisafe = importlib.import_module("omnisafe")
     settings = {

@@ -13,7 +13,7 @@ from tests.peers import IDS
 
 
 @pytest.mark.parametrize("mode", [None, "sync", "vector_entry_point"])
-def test_its_wrapper_passes_everything_on(mode: str | None) -> None:
+def test_its_wrapper_passes_everything_on(mode):
     rows = 1 if mode is None else 2
 
     def made():

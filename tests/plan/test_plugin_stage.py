@@ -58,7 +58,7 @@ seeds: [0]
 
 
 @pytest.fixture
-def outsider(tmp_path: Path) -> Path:
+def outsider(tmp_path) -> Path:
     """The folder with the installed package."""
     package = tmp_path / "site" / "outsider"
     package.mkdir(parents=True)
@@ -89,7 +89,7 @@ def keys(outsider: Path, *arguments: str) -> dict[str, str]:
     return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
-def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider: Path) -> None:
+def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider):
     before = keys(outsider)
     assert "goal1 s0 habits" in before
     cells = {label for label in before if "nudge" in label}
@@ -107,7 +107,7 @@ def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsi
 
 
 @pytest.mark.slow
-def test_another_class_of_the_same_module_has_other_keys(outsider: Path) -> None:
+def test_another_class_of_the_same_module_has_other_keys(outsider):
     before = keys(outsider)
     (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")
     (outsider / "stage.py").write_text(dedent(STAGE) + "\n\nclass OtherStage(HabitsStage): ...\n", encoding="utf-8")
@@ -123,7 +123,7 @@ def test_another_class_of_the_same_module_has_other_keys(outsider: Path) -> None
     assert {label for label in before if stage[label] != written[label]} == moved
 
 
-def test_its_section_has_values_of_presets_checks_and_a_schema(outsider: Path) -> None:
+def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
     spec = outsider.parents[1] / "outside.yaml"
     spec.write_text(SPEC + "habits: {updates: 0, operators: {lagy: [0.5]}}\n", encoding="utf-8")
     wrong = wasp(outsider, "check", "outside.yaml")
@@ -163,7 +163,7 @@ slow = partial(pytest.param, marks=pytest.mark.slow)
         ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_a_stage_is_refused(outsider: Path, found: str, put: str, message: str) -> None:
+def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
     assert found in REGISTERED
     (outsider / "entries.py").write_text(REGISTERED.replace(found, put), encoding="utf-8")
     done = wasp(outsider, "check", "outside.yaml")

@@ -32,7 +32,7 @@ def forget() -> None:
 
 
 @pytest.fixture(scope="module")
-def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Mapping[str, str]]]:
+def keys(tmp_path_factory) -> Iterator[Callable[[str], Mapping[str, str]]]:
     """Copies the package, changes every module of a room in the copy, and plans: the key of every node by its label."""
     spec = load(ROOT / "specs" / "smoke.yaml").spec
 
@@ -54,14 +54,14 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], M
     forget()
 
 
-def test_rooms_that_move_no_number_are_in_no_key(keys: Callable[..., Mapping[str, str]]) -> None:
+def test_rooms_that_move_no_number_are_in_no_key(keys):
     assert {"cli", "video", "compare", "report", "run", "plan", "spec", "console", "errors"} <= {*ROOMS}
     before = keys()
     if keys(*ROOMS) != before:
         pytest.fail(f"in a key: {', '.join(room for room in ROOMS if keys(room) != before)}")
 
 
-def test_a_changed_planner_is_in_the_keys_of_its_own_cells(keys: Callable[..., Mapping[str, str]]) -> None:
+def test_a_changed_planner_is_in_the_keys_of_its_own_cells(keys):
     before, after = keys(), keys("methods/wasp")
     changed = {label for label in before if before[label] != after[label]}
     assert "goal1 s0 wasp laggy=0.7" in changed

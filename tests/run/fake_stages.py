@@ -90,12 +90,7 @@ def misbehave(behaviour: str, once: Path) -> None:
 
 def _fake(kind: str) -> type[Fake]:
     real = STAGES.load(kind)
-    body = {
-        "kind": kind,
-        "settings": real.settings,
-        "needs": real.needs,
-        "config": real.config,
-    }
+    body = {"kind": kind, "settings": real.settings, "needs": real.needs, "config": real.config}
     return type(f"Fake_{kind}", (Fake,), body)
 
 

@@ -27,5 +27,5 @@ if __name__ == "__main__":
         out().print(f"{len(recorded.cells)} cells")
         return SimpleNamespace(missing=())
 
-    wasp_cli.cli.run.show_report = show_cells  # type: ignore[assignment]
+    wasp_cli.cli.run.show_report = show_cells
     wasp_cli.cli.app.main()

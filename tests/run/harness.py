@@ -57,7 +57,7 @@ class Fakes:
 
 
 @pytest.fixture
-def fakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fakes]:
+def fakes(tmp_path, monkeypatch) -> Iterator[Fakes]:
     """Fake stages in the place of all real ones."""
     monkeypatch.setenv(fake_stages.OPTIONS, "{}")
     grid.stage_class.cache_clear()
@@ -71,7 +71,7 @@ def fakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fakes]:
 
 
 @pytest.fixture
-def small_spec(tmp_path: Path) -> Path:
+def small_spec(tmp_path) -> Path:
     path = tmp_path / "small.yaml"
     path.write_text(SMALL, encoding="utf-8")
     return path

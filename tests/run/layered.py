@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from tests.run.harness import Fakes
 from wasp_cli.console import err
 from wasp_cli.plan import grid, reasons
 from wasp_cli.plan.closure import closure
@@ -40,7 +39,7 @@ def fresh_console() -> Iterator[None]:
 
 
 @pytest.fixture
-def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+def moved(monkeypatch) -> Callable[[str], None]:
     """Changes the code of a module, as far as plans can see."""
     hashed, sources = grid.closure_hash, reasons.source_hashes
 
@@ -54,7 +53,7 @@ def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
 
 @pytest.fixture
-def here(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Path:
+def here(fakes, small_spec, tmp_path) -> Path:
     """A fresh results folder with the published results of the spec, which were computed elsewhere."""
     elsewhere = Layout(tmp_path / "elsewhere")
     run_spec(load(small_spec), elsewhere.root, RunOptions(jobs=0))

@@ -57,7 +57,7 @@ class Client:
 
 
 @pytest.fixture
-def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
+def pool(monkeypatch) -> Any:
     monkeypatch.setattr(distributed, "Client", Client)
     monkeypatch.setattr(pools, "POLL_SECONDS", 0.01)
     monkeypatch.setattr(pools, "COUNT_SECONDS", 0.02, raising=False)
@@ -71,7 +71,7 @@ def error_of(found: Future[NodeResult]) -> BaseException | None:
 
 
 @pytest.mark.parametrize("status", ["lost", "cancelled", "pending"])
-def test_a_task_that_did_not_finish_is_no_result(status: str, pool: Any) -> None:
+def test_a_task_that_did_not_finish_is_no_result(status, pool):
     """Its artifact may not be there; nothing that the client says of it counts."""
     found = pool.submit(JOB)
     pool._client.task.end(status)
@@ -81,7 +81,7 @@ def test_a_task_that_did_not_finish_is_no_result(status: str, pool: Any) -> None
     assert error.hint == "start it again, then run again: finished nodes are kept"
 
 
-def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool: Any) -> None:
+def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool):
     found = pool.submit(JOB)
     pool._client.task.end("error", distributed.KilledWorker("key", SimpleNamespace(address="one"), 3))
     assert isinstance(error_of(found), WorkersDied)
@@ -93,7 +93,7 @@ def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool: Any
 
 
 @pytest.mark.parametrize("status", ["closed", "closing"])
-def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status: str, pool: Any) -> None:
+def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status, pool):
     """No callback comes: the watcher alone ends the wait."""
     first, second = pool.submit(JOB), pool.submit(JOB)
     pool._client.status = status

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, events, finished, prepared, run, start, wait_until
+from tests.run.harness import data_of, events, finished, prepared, run, start, wait_until
 
 NODES = 36
 """Of the small spec."""
@@ -33,7 +33,7 @@ def going(spec: Path, results: Path, jobs: int = 2) -> Iterator[subprocess.Popen
         process.communicate(timeout=600)
 
 
-def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     with going(small_spec, results) as process:
@@ -54,9 +54,7 @@ def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, sma
 
 
 @pytest.mark.parametrize("behaviour", ["sleep", pytest.param("hang", marks=pytest.mark.slow)])
-def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
-    behaviour: str, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(behaviour, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"goal1 s0 world_model": behaviour})
     with going(small_spec, results) as process:
@@ -75,7 +73,7 @@ def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
     assert data_of(results) == data_of(tmp_path / "calm")
 
 
-def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_waiting_node_that_is_taken_back_never_begins(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     _, _, plan = prepared(small_spec, results)
@@ -95,7 +93,7 @@ def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec
     ("text", "message"),
     [("goal1 s0 wolrd_model", "did you mean 'goal1 s0 world_model'?"), ("goal1 s0 expert", "'goal1 s0 expert' has ended")],
 )
-def test_what_cannot_be_taken_back_is_told(text: str, message: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_taken_back_is_told(text, message, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"world_model": "sleep"})
     _, _, plan = prepared(small_spec, results)
@@ -110,14 +108,14 @@ def test_what_cannot_be_taken_back_is_told(text: str, message: str, fakes: Fakes
 @pytest.mark.parametrize(
     ("asked", "message"), [(["cancel"], "cancel which node?"), (["pause", "results/"], "'results/' is too much: pause is for whole runs")]
 )
-def test_a_node_is_named_where_one_is_cancelled_and_only_there(asked: list[str], message: str, tmp_path: Path) -> None:
+def test_a_node_is_named_where_one_is_cancelled_and_only_there(asked, message, tmp_path):
     (tmp_path / "runs").mkdir()
     refused = wasp("control", *asked, "--results", tmp_path)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert message in refused.stderr
 
 
-def test_a_detached_run_says_where_it_is_and_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_detached_run_says_where_it_is_and_goes_on(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.1)
     begun = wasp("run", small_spec, "--results", results, "-j", "2", "--detach")
@@ -131,7 +129,7 @@ def test_a_detached_run_says_where_it_is_and_goes_on(fakes: Fakes, small_spec: P
     wait_until(lambda: f"{NODES} computed" in Path(said["log"]).read_text(encoding="utf-8"))
 
 
-def test_a_detached_run_that_cannot_begin_says_why(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_detached_run_that_cannot_begin_says_why(fakes, small_spec, tmp_path):
     (tmp_path / "file").write_text("")
     refused = wasp("run", small_spec, "--results", tmp_path / "file" / "below", "--detach")
     assert refused.returncode == 1

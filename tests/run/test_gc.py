@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, finished, keys_of, run, start, wait_until
+from tests.run.harness import finished, keys_of, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
@@ -27,7 +27,7 @@ from wasp_cli.store.plain import read_json_lines
 
 
 @pytest.fixture
-def other_spec(small_spec: Path) -> Path:
+def other_spec(small_spec) -> Path:
     """The same experiment with another seed, under the same name."""
     path = small_spec.with_name("other.yaml")
     path.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
@@ -55,7 +55,7 @@ def two_runs(first: Path, second: Path, results: Path) -> tuple[Layout, str]:
     return layout, run_id
 
 
-def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
@@ -74,7 +74,7 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: P
     assert run(small_spec, results).done == len(old - new)
 
 
-def test_specs_of_other_names_and_specs_to_keep(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_specs_of_other_names_and_specs_to_keep(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
@@ -90,7 +90,7 @@ def test_specs_of_other_names_and_specs_to_keep(fakes: Fakes, small_spec: Path, 
     assert run_here("gc", results, "--keep", tmp_path / "absent.yaml", columns=80).exit_code == 3
 
 
-def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_spec, tmp_path):
     """As after an update: the plan's keys changed, but a kept artifact was computed from one of before."""
     results = tmp_path / "results"
     run(small_spec, results)
@@ -106,7 +106,7 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes,
     assert before - finished(results) == diagnostics  # no evaluation reads them
 
 
-def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, tmp_path / "undisturbed")
     fakes.set(seconds=0.1)
@@ -133,7 +133,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     assert wanted <= finished(results)
 
 
-def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     layout, run_id = two_runs(small_spec, other_spec, results)
     journal = layout.run(run_id) / "journal.jsonl"
@@ -145,7 +145,7 @@ def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spe
         assert (keys_of(small_spec, results) <= finished(results)) == stays
 
 
-def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_what_is_being_computed_stays(fakes, small_spec, other_spec, tmp_path):
     """By a run that this machine cannot see: its locks tell."""
     results = tmp_path / "results"
     run(small_spec, results)
@@ -162,7 +162,7 @@ def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec
     assert evaluation.name not in finished(results)
 
 
-def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_only_what_is_old(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
@@ -176,7 +176,7 @@ def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_
     assert set(unwanted) - finished(results) == {unwanted[0]}
 
 
-def test_runs_go_only_when_asked(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_runs_go_only_when_asked(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     named = small_spec.with_name("named.yaml")
@@ -194,7 +194,7 @@ def test_runs_go_only_when_asked(fakes: Fakes, small_spec: Path, other_spec: Pat
     assert {name.split("-")[2] for name in after} == {"small", "named"}
 
 
-def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_runs_leave_behind(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})
     run(small_spec, results)
@@ -216,7 +216,7 @@ def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) 
     assert [shown[what][0] for what in ("records of failures", "left in tmp")] == [1, 1]
 
 
-def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     layout, run_id = two_runs(small_spec, other_spec, results)
     before, plan = finished(results), layout.run(run_id) / "plan.json"
@@ -234,9 +234,7 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path,
     assert finished(results) == keys_of(other_spec, results)
 
 
-def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
-    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
@@ -255,9 +253,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
         process.communicate(timeout=600)
 
 
-def test_a_removal_that_is_killed_leaves_nothing_half(
-    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, tmp_path, monkeypatch):
     results = tmp_path / "results"
     run(small_spec, results)
     run(other_spec, results)
@@ -278,7 +274,7 @@ def test_a_removal_that_is_killed_leaves_nothing_half(
     assert not list(layout.tmp.iterdir())
 
 
-def test_results_that_are_not_there(tmp_path: Path) -> None:
+def test_results_that_are_not_there(tmp_path):
     assert run_here("gc", tmp_path / "absent", columns=80).exit_code == 1
     (tmp_path / "results" / "runs").mkdir(parents=True)
     (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).mkdir(parents=True)

@@ -20,7 +20,7 @@ MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED,
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def layout(tmp_path) -> Layout:
     layout = Layout(tmp_path / "results")
     layout.prepare()
     return layout
@@ -64,7 +64,7 @@ def collect(layout: Layout) -> str:
     return done.stdout
 
 
-def test_the_next_participant_displaces_nobody(layout: Layout) -> None:
+def test_the_next_participant_displaces_nobody(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", ALONE, MODEL, "person", session=True)
     damaged = stored(layout, "evaluate", OTHER, MODEL, "person", session=True)
@@ -87,7 +87,7 @@ def test_the_next_participant_displaces_nobody(layout: Layout) -> None:
     assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
 
 
-def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout: Layout) -> None:
+def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout):
     """As after a kill between the two: which of them is whole is for the next session to say."""
     stored(layout, "evaluate", ALONE, variant="person", session=True)
     begin(layout, ALONE)
@@ -95,7 +95,7 @@ def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout: Layout) 
     assert (layout.work(key(ALONE)) / SESSION_FILE).exists()
 
 
-def test_what_a_note_is_about_stays(layout: Layout) -> None:
+def test_what_a_note_is_about_stays(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", NOTED, MODEL)
     stored(layout, "evaluate", UNWANTED, MODEL)

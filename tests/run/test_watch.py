@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,7 +29,7 @@ HERE = process(os.getpid())
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def layout(tmp_path) -> Layout:
     layout = Layout(tmp_path / "results")
     layout.prepare()
     return layout
@@ -49,7 +48,7 @@ def only(layout: Layout, seconds: float = 120.0) -> RunState:
     return state_of(layout, run, START + timedelta(seconds=seconds))
 
 
-def test_a_run_that_goes_on(layout: Layout) -> None:
+def test_a_run_that_goes_on(layout):
     events = [
         started(),
         ended("done", 1, 60),
@@ -76,20 +75,20 @@ def test_a_run_that_goes_on(layout: Layout) -> None:
     assert state.busy_share == pytest.approx((1 + 1 + 60) / (2 * 120))
 
 
-def test_workers_share_what_does_not_wait(layout: Layout) -> None:
+def test_workers_share_what_does_not_wait(layout):
     nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
     write_run(layout, "20260501-120000-small-0001", nodes, [started(jobs=2)])
     assert only(layout).left_seconds == pytest.approx(180)
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
-def test_a_running_node_has_less_left(share: float, left: float, layout: Layout) -> None:
+def test_a_running_node_has_less_left(share, left, layout):
     running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
     write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=100.0)], [started()], running)
     assert only(layout).left_seconds == pytest.approx(left)
 
 
-def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
+def test_without_estimates_the_rate_tells_what_is_left(layout):
     nodes = [planned(number, f"n{number}") for number in range(40)]
     events = [started(), *(ended("done", number, 600 + 6 * number) for number in range(20))]
     write_run(layout, "20260501-120000-small-0001", nodes, events)
@@ -99,7 +98,7 @@ def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
     assert state.unknown == 0
 
 
-def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:
+def test_nodes_without_an_estimate_are_counted(layout):
     write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
     assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
 
@@ -113,7 +112,7 @@ def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:
         ({"host": "elsewhere", "pid": dead_pid()}, "running"),  # cannot be seen from here
     ],
 )
-def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Layout) -> None:
+def test_the_death_of_a_run_shows(facts, state, layout):
     write_run(layout, "20260501-120000-small-0001", NODES, [started(**facts), ended("done", 1, 60)])
     found = only(layout)
     assert found.state == state
@@ -122,13 +121,13 @@ def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Lay
 
 
 @pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
-def test_a_run_that_is_over_says_so(event: str, state: str, layout: Layout) -> None:
+def test_a_run_that_is_over_says_so(event, state, layout):
     write_run(layout, "20260501-120000-small-0001", NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
     found = only(layout)
     assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
 
 
-def test_a_node_whose_process_is_gone(layout: Layout) -> None:
+def test_a_node_whose_process_is_gone(layout):
     running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
     write_run(layout, "20260501-120000-small-0001", NODES, [started()], running)
     state = only(layout)
@@ -136,13 +135,13 @@ def test_a_node_whose_process_is_gone(layout: Layout) -> None:
     assert (state.running, state.waiting) == (1, 4)
 
 
-def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout: Layout) -> None:
+def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout):
     write_run(layout, "20260501-120000-small-0001", NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
     state = only(layout)
     assert (state.done, state.failed, state.finished) == (1, (), 1)
 
 
-def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout: Layout) -> None:
+def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout):
     write_run(layout, "20260501-120000-small-0001", [planned(1, "a", "cached")])
     write_run(layout, "20260501-130000-small-0002", NODES)
     later, earlier = (state_of(layout, run) for run in planned_runs(layout))
@@ -150,7 +149,7 @@ def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout: Layout) -> 
     assert (later.state, later.total) == ("not started", 5)
 
 
-def test_the_runs_that_go_on_are_shown_or_else_the_last(layout: Layout) -> None:
+def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
     over = [started(), (9, "run ended", {})]
     write_run(layout, "20260501-120000-a-0001", NODES, over, spec="a")
     write_run(layout, "20260501-130000-b-0002", NODES, over, spec="b")
@@ -161,7 +160,7 @@ def test_the_runs_that_go_on_are_shown_or_else_the_last(layout: Layout) -> None:
     assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004"]
 
 
-def test_a_sweep_is_one_run(layout: Layout) -> None:
+def test_a_sweep_is_one_run(layout):
     for number in (1, 2):
         write_run(layout, f"20260501-120000-s-value-000{number}", [planned(number, f"n{number}")], spec="s-value")
     write_run(layout, "20260501-120001-s-sweep-0003", [], [started(nodes=2), ended("done", 1, 4)])
@@ -173,7 +172,7 @@ def test_a_sweep_is_one_run(layout: Layout) -> None:
     assert (state.spec, state.total, state.done) == ("s --vary wasp.tau_c", 2, 1)
 
 
-def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
+def test_what_is_odd_in_a_folder_is_left_out(layout):
     odd: list[Any] = [7, {**planned(1, "x"), "key": "../../x"}, {"key": key(1)}, {**planned(1, "x"), "needs": 5}]
     odd.append({**planned(1, "x"), "seconds": 10**400})
     for number, entry in enumerate(odd):
@@ -188,7 +187,7 @@ def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
     assert [(node.label, node.share, node.started) for node in state.active] == [(key(2), 0.0, None)]
 
 
-def test_a_circle_ends(layout: Layout) -> None:
+def test_a_circle_ends(layout):
     write_run(
         layout,
         "20260501-120000-small-0001",
@@ -200,7 +199,7 @@ def test_a_circle_ends(layout: Layout) -> None:
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
 
 
-def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:
+def test_runs_are_found_by_the_end_of_their_name(layout):
     write_run(layout, "20260501-120000-small-00aa", NODES)
     write_run(layout, "20260501-130000-small-00bb", NODES)
     runs = planned_runs(layout)
@@ -211,7 +210,7 @@ def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:
             named_run(runs, unknown)
 
 
-def test_processes(layout: Layout) -> None:
+def test_processes(layout):
     assert not is_gone(HERE)
     assert not is_gone({**process(1)})  # somebody else's, perhaps
     assert is_gone(process(dead_pid()))
@@ -219,7 +218,7 @@ def test_processes(layout: Layout) -> None:
         assert not is_gone({"host": platform.node(), **odd})
 
 
-def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout: Layout) -> None:
+def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):
     events = [started(backend="dask"), (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"})]
     write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0)], events)
     state = only(layout)

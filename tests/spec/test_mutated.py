@@ -16,7 +16,7 @@ from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("mutated")
     lay_out_bases(path)
     return path
@@ -74,12 +74,12 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.filterwarnings("error")  # Python would print them behind the message
 @settings(max_examples=200, deadline=None)
 @given(text=anything())
-def test_mutated_specs_are_specs_or_refusals_with_places(folder: Path, text: str) -> None:
+def test_mutated_specs_are_specs_or_refusals_with_places(folder, text):
     assert misplaced(written(folder, text)) == []
 
 
 @pytest.mark.filterwarnings("error")
 @settings(max_examples=10, deadline=None)
 @given(text=anything())
-def test_the_command_ends_with_0_or_3(folder: Path, text: str) -> None:
+def test_the_command_ends_with_0_or_3(folder, text):
     assert exit_code_of(written(folder, text)) in (0, 3)

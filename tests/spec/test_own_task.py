@@ -40,7 +40,7 @@ def only(line: str, *settings: str) -> Problem:
     return problem
 
 
-def test_one_task_may_be_written_without_a_list() -> None:
+def test_one_task_may_be_written_without_a_list():
     for line in ("task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]", "tasks:\n  - puddle:Puddle-v0"):
         assert read(line).spec.tasks == ("puddle:Puddle-v0",)
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
@@ -70,9 +70,7 @@ def test_one_task_may_be_written_without_a_list() -> None:
         ("task: 7", 7, "should be a string, not 7", ""),
     ],
 )
-def test_mistakes_have_a_place_and_a_remedy(
-    line: str, column: int, message: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_have_a_place_and_a_remedy(line, column, message, hint, tmp_path, monkeypatch):
     module = """\
 import gymnasium
 import puddle
@@ -85,7 +83,6 @@ gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
     (tmp_path / "unlimited.py").write_text(module, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     problem = only(line)
-    assert problem.position is not None
     assert (problem.position.line, problem.position.column) == (3, column)
     assert message in problem.message
     assert hint in (problem.hint or "")
@@ -103,7 +100,7 @@ def keys(folder: Path) -> dict[str, str]:
     return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
-def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path: Path) -> None:
+def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path):
     text = (EXAMPLES / "puddle.py").read_text(encoding="utf-8").replace("puddle:Puddle", "my_env.puddle:Puddle")
     package = tmp_path / "my_env"
     package.mkdir()
@@ -133,7 +130,7 @@ def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path:
     assert {label for label, key in keys(tmp_path).items() if key != with_tools[label]} == own
 
 
-def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path: Path) -> None:
+def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path):
     from wasp_cli.plan.grid import lay_out
     from wasp_cli.plan.plan import plan_against
     from wasp_cli.run.record import new_run

@@ -43,7 +43,7 @@ def inflated(path: Path, rows: int) -> Path:
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> Path:
+def results(tmp_path) -> Path:
     return brought(tmp_path / "results", CELL)
 
 
@@ -52,7 +52,7 @@ def file_of(results: Path, name: str) -> Path:
     return path
 
 
-def test_what_a_run_writes_is_read(results: Path) -> None:
+def test_what_a_run_writes_is_read(results):
     sizes = [require_size(path) for path in (file_of(results, EPISODES_FILE), *results.rglob("*.parquet"))]
     assert sizes == [None] * len(sizes)
     assert open_results(results).episodes().num_rows > 0
@@ -65,14 +65,14 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_readers_refuse_too_many_episodes(reader: str, results: Path) -> None:
+def test_readers_refuse_too_many_episodes(reader, results):
     path = inflated(file_of(results, EPISODES_FILE), MOST_EPISODES + 1)
     assert read_numbers(path, ("return",)) is None
     with pytest.raises(StoreError, match=r"episodes\.parquet has 100,001 rows, and a cell has at most 100,000 episodes"):
         READERS[reader](results)
 
 
-def test_readers_refuse_too_many_steps(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_refuse_too_many_steps(results, monkeypatch):
     monkeypatch.setattr(bounds, "MOST_VALUES", 1_000_000)
     require_size(file_of(results, EPISODES_FILE))
     inflated(file_of(results, STEPS_FILE), 100_000)
@@ -81,7 +81,7 @@ def test_readers_refuse_too_many_steps(results: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("command", [["explain"], ["note"], ["view"]], ids=lambda each: each[0])
-def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_of_any_length_costs_nothing(command, results, monkeypatch):
     """Comparing 60,000 characters with the names of a store took 17 s of CPU: they are compared with none."""
     name = "goal1 s1 human noisy " * 3000
 
@@ -100,7 +100,7 @@ def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, m
     assert "did you mean" not in done.stderr
 
 
-def test_a_bomb_costs_a_report_no_memory(results: Path, tmp_path: Path) -> None:
+def test_a_bomb_costs_a_report_no_memory(results, tmp_path):
     """The report names the file and goes on with the rest, in a process that may not have more memory than such a report needs."""
     bomb = inflated(file_of(results, EPISODES_FILE), 20_000_000)
     assert bomb.stat().st_size < 10e6

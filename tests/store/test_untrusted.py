@@ -38,7 +38,7 @@ ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal", "rows_tha
 
 
 @pytest.fixture
-def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def outside(tmp_path, monkeypatch) -> Iterator[Path]:
     """What belongs to the reader, and a module that tells when it is imported."""
     folder = tmp_path / "outside"
     (folder / "inner").mkdir(parents=True)
@@ -58,7 +58,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
-def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_obeyed(name, outside, tmp_path, monkeypatch):
     # The pictures of a report are made and written, but not painted.
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: file.write(b"a picture"))
     assert set(obeys_nothing(name, ONCE, outside, tmp_path)) <= {0, 1, 2}
@@ -66,14 +66,14 @@ def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("name", ON_EVERY_FORM)
-def test_nothing_is_obeyed_by_any_form_of_a_command(name: str, outside: Path, tmp_path: Path) -> None:
+def test_nothing_is_obeyed_by_any_form_of_a_command(name, outside, tmp_path):
     assert set(obeys_nothing(name, COMMANDS, outside, tmp_path)) <= {0, 1, 2}
     assert not (outside / "imported").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
-def test_no_attack_is_obeyed_by_any_form_of_a_command(name: str, outside: Path, tmp_path: Path) -> None:
+def test_no_attack_is_obeyed_by_any_form_of_a_command(name, outside, tmp_path):
     assert set(obeys_nothing(name, COMMANDS, outside, tmp_path)) <= {0, 1, 2}
     assert not (outside / "imported").exists()
 

@@ -21,14 +21,7 @@ from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity
 
 RUN = "20260501-120000-tiny-0000"
 LABEL = "goal1 s0 human noisy=0.2"
-SPEC = {
-    "name": "tiny",
-    "preset": "smoke",
-    "tasks": ["goal1"],
-    "methods": ["human"],
-    "operators": {"noisy": {"mild": 0.2}},
-    "seeds": [0],
-}
+SPEC = {"name": "tiny", "preset": "smoke", "tasks": ["goal1"], "methods": ["human"], "operators": {"noisy": {"mild": 0.2}}, "seeds": [0]}
 
 
 class UntrustedStore:

@@ -200,7 +200,6 @@ def test_the_privileged_vector_is_scaled_and_faces_the_goal():
     task.reset(range(64))
     before_the_goal(task, clearance=1.0)
     seen = task.restore(task.snapshot()).privileged
-    assert seen is not None
     np.testing.assert_allclose(seen[:, 3:7], np.tile([1.0, 0.0, 1 / 3, np.exp(-1.0)], (64, 1)), atol=1e-6)
     drives = np.concatenate([task.step(action).observation.privileged for action in actions(60, 64)])
     assert np.abs(drives).max() <= 3.0

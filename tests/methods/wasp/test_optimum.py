@@ -246,7 +246,7 @@ SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="pa
 
 @pytest.mark.parametrize(("sizes", "tolerance"), SIZES)
 @pytest.mark.parametrize(("kind", "start", "steps"), ROOMY)
-def test_a_plan_is_as_good_as_an_exhaustive_search(kind: Kind, start: Start, steps: int, sizes: dict[str, int], tolerance: float) -> None:
+def test_a_plan_is_as_good_as_an_exhaustive_search(kind, start, steps, sizes, tolerance):
     s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **sizes)
@@ -256,7 +256,7 @@ def test_a_plan_is_as_good_as_an_exhaustive_search(kind: Kind, start: Start, ste
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TIGHT)
-def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, start: Start, steps: int) -> None:
+def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind, start, steps):
     s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **PAPER)
@@ -269,7 +269,7 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, st
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TRAPPED)
-def test_where_nothing_is_safe_a_plan_gains_most_of_what_can_be_gained(kind: Kind, start: Start, steps: int) -> None:
+def test_where_nothing_is_safe_a_plan_gains_most_of_what_can_be_gained(kind, start, steps):
     """By S_safe (Eq. 17), from doing nothing to the least of the exhaustive search."""
     s_task, s_safe = optimum(kind, start, steps)
     assert s_task == -math.inf
