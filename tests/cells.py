@@ -1,7 +1,5 @@
 """Cells of tiny untrained models, evaluated by the real stage."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple

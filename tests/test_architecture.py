@@ -1,7 +1,5 @@
 """The page and the picture for newcomers show the rooms as they are."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import assistants

@@ -1,7 +1,5 @@
 """docs/baselines.md says what the session `external` measured: theirs beside ours, and what holds of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Public functions have docstrings, and arrays say how they are shaped: the docstrings, read as text."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The whole chain through the command line on the smallest budgets: every stage runs, and every method really acts."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A results folder of somebody else as the working directory: modules that lie there are imported by no process of ours."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Imports of the package: no circle between its modules, lazy imports included, and imports by string only where a name is data."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from functools import cache

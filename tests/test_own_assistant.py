@@ -1,7 +1,5 @@
 """An assistant in one file, as a user runs it: `module:Class` in a spec, and `wasp run`."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and `wasp run`."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

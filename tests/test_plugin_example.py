@@ -1,7 +1,5 @@
 """The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

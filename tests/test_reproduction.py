@@ -1,7 +1,5 @@
 """REPRODUCTION.md says what is published, number by number."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -6,8 +6,6 @@ camera: of a pair of images (`ms`), and a hash of all of them (`images`).
 ppo: of a rollout and its update (`ms`), and the shares of the camera and of the whole task in it (`camera`, `task`); BATCH environments.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

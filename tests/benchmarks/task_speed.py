@@ -3,8 +3,6 @@
 Every figure is measured on one thread, in this run. A robot is driven by the script of `driver`; time outside of the task is not counted.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Sequence

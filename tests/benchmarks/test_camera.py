@@ -3,8 +3,6 @@
 `WASP_BASE`: the earlier checkout. Without it there is nothing to compare.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import statistics

@@ -1,7 +1,5 @@
 """Decisions of ten episodes side by side, as a cell makes them, beside the same ones by the world model's own steps, in turn."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """What orchestration costs beside the work that it orchestrates. Limits are compared as ratios to what was measured in the same run."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

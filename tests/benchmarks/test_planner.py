@@ -1,7 +1,5 @@
 """A decision of WASP beside the same floating-point operations as plain matrix products, measured in the same run."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

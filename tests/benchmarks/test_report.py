@@ -1,7 +1,5 @@
 """Reading cells for a report, as a ratio to what has to be read at least, measured in the same run."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Speed of the hot paths. Each benchmark notes the limit that was measured in the same run, so that shares can be compared."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

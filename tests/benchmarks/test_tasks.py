@@ -1,7 +1,5 @@
 """Speed of the tasks on one thread. Each benchmark notes what plain MuJoCo does in the same run, so that shares can be compared."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

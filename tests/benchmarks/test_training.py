@@ -4,8 +4,6 @@
 compare.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

@@ -1,7 +1,5 @@
 """How long a person waits in `wasp view`, in a real Chromium: 5,000 cells in 2 s, a step explained in 0.1 s, a first frame in 3 s."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

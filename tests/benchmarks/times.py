@@ -3,8 +3,6 @@
 The results have to be computed on this machine, and while nothing else ran.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence

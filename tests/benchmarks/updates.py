@@ -3,8 +3,6 @@
 `python updates.py wasp|dreamer CHECKOUT`: for every line that it reads it trains UPDATES times and writes the CPU time of one, in ms.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

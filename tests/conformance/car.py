@@ -9,8 +9,6 @@ What a recording cannot tell is left out, and what our outlines of walls cannot 
 * Episode rules are compared on a car that is set down at rest at each recorded place.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol

@@ -4,8 +4,6 @@ Motion is compared one env step at a time from recorded states ("teacher-forced"
 implementations drift apart within some 50 steps. T = steps of the recording, S = recorded states.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

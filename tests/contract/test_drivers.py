@@ -1,7 +1,5 @@
 """Every cost source of every task can be reached by a scripted driver, from an ordinary start and through actions alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every registered assistant keeps the promises of `methods.base`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

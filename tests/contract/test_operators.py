@@ -1,7 +1,5 @@
 """Every registered operator keeps the promises of `operators.base`."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

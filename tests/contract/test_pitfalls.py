@@ -3,8 +3,6 @@
 The numbers are those of a list of defects found in the public repositories of IDA, Diffusion, RSA and their kin.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import math

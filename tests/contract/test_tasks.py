@@ -1,7 +1,5 @@
 """What every task promises, run over every entry of the registry, and over environments of others."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

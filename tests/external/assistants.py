@@ -1,7 +1,5 @@
 """Our Diffusion and our IDA for an external world: what they learn from is the expert's flights that reached the goal."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

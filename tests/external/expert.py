@@ -1,7 +1,5 @@
 """The expert of the external worlds: Stable-Baselines3's SAC on the observation with the goal."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Episodes of a pilot in an external world, alone or assisted, by the closed loop of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from tests.external.lander import SEEN, Kind

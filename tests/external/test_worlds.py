@@ -1,7 +1,5 @@
 """The worlds are those of the authors: where goals are, who sees them, what ends an episode."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The commands of the storm: what each begins with, what must hold after every kill, and what it leaves in the end."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

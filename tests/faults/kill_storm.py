@@ -6,8 +6,6 @@ leaves is what an undisturbed one leaves. Commands begin in forks of one process
 work and not their imports. This process computes nothing itself: a library whose threads run does not survive a fork.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random

@@ -1,7 +1,5 @@
 """Disks that are full or read-only, files that are cut or flipped, clocks that jump: a clear state, which the next run repairs."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The grid through a real dask scheduler with two worker processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """A flipped bit in the footer of a cell: every reader of tables names the file and goes on with the rest, and a run heals it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A disk that takes only a part of a line: whoever wrote it is told, and the next line stays whole."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

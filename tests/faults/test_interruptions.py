@@ -1,7 +1,5 @@
 """`wasp run` itself is interrupted or killed; the next run goes on from there."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

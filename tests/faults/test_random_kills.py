@@ -1,7 +1,5 @@
 """kill -9 at random instants, of a worker, of the parent, or of everything: nothing finished is lost, nothing half is seen."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """The grid through a ray cluster on this machine; ray is large, so it is installed and run by the nox session `ray` alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Results folders that cannot be used, or hold rubbish."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """See `kill_storm`. WASP_KILLS says how many kills, WASP_KILLS_SEED which."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

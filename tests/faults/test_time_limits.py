@@ -1,7 +1,5 @@
 """Nodes that take too long, sleep for ever, hang in native code, or eat memory until they are killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

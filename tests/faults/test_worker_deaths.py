@@ -1,7 +1,5 @@
 """Workers that are killed, as by the kernel when memory runs out."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.run.harness import data_of, run

@@ -1,7 +1,5 @@
 """Tiny untrained models, and a cell that an assistant was evaluated in with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What the baselines learn from: their own objectives, on problems whose answer is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

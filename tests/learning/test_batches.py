@@ -1,7 +1,5 @@
 """Cells in batches of episodes: what a cell of fewer has is taken over, and nothing comes out differently."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Who drives which episode of a dataset, and what their commands are."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clones of operators: densities, what is learned of a rule that is known, and where a plan has one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

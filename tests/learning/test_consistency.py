@@ -1,7 +1,5 @@
 """The consistency model on a flow that is known: one number with two modes, as in the figure of the method, and none of the state."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

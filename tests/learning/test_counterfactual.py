@@ -1,7 +1,5 @@
 """Branches of the real task against the episodes they begin in, and against slow loops."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

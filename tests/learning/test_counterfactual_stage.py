@@ -1,7 +1,5 @@
 """The stage from a cell to its table of branches."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Critics in worlds whose values are known, and their comparison with real returns by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

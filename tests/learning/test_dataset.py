@@ -1,7 +1,5 @@
 """The dataset stage on a real task: it goes on after a kill, and says what it collected."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

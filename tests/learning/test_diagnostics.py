@@ -1,7 +1,5 @@
 """Diagnostics against models whose answers are known, and the stage on small real artifacts."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

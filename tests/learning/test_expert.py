@@ -1,7 +1,5 @@
 """The training of experts: episodes out of phase, a multiplier that follows whole episodes, and going on after an interruption."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

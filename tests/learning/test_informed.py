@@ -1,7 +1,5 @@
 """Stages on a task whose operators know more than assistants perceive, with tiny untrained models."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the world model infers at every recorded row: the same before and after it was stored, and whoever asks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Vector environments and the closed loop over episodes that end at different times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recorded actions carried out again: every moment before its action, all episodes side by side, and nothing but what was recorded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labelling of latents, on-policy rounds and the rule that keeps one of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Which rounds the stage of the policies makes, and which it keeps. How well actors drive is scripted; everything else is real."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """What the privileged vector teaches: the encoder before Eq. 6, the latents along with it, and nobody who may not learn from it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

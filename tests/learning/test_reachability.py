@@ -1,7 +1,5 @@
 """The safety value: its Bellman target against brute force, and what is learned of it in a world that can be searched."""
 
-from __future__ import annotations
-
 import json
 from itertools import product
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The readout of the privileged vector against plain numpy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The last step of world-model training: heads on imagined latents."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

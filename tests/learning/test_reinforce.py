@@ -1,7 +1,5 @@
 """Reinforcement of a distilled actor, and the task behind the filter."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from types import SimpleNamespace

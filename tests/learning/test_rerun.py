@@ -1,7 +1,5 @@
 """Stored episodes come back bit for bit, and what differs is noticed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Weights as they ship: rounded once, by the stage that trained them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

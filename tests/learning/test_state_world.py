@@ -1,7 +1,5 @@
 """Worlds without a world model: the loop, Diffusion and IDA run where the state is the latent and only the operator sees the goal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Shards, the training of the world model and its checkpoints, encoding."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

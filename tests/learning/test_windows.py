@@ -1,7 +1,5 @@
 """Training sequences, what followed them, and the latents from which they go on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

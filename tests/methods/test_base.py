@@ -1,7 +1,5 @@
 """What the closed loop asks of every decision."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

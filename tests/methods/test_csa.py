@@ -1,7 +1,5 @@
 """Consistency shared autonomy: one step, no draws, and a level at which nothing happens."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

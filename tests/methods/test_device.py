@@ -1,7 +1,5 @@
 """Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

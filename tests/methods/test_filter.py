@@ -1,7 +1,5 @@
 """The safety filter against a world in which the danger of an action is known."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MPMI against a world in which the danger of holding an input is known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The opponents that are built of others: with the least correction, and IDA behind WASP's safety gate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

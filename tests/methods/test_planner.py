@@ -1,7 +1,5 @@
 """The planner alone: nobody's command is read, and its plans are no worse than the expert on what it imagines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

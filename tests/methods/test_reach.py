@@ -1,7 +1,5 @@
 """The reachability filter against a safety value whose constraint can be searched on a fine grid."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

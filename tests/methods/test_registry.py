@@ -1,7 +1,5 @@
 """What registry entries say of assistants, and what readers are told where they say nothing."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import pytest

@@ -1,7 +1,5 @@
 """What is measured of forces and of changes of hands, against loops over the steps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The packed step and the networks that look rows up, against the model's own one-hot products."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch.nn import functional as F

@@ -1,7 +1,5 @@
 """A whole sequence and its hand-written way back are the steps that they stand for."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

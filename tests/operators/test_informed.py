@@ -1,7 +1,5 @@
 """Operators who know more than assistants perceive: what they intend in the task, and what is imagined of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes of the noisy operator: Gaussian noise, and bursts of random commands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

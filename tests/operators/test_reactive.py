@@ -1,7 +1,5 @@
 """The operator who sees what was executed, and the one who is late and noisy at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

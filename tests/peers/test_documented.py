@@ -1,7 +1,5 @@
 """The lines of use in docs/tasks.md do what they say."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

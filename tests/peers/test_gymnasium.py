@@ -1,7 +1,5 @@
 """gymnasium itself: its checker, its wrappers, its vectors in processes of their own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

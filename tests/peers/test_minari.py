@@ -1,7 +1,5 @@
 """Minari: episodes that its collector recorded, infos included, play again exactly in the environment that the dataset recovers."""
 
-from __future__ import annotations
-
 import gymnasium
 import minari
 import numpy as np

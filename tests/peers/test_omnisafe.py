@@ -3,8 +3,6 @@
 OmniSafe makes its environments with `safety_gymnasium.make`. That package wants gymnasium 0.28.1 and MuJoCo 2.3.3: `upstream` stands in.
 """
 
-from __future__ import annotations
-
 import csv
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """stable-baselines3: its checker, and PPO on single environments and in processes."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

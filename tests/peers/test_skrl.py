@@ -1,7 +1,5 @@
 """skrl: its wrapper passes on what the environments give, single and batched."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest

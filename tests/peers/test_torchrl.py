@@ -1,7 +1,5 @@
 """TorchRL: the specs that it reads from the environments, and their costs in its tensors."""
 
-from __future__ import annotations
-
 import gymnasium
 import pytest
 from torchrl import envs

@@ -1,7 +1,5 @@
 """What the key of each sort of node may cover: a training module in an evaluation, or a picture in a stage, fails here."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from fnmatch import fnmatchcase

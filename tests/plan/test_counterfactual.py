@@ -1,7 +1,5 @@
 """The nodes of counterfactual branches: which there are, what moves their keys, how they are selected."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tests.plan.test_grid import by_label, grid

@@ -1,7 +1,5 @@
 """A package of someone else brings a training stage and a method that needs it, through entry points alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

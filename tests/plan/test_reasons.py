@@ -1,7 +1,5 @@
 """Why a node runs again, over a real store of fake artifacts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Recipes, and which of several published results stands in the place of a node."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A better picture, column or help text re-runs nothing: the source of a room that moves no number is in no key."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import spec_from_file_location

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from tests.plan.test_grid import DOCUMENT, grid

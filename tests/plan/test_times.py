@@ -1,7 +1,5 @@
 """Times of what was never measured here: from the shipped figures, the size of a node, and the speed of this machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from tests.run.harness import fakes, small_spec
 
 __all__ = ["fakes", "small_spec"]

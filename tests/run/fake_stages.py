@@ -6,8 +6,6 @@ WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

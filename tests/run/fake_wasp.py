@@ -1,7 +1,5 @@
 """`wasp` with fake stages and no report, as a process that tests can kill: python tests/run/fake_wasp.py run SPEC ..."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Fixtures and helpers for tests that run fake stages, in this process or in others."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

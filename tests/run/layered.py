@@ -1,7 +1,5 @@
 """A results folder with published results of the small spec, and code that moves on."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Run folders written by hand: what a run leaves behind, in any state."""
 
-from __future__ import annotations
-
 import json
 import platform
 import subprocess

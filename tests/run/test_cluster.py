@@ -1,7 +1,5 @@
 """What the pool of a dask scheduler makes of its client, which stands here for the scheduler: lost tasks, its end, its workers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import SimpleNamespace
@@ -26,7 +24,7 @@ class Task:
         self.status = "pending"
         self.error: BaseException | None = None
 
-    def add_done_callback(self, told: Callable[[Task], None]) -> None:
+    def add_done_callback(self, told: Callable[..., None]) -> None:
         self.told = told
 
     def end(self, status: str, error: BaseException | None = None) -> None:

@@ -1,7 +1,5 @@
 """A live run from another terminal: paused, resumed, parts of it taken back; and a run without a terminal."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Counterfactual branches as nodes of a run, over fake stages: order, repetition, failure, selection, publishing, cleaning up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`wasp gc`: what no spec reaches goes, and nothing that somebody reads."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

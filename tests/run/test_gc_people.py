@@ -1,7 +1,5 @@
 """`wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

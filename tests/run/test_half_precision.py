@@ -1,7 +1,5 @@
 """Parts that were published in half precision give other numbers under the same keys: everything that shows them says so."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

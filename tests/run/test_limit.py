@@ -1,7 +1,5 @@
 """A look at the first episodes of every cell before the whole."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

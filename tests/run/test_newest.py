@@ -1,7 +1,5 @@
 """Which run is the newest, and until when a run is not over."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

@@ -1,7 +1,5 @@
 """Worker processes and the signals that a terminal sends to the whole group."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

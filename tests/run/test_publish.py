@@ -1,7 +1,5 @@
 """`wasp publish` over fake stages: what it copies, what it refuses, and that nothing of a machine goes along."""
 
-from __future__ import annotations
-
 import json
 import math
 import platform

@@ -1,7 +1,5 @@
 """Published results over fake stages: what is used instead of computed, and under whose key."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

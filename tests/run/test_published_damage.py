@@ -1,7 +1,5 @@
 """Published results that are damaged or untrusted: they make us compute, and no more."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

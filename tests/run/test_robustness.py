@@ -1,7 +1,5 @@
 """What the surroundings of a run can do to it: folders that cannot be read, readers that go away, plugins that break."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The results folder as workers see it: another one under the same path, one that shows files late, one that is moved away."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """`wasp status` and `wasp logs`, beside a real run and on folders written by hand."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """A sweep over fake stages: what its values share is computed once, and what fails takes no other value along."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

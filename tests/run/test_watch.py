@@ -1,7 +1,5 @@
 """How far a run is, from its folder alone."""
 
-from __future__ import annotations
-
 import os
 import platform
 from datetime import timedelta

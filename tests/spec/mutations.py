@@ -1,7 +1,5 @@
 """Specs with mistakes of all kinds, for tests of how they are refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A spec over another one: what is in force, where mistakes are shown, and what a run records."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Every mistake that one can put right by a word has that word as its hint."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.spec.test_load import GOOD, only

@@ -1,7 +1,5 @@
 """What of a configuration enters a key; `python -m tests.spec.test_identity` writes the defaults anew after a change that is wanted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, ClassVar, get_args

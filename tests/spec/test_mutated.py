@@ -1,7 +1,5 @@
 """Any text at all is a spec or a refusal with places; never another exception."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Specs that name an environment of one's own: what they may write, where mistakes are shown, and what a changed environment re-runs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.commands import run_here

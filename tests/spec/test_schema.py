@@ -1,7 +1,5 @@
 """The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that an editor should mark."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

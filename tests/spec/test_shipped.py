@@ -1,7 +1,5 @@
 """Specs by name, from any folder; and a wheel that brings them and the published parts, installed into an empty folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The values of `--vary`: how they are read, and what is refused before anything runs."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

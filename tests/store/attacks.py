@@ -1,7 +1,5 @@
 """What an untrusted results folder may hold."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A results folder of invented cells, as `wasp run` leaves them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

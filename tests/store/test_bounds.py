@@ -1,7 +1,5 @@
 """Small files that stand for more rows than any plan has: every reader refuses them before it reads."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

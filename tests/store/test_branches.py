@@ -1,7 +1,5 @@
 """The table of branches: what is written comes back, and what is no such table is refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any

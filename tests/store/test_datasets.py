@@ -1,7 +1,5 @@
 """A folder of cells is a dataset of episodes to everybody's reader."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Locks whose files are removed meanwhile."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import threading

@@ -1,7 +1,5 @@
 """No module of the package executes what it reads from a file."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small files that others have written."""
 
-from __future__ import annotations
-
 import json
 import os
 

@@ -1,7 +1,5 @@
 """Where an artifact came from: two states of the source are told apart, and looking costs little."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

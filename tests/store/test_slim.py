@@ -1,7 +1,5 @@
 """Smaller published copies: what is left out is said, and nothing else changes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """An untrusted results folder: it executes nothing, and makes wasp neither read nor write outside of it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A whole results folder, to be made hostile."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

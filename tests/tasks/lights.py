@@ -1,7 +1,5 @@
 """A small environment of somebody else's, for tests of tasks that come by their gymnasium id."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The cameras of every task: what is where in the picture, and that the shortcuts of the renderer change no pixel."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 

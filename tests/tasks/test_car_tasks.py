@@ -1,7 +1,5 @@
 """Race and Formula One: rules of their episodes, and that leaving out distant walls and barrels changes nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

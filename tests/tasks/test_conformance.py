@@ -1,7 +1,5 @@
 """The tasks against recordings of the reference package."""
 
-from __future__ import annotations
-
 import shutil
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Gymnasium environments of others as tasks: what the adapter makes of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Environments of others that lack something or fail: one clear error each, and what is forgiven."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import sys

@@ -1,7 +1,5 @@
 """Goal: rules of an episode, and independence of rows, threads and repeats, bit for bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

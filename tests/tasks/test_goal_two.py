@@ -1,7 +1,5 @@
 """Two goals of equal look: nothing that an assistant may see tells them apart, and only one of them counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Environments that travel: copies and pickles of them, and their specs."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import pickle

@@ -1,7 +1,5 @@
 """A mirrored episode is another possible one: the same images turned over, the same rewards and costs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the groups of a privileged vector lie, and what it is in a mirror: both against the tasks that write it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

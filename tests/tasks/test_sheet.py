@@ -1,7 +1,5 @@
 """The picture of an episode: which moments it shows, and that nothing in it is blank."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The map from above: things are where they are, and the robot points where it drives."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """WASP's decision against a literal reading: the command, then the expert, beside the expert now, then the expert."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

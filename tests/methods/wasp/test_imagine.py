@@ -1,7 +1,5 @@
 """Imagined rollouts against plain loops: composition, the operator's memory, common draws, and the packed steps' reference."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

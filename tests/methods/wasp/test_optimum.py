@@ -3,8 +3,6 @@
 Dimension letters: H horizon, L residual steps, M rollouts, A action size.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The printed WASP against a literal reading of section 4: one decision, call by call and number by number."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 Dimension letters: H horizon, A action size, B episodes.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The search against a literal reading of Eq. 14-17: elites, both cases, the second look, and what is selected."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
