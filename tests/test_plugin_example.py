@@ -1,16 +1,23 @@
 """The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
 
+import importlib
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import pytest
+import torch
+
+from tests.commands import run_here
+from tests.learning.recordings import SOURCES, recording
+from tests.plugins import forget, installed
+from wasp_cli.learning.latents import Latents, save_latents
+from wasp_cli.learning.shards import write_shard
+from wasp_cli.stages.base import Job
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
@@ -31,8 +38,8 @@ class Home:
         shutil.copytree(EXAMPLE, self.source)
         shutil.copy(EXAMPLE / "careful.yaml", folder)
         offline = ("--no-index", "--no-deps", "--no-build-isolation", "--target", str(self.site))
-        installed = self.python("-m", "pip", "install", "--quiet", *offline, str(self.source))
-        assert installed.returncode == 0, installed.stderr
+        done = self.python("-m", "pip", "install", "--quiet", *offline, str(self.source))
+        assert done.returncode == 0, done.stderr
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.site), str(ROOT)]), "NO_COLOR": "1", "COLUMNS": "200"}
@@ -44,13 +51,11 @@ class Home:
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    @cached_property
-    def first_keys(self) -> dict[str, str]:
-        """Of the package as it is."""
-        return self.keys()
-
     def keys(self) -> dict[str, str]:
-        return {node["label"]: node["key"] for node in json.loads(self.wasp("plan", "careful.yaml", "--json"))["nodes"]}
+        forget("wasp_example")
+        done = run_here("plan", self.folder / "careful.yaml", "--results", self.folder / "results", "--json", columns=80)
+        assert done.exit_code == 0, done.stderr
+        return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
 @pytest.fixture(scope="module")
@@ -80,46 +85,35 @@ def test_its_own_tests_pass(home):
     assert done.returncode == 0, done.stdout
 
 
-def test_its_spec_is_checked_and_planned(home):
-    assert "ok, 5 cells" in home.wasp("check", "careful.yaml")
-    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(home.first_keys)
-    wrong = home.python("-m", "wasp_cli", "check", "careful.yaml", "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3")
-    assert wrong.returncode == 3
-    assert "careful.limit: should be less than 1" in wrong.stderr
-    assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
+def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(home):
+    spec = home.folder / "careful.yaml"
+    with installed(home.site, "wasp_example"):
+        assert "ok, 5 cells" in run_here("check", spec, columns=400).stdout
+        wrong = run_here("check", spec, "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3", columns=400)
+        assert wrong.exit_code == 3
+        assert "careful.limit: should be less than 1" in wrong.stderr
+        assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
+        before = home.keys()
+        assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(before)
+        for file, old, new, moved in (
+            ("entries.py", "Careful executes", "It executes", ""),
+            ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
+            ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
+            ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
+        ):
+            path = home.site / "wasp_example" / file
+            text = path.read_text(encoding="utf-8")
+            assert old in text
+            path.write_text(text.replace(old, new), encoding="utf-8")
+            after = home.keys()
+            path.write_text(text, encoding="utf-8")
+            wanted = {label for label in before if moved and re.search(moved, label)}
+            assert {label for label in before if before[label] != after[label]} == wanted, file
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "moved"),
-    [
-        ("entries.py", "Careful executes", "It executes", ""),
-        ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
-        ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
-        ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
-    ],
-)
-def test_a_key_covers_what_its_node_runs(home, file, old, new, moved):
-    path, before = home.site / "wasp_example" / file, home.first_keys
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    try:
-        after = home.keys()
-    finally:
-        path.write_text(text, encoding="utf-8")
-    assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
-
-
-def test_its_stage_trains_what_its_assistant_reads(home, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(home.site))
-    import torch
-
-    from tests.learning.recordings import SOURCES, recording
-    from wasp_cli.learning.latents import Latents, save_latents
-    from wasp_cli.learning.shards import write_shard
-    from wasp_cli.stages.base import Job
-
-    stage, configs, risk = (_imported(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
+def test_its_stage_trains_what_its_assistant_reads(home, tmp_path):
+    with installed(home.site, "wasp_example"):
+        stage, configs, risk = (importlib.import_module(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
     rows = recording((30, 30, 30))
     write_shard(tmp_path / "shard-00000.parquet", rows, SOURCES)
     # One class of the latent says whether the next decisions cost.
@@ -134,12 +128,6 @@ def test_its_stage_trains_what_its_assistant_reads(home, tmp_path, monkeypatch):
     assert made[0]["loss"] < 0.2
     assert made[0]["auprc"] == pytest.approx(1.0)
     assert (tmp_path / "risk.safetensors").is_file()
-
-
-def _imported(name: str) -> Any:
-    import importlib
-
-    return importlib.import_module(name)
 
 
 @pytest.mark.slow

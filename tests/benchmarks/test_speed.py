@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.assistants import build_assistant
+from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
@@ -100,8 +99,7 @@ def test_imagination(benchmark, batch):
     benchmark.extra_info["share_of_matrix_products"] = rate * products / matrix_rate()
 
 
-def test_decision_against_matrix_products(benchmark, tmp_path):
-    parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
+def test_decision_against_matrix_products(benchmark, parts):
     always = {"tau_c": 1e-9, "candidates": 64, "elites": 20, "feasible": 20, "iterations": 3, "probe": 64}
     assistant = build_assistant("wasp", always, parts)
     batch = 10

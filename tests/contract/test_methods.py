@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Assistant, Heldout, Parts
 from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS
@@ -32,11 +30,6 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
 """Settings under which a method decides by other code."""
 CASES = [(name, variant, {}) for name in METHODS for variant in METHODS[name].variants]
 CASES += [(name, "full", settings) for name, several in OPTIONS.items() for settings in several]
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 def assistant(parts: Parts, name: str, variant: str, **changes: Any) -> Assistant:

@@ -13,7 +13,6 @@ import pytest
 import torch
 
 import wasp_cli
-from tests.artifacts import tiny_artifacts
 from wasp_cli import seeds
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
@@ -29,11 +28,6 @@ from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 def episode(a_h: np.ndarray, a: np.ndarray) -> Trajectory:
@@ -258,10 +252,10 @@ def test_the_residual_is_exactly_zero_before_training(parts):
 # -- 13: thresholds stay with the rows
 
 
-def test_the_thresholds_in_force_are_what_a_row_stores(tmp_path):
+def test_the_thresholds_in_force_are_what_a_row_stores(artifacts, tmp_path):
     from wasp_cli.stages.evaluate import thresholds_of
 
-    folders = tiny_artifacts(tmp_path)
+    folders = {**artifacts, "calibration": tmp_path}
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.7, "tau_c": 0.9}))
     parts = load_parts(folders, ReturnsConfig())
     assert thresholds_of(build_assistant("ida", {}, parts)).tau_q == 0.7

@@ -81,7 +81,7 @@ def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
     assert len(compared.having("same")) == len(compared.cells) - 1
 
 
-@pytest.mark.parametrize("column", ["cost", "episode_seed", "decisions"])
+@pytest.mark.parametrize("column", ["cost", *(pytest.param(name, marks=pytest.mark.slow) for name in ("episode_seed", "decisions"))])
 def test_report_compare_and_view_name_the_file_and_go_on(column, tmp_path):
     before, after = write_results(tmp_path / "before"), write_results(tmp_path / "after")
     path = one_cell(after)
@@ -104,7 +104,7 @@ def test_report_compare_and_view_name_the_file_and_go_on(column, tmp_path):
 def test_a_run_heals_it(tmp_path):
     spec, results = tmp_path / "shipped.yaml", tmp_path / "results"
     spec.write_text(SPEC.format(table=ROOT / "specs/table1.yaml"), encoding="utf-8")
-    command = ("run", spec, "--results", results, "-j", "1")
+    command = ("run", spec, "--results", results, "-j", "0")
     assert run_here(*command, columns=200).exit_code == 0
     path, *_ = sorted(results.glob(f"store/evaluate/*/{EPISODES_FILE}"))
     whole = path.read_bytes()

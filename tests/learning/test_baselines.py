@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import DenoiserConfig, EnsembleConfig, ResidualConfig, ReturnsConfig
+from wasp_cli.learning.configs import DenoiserConfig, EnsembleConfig, ResidualConfig
 from wasp_cli.learning.critic_quality import pairs
 from wasp_cli.learning.denoiser import denoiser_quality, noise_loss, train_denoiser
 from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
 from wasp_cli.learning.lagrangian import ReturnRule
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.residual import AssistedTask, huber, train_residual
+from wasp_cli.learning.residual import AssistedTask, train_residual
 from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.models.base import Latent
@@ -26,11 +24,6 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.stages.base import no_progress
 
 EPISODES = (40,) * 30
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 @pytest.fixture(scope="module")
@@ -204,10 +197,6 @@ def test_both_objectives_against_their_formulas(parts):
             wanted = (0.7 * step.reward - np.where(norm <= 1, norm**2 / 2, norm - 0.5)) / 1.7
         np.testing.assert_allclose(env.objective(step, penalty), wanted, rtol=1e-5)
         assert step.cost.any()
-
-
-def test_the_huber_norm_is_smooth_at_its_joint():
-    assert huber(np.array([0.0, 0.5, 1.0, 3.0])) == pytest.approx([0.0, 0.125, 0.5, 2.5])
 
 
 def test_the_multiplier_of_a_least_return_rises_below_it_and_falls_above():

@@ -8,11 +8,10 @@ import pytest
 
 from tests.cells import SETTINGS, Evaluated, evaluated
 from wasp_cli.learning.closed_loop import batches
-from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
-from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
@@ -89,13 +88,11 @@ def counted(begun: list[int]) -> object:
 def test_the_branches_of_every_batch_come_back_in_it(whole, inputs, tmp_path):
     """What the recorded action earns is what it earned: bit for bit, in all batches."""
     cell = whole
-    heldout, out = tmp_path / "heldout", tmp_path / "out"
-    for folder in (heldout, out):
-        folder.mkdir()
-    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, inputs, heldout, heldout))
+    out = tmp_path / "out"
+    out.mkdir()
     settings = {**SETTINGS, "side_by_side": 2}
     axes = {"method": "ida", "method_config": {}, "operator": cell.variant, "value": cell.value}
-    read = {**inputs, "evaluate": cell.path.parent, "heldout": heldout}
+    read = {**inputs, "evaluate": cell.path.parent}
     config = CounterfactualConfig(window=1)
     summary = CounterfactualStage().run(Job("counterfactual", "race1", 0, config, settings, axes, read, out, out))
     steps = {(step["episode"], step["t"]): step for step in read_steps(cell.path).to_pylist()}

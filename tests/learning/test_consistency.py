@@ -122,17 +122,6 @@ def test_training_makes_the_student_say_the_same_along_the_teacher_s_flow(traine
     assert one_step_error(student, teacher, features, half, 0.0, 1) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_more_training_is_more_consistent(trained):
-    teacher, student, loss = trained
-    source = generator(0)
-    brief, loss_before = distil(
-        teacher, lambda: (torch.zeros(256, 1), either(256, source)), CONFIG.model_copy(update={"updates": 20}), source, no_progress
-    )
-    features, x, _ = noisy(0.69)
-    assert loss < 0.5 * loss_before
-    assert one_step_error(student, teacher, features, x, 0.69, 40) < 0.6 * one_step_error(brief, teacher, features, x, 0.69, 40)
-
-
 def test_the_teacher_stays_what_it_was_when_it_is_distilled(trained):
     teacher, _, _ = trained
     before = [parameter.clone() for parameter in teacher.parameters()]

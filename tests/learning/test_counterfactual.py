@@ -129,10 +129,6 @@ def test_a_branch_is_the_same_whatever_else_is_branched(cell):
     assert all(same(one, other) for one, other in zip(together, alone, strict=True))
 
 
-def test_nothing_chosen_is_nothing_branched(cell):
-    assert branched(cell, [[], [], []]) == []
-
-
 @given(st.lists(st.lists(st.booleans(), max_size=12), min_size=1, max_size=6), st.integers(1, 9))
 def test_the_interventions_of_a_cell_are_sampled_evenly(intervened, stride):
     chosen = sampled([np.array(steps, bool) for steps in intervened], stride)

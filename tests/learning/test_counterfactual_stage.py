@@ -8,35 +8,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import SETTINGS, Evaluated, evaluated
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.learning.counterfactual import least_gain
 from wasp_cli.learning.heldout import load_heldout
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
-from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.tables import read_steps
 
 SMALL = CounterfactualConfig(window=5, stride=4)
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory) -> dict[str, Path]:
-    root = tmp_path_factory.mktemp("artifacts")
-    found = tiny_artifacts(root)
-    found["heldout"] = root / "heldout"
-    found["heldout"].mkdir()
-    folder = found["heldout"]
-    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, found, folder, folder))
-    return found
-
-
-@pytest.fixture(scope="module")
-def cell(inputs, tmp_path_factory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
 
 
 def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, method: str = "ida", **inputs: Path) -> Mapping[str, Any]:

@@ -18,7 +18,7 @@ from tests.learning.test_behaviours import commander
 from wasp_cli.learning.configs import DatasetConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
 from wasp_cli.learning.dataset import Behaviour, record
-from wasp_cli.learning.shards import cost_sources, hand_over, read_shards, write_shard
+from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
@@ -173,13 +173,3 @@ def test_drift_and_sticky_noise_add_what_they_say():
         np.testing.assert_allclose(noise.std((1, 2)), 0.2, rtol=0.1)
         lagged = [np.corrcoef(noise[t].ravel(), noise[t + 1].ravel())[0, 1] for t in range(5)]
         np.testing.assert_allclose(lagged, correlation, atol=0.07)
-
-
-def test_a_file_system_without_links_gets_copies(tmp_path, monkeypatch):
-    def refuse(*_: Any) -> None:
-        raise OSError("no links here")
-
-    monkeypatch.setattr(os, "link", refuse)
-    (tmp_path / "a").write_bytes(b"shard")
-    hand_over(tmp_path / "a", tmp_path / "b")
-    assert (tmp_path / "b").read_bytes() == b"shard"

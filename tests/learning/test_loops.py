@@ -8,18 +8,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.closed_loop import run_episodes
-from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
+from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
-from wasp_cli.methods.base import Decision, Parts
+from wasp_cli.methods.base import Decision
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
@@ -66,11 +64,6 @@ class Staggered:
             self.see(), np.where(live, action[:, 0], 0.0), cost, 3 * cost.astype(np.int64), {"hazards": cost.astype(np.int64)}, 0 * ones,
             4 * ones, self.over.copy(), self.over & (self.seed % 2 == 1),
         )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 def counter(start: int = 0) -> Any:

@@ -5,11 +5,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
+from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.policies import (
@@ -137,8 +135,7 @@ def test_the_latent_expert_drives_most_episodes_and_others_the_rest():
     assert [row.name for row in drivers(3, 1, 0.0)] == ["expert"] * 3
 
 
-def test_visited_rows_are_what_the_filter_showed_at_each_decision(tmp_path):
-    parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
+def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
     seeds = [0, 1, 3]
     rows = [Behaviour("expert")] * 2 + [Behaviour("early", skill=0)]
     met, latents = visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)

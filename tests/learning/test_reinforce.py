@@ -5,24 +5,16 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.test_loops import Staggered
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import ReinforceConfig, ReturnsConfig
+from wasp_cli.learning.configs import ReinforceConfig
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.methods.base import Parts
 from wasp_cli.stages.base import no_progress
 
 CONFIG = ReinforceConfig(interactions=3000, envs=4, rollout=64, batch=64, learning_rate=2e-3, value_warmup=0.05, gamma=0.5)
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 def test_every_row_is_filtered_as_if_it_were_alone(parts):

@@ -96,28 +96,6 @@ def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
     assert (head is None) == (weight == 0)
 
 
-def test_a_checkpoint_restores_moments_and_generator(tmp_path):
-    module, source = torch.nn.Linear(3, 2), generator(1)
-    optimizer = torch.optim.Adam(module.parameters(), lr=0.1)
-    module(torch.ones(1, 3)).sum().backward()
-    optimizer.step()
-    save_training(tmp_path, module, optimizer, source, {"update": 7})
-    wanted = torch.rand(3, generator=source)
-    other, again = torch.nn.Linear(3, 2), generator(9)
-    fresh = torch.optim.Adam(other.parameters(), lr=0.1)
-    assert restore_training(tmp_path, other, fresh, again) == {"update": 7}
-    assert torch.equal(torch.rand(3, generator=again), wanted)
-    for a, b in zip(optimizer.state_dict()["state"].values(), fresh.state_dict()["state"].values(), strict=True):
-        assert all(torch.equal(torch.as_tensor(a[k]), torch.as_tensor(b[k])) for k in a)
-
-
-def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path):
-    data = recording()
-    data.reward[:] = np.nan
-    with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
-        train(build(TINY, 2), data, ROWS, TINY, TINY.updates, 0, tmp_path, lambda share, text: None)
-
-
 def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path):
     data = recording()
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)

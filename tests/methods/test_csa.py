@@ -4,10 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
-from wasp_cli.methods.base import Parts
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.configs import CSAConfig
 from wasp_cli.methods.csa import CSA
 from wasp_cli.metrics.episode import GATE_METHOD
@@ -16,11 +13,6 @@ from wasp_cli.models.consistency import sigma_at
 from wasp_cli.operators.base import EpisodeNoise, Operator
 
 ROWS = 5
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 @pytest.fixture

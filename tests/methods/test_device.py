@@ -1,7 +1,6 @@
 """Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods import filter as safety_filter
@@ -33,16 +31,6 @@ CASES = [
     *((name, {}) for name in METHODS), *((name, {"variant": variant}) for name in ("wasp", "printed") for variant in VARIANTS),
 ]  # fmt: skip
 NOWHERE = [*((method, changes, "laggy") for method, changes in CASES), ("printed", {}, "noisy"), ("printed", {}, "reaction-time")]
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("device"))
-
-
-@pytest.fixture
-def parts(folders) -> Parts:
-    return load_parts(folders, ReturnsConfig())
 
 
 def filtered(parts: Parts) -> Latent:
@@ -75,13 +63,13 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
 
 
 @pytest.mark.parametrize(("method", "changes", "operator"), NOWHERE)
-def test_no_assistant_looks_at_a_number_on_another_device(folders, method, changes, operator):
+def test_no_assistant_looks_at_a_number_on_another_device(artifacts, method, changes, operator):
     """Tensors that have shapes and no values: what asks for one raises, and so does a tensor of the CPU among them."""
     nowhere = torch.device("meta")
     for look in (lambda x: bool(x.sum() > 0), lambda x: x.numpy(), lambda x: x.nonzero(), lambda x: x + torch.zeros(2)):
         with pytest.raises((RuntimeError, NotImplementedError, TypeError)):
             look(torch.zeros(2, device=nowhere))
-    parts = load_parts(folders, ReturnsConfig(), nowhere)
+    parts = load_parts(artifacts, ReturnsConfig(), nowhere)
     assistant, issuing = made(parts, method, changes, operator)
     latent = filtered(parts).to(nowhere)
     with torch.inference_mode():
@@ -173,10 +161,10 @@ def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
 @pytest.mark.parametrize(("method", "changes"), CASES)
-def test_a_gpu_decides_what_the_cpu_does(folders, parts, method, changes):
+def test_a_gpu_decides_what_the_cpu_does(artifacts, parts, method, changes):
     """The same draws and weights; only sums are in another order: 1e-4 of every number that leads to a decision."""
     tau = thresholds(parts, method, changes) if method in ("wasp", "printed") else None
-    there = load_parts(folders, ReturnsConfig(), torch.device("cuda"))
+    there = load_parts(artifacts, ReturnsConfig(), torch.device("cuda"))
     found = decide(there, method, changes, tau)
     wanted = decide(parts, method, changes, tau)
     if wanted[0].record is not None:

@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Heldout
 from wasp_cli.methods.configs import MPMIConfig
 from wasp_cli.methods.mpmi import MPMI, nearest_safe
@@ -132,8 +130,8 @@ def test_every_input_meets_the_same_draws():
     assert cost[0, 0] != expected(torch.tensor(0.5), twice[0, 0])
 
 
-def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path):
-    mpmi = build_assistant("mpmi", {"candidates": 64}, load_parts(tiny_artifacts(tmp_path), ReturnsConfig()))
+def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(parts):
+    mpmi = build_assistant("mpmi", {"candidates": 64}, parts)
     assert isinstance(mpmi, MPMI)
     assert mpmi.inputs.abs().max() <= 1
     assert (mpmi.inputs == 0).all(-1).any()

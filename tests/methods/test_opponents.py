@@ -1,6 +1,5 @@
 """The opponents that are built of others: with the least correction, and IDA behind WASP's safety gate."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
@@ -23,14 +21,9 @@ SMALL: dict[str, Any] = {"candidates": 12, "elites": 4, "feasible": 4, "iteratio
 VOTE: dict[str, Any] = {"vote": 0.0}
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("opponents"))
-
-
 @pytest.fixture
-def parts(folders) -> Parts:
-    return load_parts(folders, ReturnsConfig(), motors=COARSE)
+def parts(artifacts) -> Parts:
+    return load_parts(artifacts, ReturnsConfig(), motors=COARSE)
 
 
 def situation(parts: Parts) -> tuple[Latent, Tensor, Operator]:

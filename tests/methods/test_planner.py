@@ -3,14 +3,11 @@
 from dataclasses import replace
 from typing import Any
 
-import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from tests.report.invented import invent, write, write_grid
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Decision, Parts, checked
 from wasp_cli.methods.planner import Planner
 from wasp_cli.methods.registry import METHODS
@@ -28,11 +25,6 @@ SMALL: dict[str, Any] = {
     "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3,
     "tau_c": 3.0, "tau_r": 0.0,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("planner")), ReturnsConfig())
 
 
 def latents(step: int) -> Latent:

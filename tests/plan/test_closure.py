@@ -6,6 +6,7 @@ from importlib.util import spec_from_file_location
 
 import pytest
 
+from tests.plugins import forget
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan import closure as module
@@ -30,11 +31,6 @@ def write(tmp_path, monkeypatch) -> Iterator[Write]:
     put("house/__init__.py", "")
     yield put
     forget()
-
-
-def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
-        cached.cache_clear()
 
 
 def test_imports_are_followed_wherever_they_stand(write):

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import pytest
-
 from tests.plan.test_grid import grid
 from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import source_hashes
@@ -13,13 +11,6 @@ from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
-
-
-@pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path)
-    layout.prepare()
-    return layout
 
 
 def store(layout: Layout, node: Node, **changes: Any) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plugins import forget
 from wasp_cli.plan import closure as module
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
@@ -22,11 +23,6 @@ ROOMS = sorted(
     if (path.suffix == ".py" or (path / "__init__.py").is_file()) and path.stem not in SCIENCE | SHARED | {"__init__"}
 )
 """Every other one, whoever adds it."""
-
-
-def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
-        cached.cache_clear()
 
 
 @pytest.fixture(scope="module")

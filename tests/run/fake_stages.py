@@ -47,7 +47,7 @@ class Fake:
         if "work" in options:
             hashlib.pbkdf2_hmac("sha256", b"", b"", options["work"])
         if len(Path(options["log"]).read_text(encoding="utf-8").splitlines()) > options.get("free", sys.maxsize):
-            time.sleep(60)  # until someone interrupts; not for ever, should nobody do so
+            time.sleep(600)  # until someone interrupts; not for ever, should nobody do so
         for text, behaviour in options.get("behave", {}).items():
             if text in name:
                 misbehave(behaviour, Path(options["log"]).with_suffix(".once"))
@@ -64,7 +64,7 @@ class Fake:
 
 def misbehave(behaviour: str, once: Path) -> None:
     if behaviour == "sleep":
-        time.sleep(60)
+        time.sleep(600)
     if behaviour == "hang":
         hashlib.pbkdf2_hmac("sha256", b"", b"", 100_000_000)  # one call, about a minute: no signal handler of Python's runs meanwhile
     if behaviour == "eat":

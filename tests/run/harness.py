@@ -98,6 +98,12 @@ def data_of(results: Path) -> dict[str, bytes]:
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
 
 
+def as_undisturbed(spec: Path, results: Path) -> bool:
+    """Whether a store has the bytes that it gets where nothing goes wrong."""
+    run(spec, results.with_name("undisturbed"))
+    return data_of(results) == data_of(results.with_name("undisturbed"))
+
+
 def finished(results: Path) -> set[str]:
     """The keys of every artifact in a store."""
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
@@ -113,6 +119,13 @@ def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def wasp(*arguments: str | Path | int, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """The same, to its end."""
+    process = start(*map(str, arguments), cwd=cwd)
+    out, errors = process.communicate(timeout=600)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import distributed
 import pytest
 
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.run import pool as pools
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import DaskPool, WorkersDied
@@ -101,3 +101,10 @@ def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status, pool):
         assert error.message == f"the dask scheduler is lost ({status})"
     pool._client.task.end("finished")  # too late, and no error
     assert isinstance(error_of(second), WaspError)
+
+
+def test_workers_with_several_threads_are_refused(pool, monkeypatch):
+    monkeypatch.setattr(Client, "nthreads", lambda self: {"one": 1, "two": 2})
+    with pytest.raises(UsageError) as refused:
+        DaskPool("tcp://somewhere:1")
+    assert refused.value.hint == "start it with --nthreads 1"

@@ -32,6 +32,21 @@ def other_spec(small_spec) -> Path:
     return path
 
 
+@pytest.fixture
+def results(fakes, small_spec, other_spec, tmp_path) -> Path:
+    """Of both, of which the other is the newest."""
+    run(small_spec, tmp_path / "results")
+    run(other_spec, tmp_path / "results")
+    return tmp_path / "results"
+
+
+@pytest.fixture
+def named_spec(small_spec) -> Path:
+    path = small_spec.with_name("named.yaml")
+    path.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
+    return path
+
+
 def collect(results: Path, *options: str | Path) -> str:
     done = run_here("gc", results, *options, columns=80)
     assert done.exit_code == 0, done.output
@@ -44,19 +59,7 @@ def table(text: str) -> dict[str, tuple[int, str]]:
     return {what: (int(count), size) for what, count, size in rows}
 
 
-def two_runs(first: Path, second: Path, results: Path) -> tuple[Layout, str]:
-    """The results of two specs, and the run of the first."""
-    run(first, results)
-    layout = Layout(results)
-    (run_id,) = run_ids(layout)
-    run(second, results)
-    return layout, run_id
-
-
-def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_spec, results, tmp_path):
     old, new = keys_of(small_spec, results), keys_of(other_spec, results)
     assert finished(results) == old | new
     assert "nothing was removed" in collect(results)
@@ -72,16 +75,11 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_sp
     assert run(small_spec, results).done == len(old - new)
 
 
-def test_specs_of_other_names_and_specs_to_keep(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_specs_of_other_names_and_specs_to_keep(small_spec, other_spec, named_spec, results, tmp_path):
     everything = finished(results)
     collect(results, "--yes", "--keep", small_spec)
     assert finished(results) == everything
-    named = small_spec.with_name("named.yaml")
-    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
-    run(named, results)
+    run(named_spec, results)
     run(other_spec, results)
     collect(results, "--yes")
     assert finished(results) == everything
@@ -106,7 +104,6 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_
 
 def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
-    run(small_spec, tmp_path / "undisturbed")
     fakes.set(seconds=0.1)
     process = start("run", small_spec, "--results", results, "-j", "2")
     wait_until(lambda: len(finished(results)) >= 5)
@@ -127,13 +124,12 @@ def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_pat
     assert looked
     output = process.communicate()
     assert process.returncode == 0, output
-    wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/_manifest.json")}
-    assert wanted <= finished(results)
+    assert keys_of(small_spec, results) <= finished(results)
 
 
-def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    layout, run_id = two_runs(small_spec, other_spec, results)
+def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, results, tmp_path):
+    layout = Layout(results)
+    run_id = run_ids(layout)[-1]
     journal = layout.run(run_id) / "journal.jsonl"
     events = [event for event in read_json_lines(journal) if event["event"] != "run ended"]
     for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
@@ -143,11 +139,8 @@ def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, tmp_path):
         assert (keys_of(small_spec, results) <= finished(results)) == stays
 
 
-def test_what_is_being_computed_stays(fakes, small_spec, other_spec, tmp_path):
+def test_what_is_being_computed_stays(fakes, small_spec, other_spec, results, tmp_path):
     """By a run that this machine cannot see: its locks tell."""
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
     layout = Layout(results)
     evaluation = next(path for path in sorted(results.glob("store/evaluate/*")) if path.name not in keys_of(other_spec, results))
     reads = set(json.loads((evaluation / "_manifest.json").read_text())["upstream"].values())
@@ -160,10 +153,7 @@ def test_what_is_being_computed_stays(fakes, small_spec, other_spec, tmp_path):
     assert evaluation.name not in finished(results)
 
 
-def test_only_what_is_old(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_only_what_is_old(fakes, small_spec, other_spec, results, tmp_path):
     unwanted = sorted(finished(results) - keys_of(other_spec, results))
     (old,) = results.glob(f"store/*/{unwanted[0]}")
     before = time.time() - 10 * 86400
@@ -174,22 +164,14 @@ def test_only_what_is_old(fakes, small_spec, other_spec, tmp_path):
     assert set(unwanted) - finished(results) == {unwanted[0]}
 
 
-def test_runs_go_only_when_asked(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    named = small_spec.with_name("named.yaml")
-    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
-    run(named, results)
-    run(other_spec, results)
+def test_runs_go_only_when_asked(named_spec, results):
+    run(named_spec, results)
     layout = Layout(results)
-    newest, *_ = before = run_ids(layout)
+    named, newest, _ = before = run_ids(layout)
     collect(results, "--yes")
     assert run_ids(layout) == before
     collect(results, "--yes", "--runs")
-    after = run_ids(layout)
-    assert len(after) == 2
-    assert newest in after
-    assert {name.split("-")[2] for name in after} == {"small", "named"}
+    assert run_ids(layout) == [named, newest]
 
 
 def test_what_runs_leave_behind(fakes, small_spec, tmp_path):
@@ -214,9 +196,9 @@ def test_what_runs_leave_behind(fakes, small_spec, tmp_path):
     assert [shown[what][0] for what in ("records of failures", "left in tmp")] == [1, 1]
 
 
-def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    layout, run_id = two_runs(small_spec, other_spec, results)
+def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, results, tmp_path):
+    layout = Layout(results)
+    run_id = run_ids(layout)[-1]
     before, plan = finished(results), layout.run(run_id) / "plan.json"
     whole = json.loads(plan.read_text())
     for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
@@ -232,10 +214,7 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, 
     assert finished(results) == keys_of(other_spec, results)
 
 
-def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fakes, small_spec, other_spec, results, tmp_path):
     layout = Layout(results)
     shown = unreached(layout, set(), runs=False, before=None)
     fakes.set(free=len(fakes.executions()))  # it waits at its first node
@@ -251,10 +230,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fak
         process.communicate(timeout=600)
 
 
-def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, tmp_path, monkeypatch):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, results, tmp_path, monkeypatch):
     layout = Layout(results)
 
     def killed(folder: Path) -> None:

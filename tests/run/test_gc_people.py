@@ -5,8 +5,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.commands import run_here
 from tests.run.recorded import key, planned, write_run
 from wasp_cli.report.notes import Note, add_note
@@ -15,13 +13,6 @@ from wasp_cli.store.layout import SESSION_FILE, Layout
 
 LONG_AGO = time.time() - 7200
 MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED, UNWANTED = range(1, 12)
-
-
-@pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
 
 
 def stored(layout: Layout, kind: str, number: int, reads: int | None = None, variant: str = "noisy", *, session: bool = False) -> Path:

@@ -144,7 +144,7 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     def other() -> None:
         with held(layout.lock(first.key), lambda: True, {"pid": 1}):
             started.set()
-            finish.wait(30)
+            finish.wait(600)
 
     thread = threading.Thread(target=other)
     thread.start()

@@ -21,13 +21,6 @@ from wasp_cli.store.layout import Layout
 RUN = "20260501-120000-small-0001"
 
 
-@pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
-
-
 def status(layout: Layout, *options: str) -> str:
     done = run_here("status", layout.root, *options, columns=120)
     assert done.exit_code == 0, done.output

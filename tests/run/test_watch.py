@@ -26,13 +26,6 @@ NODES = [
 HERE = process(os.getpid())
 
 
-@pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
-
-
 def started(**facts: Any) -> tuple[float, str, dict[str, Any]]:
     return (0, "run started", {"nodes": 5, "jobs": 2, **HERE, **facts})
 

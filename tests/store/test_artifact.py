@@ -24,13 +24,6 @@ from wasp_cli.store.lock import held, is_held
 KEY, OTHER = "a" * 20, "b" * 20
 
 
-@pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path)
-    layout.prepare()
-    return layout
-
-
 def staged(layout: Layout, content: str) -> Path:
     folder = staging_folder(layout, KEY)
     (folder / "deep").mkdir()

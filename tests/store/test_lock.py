@@ -32,14 +32,14 @@ def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):
     def wait_and_hold() -> None:
         with held(path, lambda: waits.set() is None):
             holds.set()
-            end.wait(10)
+            end.wait(600)
 
     with held(path, nothing):
         waiter = threading.Thread(target=wait_and_hold)
         waiter.start()
-        assert waits.wait(10)
+        assert waits.wait(600)
         path.unlink()
-    assert holds.wait(10)
+    assert holds.wait(600)
     assert is_held(path)
     assert not remove_lock(path)
     end.set()
