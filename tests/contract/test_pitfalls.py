@@ -45,9 +45,6 @@ def latents(parts: Parts, rows: int) -> Latent:
     return Latent(h, torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1))
 
 
-# -- 1: memory is cleared, and environments of a batch are impaired independently of each other
-
-
 def test_lag_of_a_new_episode_repeats_nothing_of_the_old_one():
     policy = context_of(lambda f: f[:, :2])
     laggy = build_operator("laggy", 1.0, policy, EpisodeNoise([1, 2]), 2)
@@ -86,9 +83,6 @@ def test_a_training_batch_of_saferl_holds_several_operators_at_once():
     assert len(set(mixed.choice.tolist())) > len(operators) / 2
 
 
-# -- 3, 4, 8: what counts as an intervention, and how large it is
-
-
 def test_an_intervention_on_one_component_counts():
     a_h = np.zeros((4, 2))
     a = a_h.copy()
@@ -115,9 +109,6 @@ def test_a_deviation_is_measured_between_bounded_actions(parts):
     assert torch.equal(action, a_h)  # pushing against a bound is no intervention
 
 
-# -- 5, 6: denominators and units
-
-
 def test_an_episode_that_runs_out_of_time_stays_in_the_mean():
     a = np.zeros((STEPS, 2))
     rows = [episode_metrics(episode(a, a), 1, 25.0) for _ in range(3)]
@@ -130,17 +121,11 @@ def test_the_spread_is_in_the_units_of_the_mean():
     assert (value.mean, value.sd) == (pytest.approx(0.4), pytest.approx(0.2))
 
 
-# -- 7: seeds
-
-
 def test_every_episode_has_its_own_world_and_all_methods_the_same_ones():
     worlds = [seeds.layout_seed("goal1", seed, e) for seed in range(3) for e in range(30)]
     assert len(set(worlds)) == 90
     own = {seeds.method_seed("goal1", "laggy", 0, e, m) for e in range(30) for m in METHODS}
     assert len(own) == 30 * len(METHODS)
-
-
-# -- 9: Diffusion
 
 
 def test_the_reverse_chain_undoes_as_many_steps_as_were_taken():
@@ -178,9 +163,6 @@ def test_noise_at_the_last_reverse_step_changes_every_command_and_is_off():
     free = clean.abs() < 1
     torch.testing.assert_close((noisy - clean)[free & (noisy.abs() < 1)], (schedule.beta[0].sqrt() * draws[4])[free & (noisy.abs() < 1)])
     assert not DiffusionConfig().last_noise
-
-
-# -- 10: an unimpaired expert is left alone
 
 
 class Nearness(torch.nn.Module):
@@ -239,17 +221,11 @@ def test_methods_without_a_threshold_of_their_own_leave_the_expert_s_command(par
             assert torch.equal(build_assistant(name, {}, parts).decide(latent, expert, operator).action, expert)
 
 
-# -- 12: the residual before training
-
-
 def test_the_residual_is_exactly_zero_before_training(parts):
     from wasp_cli.models.residual import ResidualPolicy
 
     policy = ResidualPolicy(7, 2, [8, 8])
     assert torch.equal(policy(torch.randn(20, 7), torch.rand(20, 2)), torch.zeros(20, 2))
-
-
-# -- 13: thresholds stay with the rows
 
 
 def test_the_thresholds_in_force_are_what_a_row_stores(artifacts, tmp_path):
@@ -262,9 +238,6 @@ def test_the_thresholds_in_force_are_what_a_row_stores(artifacts, tmp_path):
     assert thresholds_of(build_assistant("filter", {}, parts)).tau_c == 0.9
     assert thresholds_of(build_assistant("filter", {"tau_c": 0.4}, parts)).tau_c == 0.4
     assert thresholds_of(build_assistant("wasp", {}, parts)).tau_r == 0.1
-
-
-# -- 14: nothing that stops, phones home or needs a GPU
 
 
 def test_no_module_holds_a_debugger_a_network_logger_an_absolute_path_or_a_fixed_gpu():

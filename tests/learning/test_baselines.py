@@ -35,9 +35,6 @@ def data() -> tuple[Recording, Latents]:
     return recorded, Latents(torch.randn(rows, 4, generator=source), torch.zeros(rows, 1, dtype=torch.uint8), 2)
 
 
-# -- Diffusion
-
-
 def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_does_so_more(data):
     recorded, latents = data
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
@@ -88,9 +85,6 @@ def test_predicting_no_noise_at_all_scores_one():
     assert loss == pytest.approx(1.0, abs=0.03)
 
 
-# -- IDA
-
-
 def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data):
     """The reward of an action is 1 - (a_0 - x)^2 at a latent that begins with x; the expert does nothing."""
     recorded, latents = data
@@ -135,8 +129,6 @@ def test_q_is_judged_by_what_really_followed():
     np.testing.assert_allclose(found.predicted, wanted.predicted, rtol=1e-5)
     np.testing.assert_array_equal(found.real, wanted.real)
 
-
-# -- SafeRL-Res
 
 SMALL = ResidualConfig(
     interactions=4000, envs=4, rollout=64, batch=64, hidden=(16,), learning_rate=3e-3, gamma=0.5, log_std_init=-0.5, alpha=0.01,

@@ -45,9 +45,6 @@ def noisy(ratio: float, rows: int = 1000) -> tuple[torch.Tensor, torch.Tensor, t
     return torch.zeros(rows, 1), x, torch.full((rows,), sigma_at(ratio))
 
 
-# -- levels and form
-
-
 def test_the_ladder_is_that_of_karras_et_al():
     assert ladder(30)[[0, -1]].tolist() == pytest.approx([80.0, 0.002])
     assert ladder(30)[9].item() == pytest.approx(11.5, abs=0.01)  # the authors' level for the Lunar Lander
@@ -70,9 +67,6 @@ def test_an_error_counts_as_much_as_the_network_behind_it_at_every_level():
         c_out = sigma * SIGMA_DATA / math.hypot(sigma, SIGMA_DATA)
         found = weighted(torch.full((4, 2), c_out), torch.zeros(4, 2), torch.full((4,), sigma))
         assert found.item() == pytest.approx(1.0)
-
-
-# -- the teacher's flow
 
 
 class Gauss(Consistency):
@@ -98,9 +92,6 @@ def test_the_flow_of_a_normal_action_ends_where_it_should():
     torch.testing.assert_close(heun(teacher, torch.zeros(3, 1), x, sigma, below), 0.3 + shrunk * (x - 0.3), atol=2e-3, rtol=0)
 
 
-# -- training
-
-
 def test_one_step_of_the_student_lands_on_the_modes_where_one_of_the_teacher_falls_between(trained):
     teacher, student, _ = trained
     features, x, sigma = noisy(1.0)
@@ -120,16 +111,6 @@ def test_training_makes_the_student_say_the_same_along_the_teacher_s_flow(traine
         assert after < 0.4 * before
     half = follow(teacher, features, x, 0.69, 40)
     assert one_step_error(student, teacher, features, half, 0.0, 1) == pytest.approx(0.0, abs=1e-3)
-
-
-def test_the_teacher_stays_what_it_was_when_it_is_distilled(trained):
-    teacher, _, _ = trained
-    before = [parameter.clone() for parameter in teacher.parameters()]
-    distil(teacher, lambda: (torch.zeros(8, 1), torch.zeros(8, 1)), CONFIG.model_copy(update={"updates": 3}), generator(0), no_progress)
-    assert all(torch.equal(a, b) for a, b in zip(before, teacher.parameters(), strict=True))
-
-
-# -- on recorded latents
 
 
 def test_commands_are_brought_to_the_expert_s_actions_and_the_more_so_the_higher_the_level():

@@ -21,6 +21,7 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.stages.base import no_progress
 from wasp_cli.store.recorded import read_recorded
 
 IDA = {"vote": 0.0}
@@ -35,7 +36,7 @@ def rerun_of(cell: Evaluated) -> Rerun:
 
 
 def branched(cell: Evaluated, chosen: Sequence[Sequence[int]], window: int = WINDOW) -> list[Branch]:
-    return branches(rerun_of(cell), chosen, window, lambda share, text: None)
+    return branches(rerun_of(cell), chosen, window, no_progress)
 
 
 def same(one: Branch, other: Branch) -> bool:

@@ -22,6 +22,7 @@ from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
+from wasp_cli.stages.base import no_progress
 
 KEEP = 0.9
 
@@ -72,7 +73,7 @@ def trained(
 ) -> tuple[LatentCritics, list[dict[str, float]]]:
     torch.manual_seed(0)
     where = still(len(data.first)) if latents is None else latents
-    return train_critics(world, SKILLS, data, where, config, RETURNS, 0, lambda share, text: None)
+    return train_critics(world, SKILLS, data, where, config, RETURNS, 0, no_progress)
 
 
 @pytest.mark.parametrize("keep", [KEEP, 1.0])
@@ -94,7 +95,7 @@ def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows():
         data.action[1:] = skills.expert(latents.at(torch.arange(17)).features)  # so that nothing has to be guessed
     torch.manual_seed(0)
     config = SMALL.model_copy(update={"q_updates": 1000, "hidden": (32,)})
-    values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, lambda share, text: None)
+    values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, no_progress)
     ahead = np.arange(5, 0, -1)
     np.testing.assert_allclose(values[0, 6:11], 2.0 * (1 - 0.9**ahead) / 0.1, rtol=0.1)
     np.testing.assert_allclose(values[1, 6:11], 0.5 * (1 - 0.5**ahead) / 0.5, rtol=0.1)

@@ -22,14 +22,14 @@ from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.tasks.make import make_task
 
 TASK = "race1"  # its episodes of 125 decisions are the shortest
 ENVS, SHARDS = 3, 2
 
 
-def job(root: Path, name: str, progress: Any = lambda share, text: None, work: str | None = None) -> Job:
+def job(root: Path, name: str, progress: Any = no_progress, work: str | None = None) -> Job:
     folders = [root / name, root / (work or f"{name}-work")]
     for folder in folders:
         folder.mkdir(exist_ok=True)

@@ -27,6 +27,7 @@ from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import save_world_model
 from wasp_cli.report.trained.tables import open_loop_markdown
+from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
@@ -264,9 +265,6 @@ def test_the_unseen_operators_are_not_in_the_mixture():
     assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
 
 
-# -- the stage --------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def inputs(root) -> dict[str, Path]:  # noqa: F811
     torch.manual_seed(1)
@@ -275,7 +273,7 @@ def inputs(root) -> dict[str, Path]:  # noqa: F811
     model = build(sizes, 2)
     save_world_model(model, root / "model")
     (root / "latents").mkdir()
-    save_latents(encode(model, read_shards(root / "whole"), lambda share, text: None), root / "latents")
+    save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "latents")
     return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
 
 

@@ -21,7 +21,7 @@ from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.seeds import derive
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.stages.expert import ExpertStage
 from wasp_cli.tasks.make import make_task
 
@@ -32,11 +32,7 @@ TINY = ExpertConfig(
 """Nobody reaches its bar: its one further training is always needed."""
 
 
-def silent(share: float, text: str) -> None:
-    pass
-
-
-def job(root: Path, progress: Any = silent, task: str = "race1") -> Job:
+def job(root: Path, progress: Any = no_progress, task: str = "race1") -> Job:
     for folder in (root / "out", root / "work"):
         folder.mkdir(parents=True, exist_ok=True)
     return Job("expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress)
@@ -62,19 +58,11 @@ def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrappe
     assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)  # every episode costs in its second decision; cut ones count here
 
 
-def test_without_spreading_nothing_is_cut():
-    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
-    env.reset()
-    for t in range(1, 11):
-        env.step_async(np.ones((2, 2), np.float32))
-        assert (env.step_wait()[2] == (t % 5 == 0)).all()
-
-
 def test_the_multiplier_follows_the_cost_over_an_episodes_length():
     """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over three of them does not."""
     env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     rule = MultiplierRule(initial=0.5, rate=0.1, bound=10.0, limit=100.0)
-    callback = LagrangianCallback(env, rule, 24, silent)
+    callback = LagrangianCallback(env, rule, 24, no_progress)
     PPO("MlpPolicy", env, n_steps=2, batch_size=4, n_epochs=1, device="cpu", seed=0).learn(24, callback=callback)
     costs = [row["cost_per_1000"] for row in callback.curve]
     assert costs == [375.0, 0.0, 0.0, 375.0, 0.0, 375.0]

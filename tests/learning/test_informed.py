@@ -21,7 +21,7 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.plan.grid import lay_out, stage_class
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import load
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.make import make_task
@@ -90,14 +90,14 @@ def test_the_expert_of_a_cell_is_the_privileged_one(inputs, tmp_path):
 def test_branches_without_an_assistant_are_the_episode_itself(inputs, tmp_path):
     alone = evaluated(inputs, tmp_path, variant="laggy", value=0.5, task=TASK)
     rewards = Recorded(**read_recorded(alone.path)).reward
-    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, lambda share, text: None)
+    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, no_progress)
     assert len(found) == 6
     for branch in found:
         wanted = rewards[branch.episode][branch.t : branch.t + 4]
         np.testing.assert_array_equal(branch.reward.astype(np.float32), wanted)
 
 
-@pytest.mark.parametrize("method", ["ida", "diffusion", "wasp"])
+@pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])
 def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
     small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
     config = METHODS[method].config_model()(**small.get(method, {})).model_dump(mode="json")

@@ -95,19 +95,6 @@ def test_episodes_restart_row_by_row_with_their_terminal_observation():
                 assert seen[row].tolist() == [seed, step + 1, 0]
 
 
-def test_the_curve_counts_whole_episodes_and_every_env_step():
-    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, counter())
-    env.reset()
-    for _ in range(3):
-        env.step_async(np.ones((2, 2), np.float32))
-        env.step_wait()
-    row = env.curve.take()
-    assert row["return"] == pytest.approx(np.mean([2.0, 3.0]))  # seeds 0 and 1
-    assert row["cost"] == 3.0
-    assert row["cost_per_1000"] == pytest.approx(1000 * 6 / 24)
-    assert np.isnan(env.curve.take()["return"])
-
-
 @pytest.mark.parametrize("operators", [{"laggy": (0.5,)}, {"reactive": (0.5,)}], ids=list)
 def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators):
     """Restarting some rows must leave the filter, the operators and their noise of the others where they were."""

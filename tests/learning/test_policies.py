@@ -7,21 +7,11 @@ from torch import Tensor
 
 from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
+from wasp_cli.learning import policies
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.policies import (
-    Labelled,
-    agreement,
-    drivers,
-    explained,
-    fit,
-    imagine_arrivals,
-    label,
-    latent_episodes,
-    new_skills,
-    visit,
-)
+from wasp_cli.learning.policies import Labelled, explained, fit, label, new_skills
 from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
@@ -57,7 +47,7 @@ def walk(lengths: tuple[int, ...]) -> tuple[Latents, Tensor, Tensor]:
 
 def test_imagined_arrivals_end_where_the_labels_are():
     latents, action, first = walk((40, 1, 2, 57))
-    found = imagine_arrivals(Counter(), latents, action, first, depth=5, seed=3)
+    found = policies.imagine_arrivals(Counter(), latents, action, first, depth=5, seed=3)
     # Under the recorded actions a perfect model arrives at the recorded state, whatever the depth and never from another episode.
     assert torch.equal(found.h[:, 0], latents.h[:, 0])
     assert torch.equal(found.z, latents.z)
@@ -65,8 +55,8 @@ def test_imagined_arrivals_end_where_the_labels_are():
     assert (steps[first > 0] == 0).all()
     assert steps[41 + 1] == 1  # the second row of an episode has one step behind it
     assert set(steps[5:40].tolist()) == {1, 2, 3, 4, 5}
-    assert torch.equal(imagine_arrivals(Counter(), latents, action, first, 5, 3).h, found.h)
-    assert (imagine_arrivals(Counter(), latents, action, first, 1, 3).h[:, 1] == 1 - first).all()
+    assert torch.equal(policies.imagine_arrivals(Counter(), latents, action, first, 5, 3).h, found.h)
+    assert (policies.imagine_arrivals(Counter(), latents, action, first, 1, 3).h[:, 1] == 1 - first).all()
 
 
 def states(rows: int, seed: int, shift: float) -> Labelled:
@@ -117,28 +107,18 @@ def test_labels_are_the_checkpoints_answers():
 
 
 def test_the_latent_expert_drives_most_episodes_and_others_the_rest():
-    rows = drivers(20, 4, 0.5)
+    rows = policies.drivers(20, 4, 0.5)
     assert [row.name for row in rows[:10]] == ["expert"] * 10
-    assert [row.name for row in rows[10:]] == [
-        "gaussian",
-        "noisy",
-        "laggy",
-        "skill 2",
-        "skill 1",
-        "skill 0",
-        "gaussian",
-        "noisy",
-        "laggy",
-        "skill 2",
-    ]
+    others = ["gaussian", "noisy", "laggy", "skill 2", "skill 1", "skill 0"]
+    assert [row.name for row in rows[10:]] == [*others, *others[:4]]
     assert {row.skill for row in rows} == {-1, 0, 1, 2}
-    assert [row.name for row in drivers(3, 1, 0.0)] == ["expert"] * 3
+    assert [row.name for row in policies.drivers(3, 1, 0.0)] == ["expert"] * 3
 
 
 def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
     seeds = [0, 1, 3]
     rows = [Behaviour("expert")] * 2 + [Behaviour("early", skill=0)]
-    met, latents = visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)
+    met, latents = policies.visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)
     assert met.privileged[:, 0].tolist() == [0] * 2 + [1] * 3 + [3] * 5
     assert met.privileged[:, 1].tolist() == [*range(2), *range(3), *range(5)]  # no state after an episode's end
     assert met.episode.tolist() == [0] * 2 + [1] * 3 + [2] * 5
@@ -158,7 +138,7 @@ def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
                 np.testing.assert_allclose(met.action[row + 1], driven[0], atol=1e-6)
             if not task.over[0]:
                 seen = task.step(driven.numpy()).observation
-    loop = latent_episodes(Staggered(2), model, parts.skills, 0.25, [1, 3])
+    loop = policies.latent_episodes(Staggered(2), model, parts.skills, 0.25, [1, 3])
     assert loop.alive.sum(0).tolist() == [3, 5]
     assert loop.terminated.T.tolist() == [[False, False, True, False, False], [False] * 4 + [True]]
     np.testing.assert_allclose(loop.action[:4, 1], met.action[6:10], atol=1e-6)  # the episode of seed 3, driven by the same skill
@@ -215,8 +195,8 @@ def test_policies_agree_where_imagined_latents_are_the_filtered_ones():
     torch.manual_seed(0)
     skills = new_skills([PrivilegedPolicy(3, [4], 1)] * 2, [0.5, 1.0], 3, CONFIG)
     alike = states(300, 1, 0.0)
-    assert agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
-    shares = agreement(skills, states(300, 1, 2.0))
+    assert policies.agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
+    shares = policies.agreement(skills, states(300, 1, 2.0))
     mine, theirs = (skills.at(1.0)(latents.at(torch.arange(300)).features) for latents in states(300, 1, 2.0)[:2])
     assert shares["1"] == pytest.approx((1 - (mine - theirs).square().mean() / mine.var(correction=0)).item(), rel=1e-4)
     assert shares["1"] < 1

@@ -13,14 +13,10 @@ from wasp_cli.learning.readout import embeddings, fit_ridge
 from wasp_cli.learning.shards import Recording, write_shard
 from wasp_cli.learning.world_model import Report, build, mean_image, train
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.stages.world_model import WorldModelStage
 
 TAUGHT = TINY.model_copy(update={"taught": 150, "taught_batch": 32, "taught_head": 32, "privileged": 100.0, "depth": 4})
-
-
-def silent(share: float, text: str) -> None:
-    return None
 
 
 def blocks(rows: int = 400) -> Recording:
@@ -53,19 +49,19 @@ def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     learned, rest = np.arange(300), np.arange(300, 400)
     model = fresh(data)
     before = told(model, data, learned, rest)
-    curve = teach_encoder(model, data, learned, TAUGHT, 3, silent, mirror=mirror)
+    curve = teach_encoder(model, data, learned, TAUGHT, 3, no_progress, mirror=mirror)
     after = told(model, data, learned, rest)
     assert after > max(0.7, before + 0.1)
     assert curve[-1] < 0.5 * curve[0]
     again = fresh(data)
-    assert teach_encoder(again, data, learned, TAUGHT, 3, silent, mirror=mirror) == curve
+    assert teach_encoder(again, data, learned, TAUGHT, 3, no_progress, mirror=mirror) == curve
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)), "an interrupted one begins anew"
 
 
 def test_only_the_encoder_is_taught():
     data = blocks(80)
     model, untaught = fresh(data), fresh(data)
-    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, silent)
+    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, no_progress)
     moved = {
         name.split(".")[0] for (name, a), b in zip(model.named_parameters(), untaught.parameters(), strict=True) if not torch.equal(a, b)
     }
@@ -86,8 +82,8 @@ def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path):
         config = TAUGHT.model_copy(update={"taught": 5, "ahead_starts": 0})
         model = build(config, 2)
         readout = new_readout(model, data, rows, config)
-        teach_encoder(model, data, rows, config, 1, silent)
-        train(model, data, rows, config, 4, 2, tmp_path / name, silent, readout=readout)
+        teach_encoder(model, data, rows, config, 1, no_progress)
+        train(model, data, rows, config, 4, 2, tmp_path / name, no_progress, readout=readout)
         found.append({**model.state_dict(), **readout.state_dict()})
     assert all(torch.equal(found[0][name], found[1][name]) for name in found[0])
 
@@ -124,7 +120,7 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
         model = build(config, 2)
         readout = new_readout(model, data, ROWS, config) if weight else None
         (tmp_path / str(weight)).mkdir()
-        curves, _ = train(model, data, ROWS, config, 8, 5, tmp_path / str(weight), silent, readout=readout, mirror=MIRROR)
+        curves, _ = train(model, data, ROWS, config, 8, 5, tmp_path / str(weight), no_progress, readout=readout, mirror=MIRROR)
         found.append((curves, model.state_dict()))
     (plain, weights), (along, others) = found
     assert set(along) - set(plain) == {"privileged"}
@@ -138,7 +134,7 @@ def test_latents_learn_to_tell_the_vector(tmp_path):
     config = TAUGHT.model_copy(update={"updates": 60, "batch": 8, "learning_rate": 3e-3, "privileged": 100.0})
     model = fresh(data, config)
     readout = new_readout(model, data, np.arange(120), config)
-    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, silent, readout=readout)
+    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, no_progress, readout=readout)
     assert curves["privileged"][-1] < 0.8 * curves["privileged"][0]
 
 
@@ -146,7 +142,7 @@ class Interrupted(Exception):
     """Somebody presses Ctrl-C."""
 
 
-def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = silent) -> Job:
+def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = no_progress) -> Job:
     out, work = root / name, root / f"{name}-work"
     out.mkdir(exist_ok=True)
     work.mkdir(exist_ok=True)

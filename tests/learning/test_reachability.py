@@ -60,18 +60,6 @@ def test_the_fixed_point_is_when_the_best_plan_fails_first():
     assert len(different) >= 5, "a world in which everything or nothing fails shows nothing"
 
 
-def test_a_discount_grades_what_a_saturated_margin_alone_does_not():
-    """LatentCBF's point: with its discount of 0.9999 a margin of +-1 makes a value of +-1, flat up to the edge of what cannot be avoided.
-
-    Its answer is a gradient penalty on the margin; here the discount grades the value by the time that is left.
-    """
-    arrive, cost = (torch.arange(11) - 1).clamp(min=0).unsqueeze(1), (torch.arange(11) == 0).double()
-    flat, graded = (1 - 2 * fixed_point(arrive, cost, gamma)[1:, 0] for gamma in (0.9999, 0.95))
-    assert float(flat.max() - flat.min()) < 0.002
-    assert float(graded.max() - graded.min()) > 0.7
-    assert (graded.diff() > 0.05).all()
-
-
 def test_extreme_actions_are_all_or_nothing():
     assert sorted(map(tuple, extreme_actions(2).tolist())) == sorted(product((-1.0, 0.0, 1.0), repeat=2))
     many = extreme_actions(6)

@@ -10,6 +10,7 @@ from tests.learning.recordings import TINY, recording
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.readout import StateReadout, embeddings, fit_ridge, imagined_features
 from wasp_cli.learning.world_model import build
+from wasp_cli.stages.base import no_progress
 
 
 def test_a_ridge_regression_is_the_textbook_one():
@@ -39,7 +40,7 @@ def test_what_the_features_hold_is_read_and_the_rest_is_not():
     data = recording((60, 60, 30))
     torch.manual_seed(0)
     model = build(TINY, 2)
-    latents = encode(model, data, lambda share, text: None)
+    latents = encode(model, data, no_progress)
     learned, held = data.episode < 2, data.episode == 2
     h = latents.h.numpy()
     data = data._replace(privileged=np.concatenate([h[:, :2] * [1.0, 50.0], data.privileged[:, :2]], 1).astype(np.float32))
@@ -62,7 +63,7 @@ def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch):
     data = recording((40,))
     torch.manual_seed(0)
     model = build(TINY, 2)
-    latents = encode(model, data, lambda share, text: None)
+    latents = encode(model, data, no_progress)
     starts = np.arange(30)
     exact = imagined_features(model, data, latents, starts, 4, 3, 5)
     asked: list[Any] = []

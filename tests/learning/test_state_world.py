@@ -24,6 +24,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.state import StateWorld
 from wasp_cli.models.weights import save_weights
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
+from wasp_cli.stages.base import no_progress
 from wasp_cli.tasks.base import Bools, Observation, Step
 
 ROWS = 6
@@ -81,7 +82,7 @@ def parts(tmp_path_factory) -> Parts:
     recording = Recording(**dict.fromkeys(Recording._fields, np.zeros(0)) | {"episode": np.arange(200) // 20})
     latents = Latents(state, torch.zeros(200, 0, dtype=torch.uint8), 1)
     torch.manual_seed(0)
-    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 0, lambda share, text: None)
+    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 0, no_progress)
     levels = {"steps": schedule.steps, "beta_min": config.beta_min, "beta_max": config.beta_max}
     save_weights(denoiser, folder / "denoiser.safetensors", features=1, action=1, hidden=[32], steps=schedule.steps, schedule=levels)
     critics = QEnsemble(4, 1, 1, [])

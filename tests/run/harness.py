@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,18 +55,25 @@ class Fakes:
         return self.log.read_text(encoding="utf-8").splitlines() if self.log.exists() else []
 
 
-@pytest.fixture
-def fakes(tmp_path, monkeypatch) -> Iterator[Fakes]:
+@contextmanager
+def faked(folder: Path) -> Iterator[Fakes]:
     """Fake stages in the place of all real ones."""
-    monkeypatch.setenv(fake_stages.OPTIONS, "{}")
-    grid.stage_class.cache_clear()
-    before = fake_stages.install()
-    state = Fakes(tmp_path)
-    state.set()
-    yield state
-    STAGES._own.update(before)
-    STAGES._all = None
-    grid.stage_class.cache_clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(fake_stages.OPTIONS, "{}")
+        grid.stage_class.cache_clear()
+        before = fake_stages.install()
+        state = Fakes(folder)
+        state.set()
+        yield state
+        STAGES._own.update(before)
+        STAGES._all = None
+        grid.stage_class.cache_clear()
+
+
+@pytest.fixture
+def fakes(tmp_path):
+    with faked(tmp_path) as state:
+        yield state
 
 
 @pytest.fixture

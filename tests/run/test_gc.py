@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import finished, keys_of, run, start, wait_until
+from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
@@ -24,27 +24,35 @@ from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
 
 
-@pytest.fixture
-def other_spec(small_spec) -> Path:
-    """The same experiment with another seed, under the same name."""
-    path = small_spec.with_name("other.yaml")
-    path.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
+def written(path: Path, *change: str) -> Path:
+    path.write_text(SMALL.replace(*change) if change else SMALL, encoding="utf-8")
     return path
 
 
 @pytest.fixture
-def results(fakes, small_spec, other_spec, tmp_path) -> Path:
-    """Of both, of which the other is the newest."""
-    run(small_spec, tmp_path / "results")
-    run(other_spec, tmp_path / "results")
-    return tmp_path / "results"
+def other_spec(small_spec) -> Path:
+    """The same experiment with another seed, under the same name."""
+    return written(small_spec.with_name("other.yaml"), "seeds: [0, 1]", "seeds: [1, 7]")
 
 
 @pytest.fixture
 def named_spec(small_spec) -> Path:
-    path = small_spec.with_name("named.yaml")
-    path.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
-    return path
+    return written(small_spec.with_name("named.yaml"), "name: small", "name: named")
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("both")
+    with faked(folder):
+        run(written(folder / "small.yaml"), folder / "results")
+        run(written(folder / "other.yaml", "seeds: [0, 1]", "seeds: [1, 7]"), folder / "results")
+    return folder / "results"
+
+
+@pytest.fixture
+def results(both, fakes, tmp_path) -> Path:
+    """Of both, of which the other is the newest."""
+    return shutil.copytree(both, tmp_path / "results")
 
 
 def collect(results: Path, *options: str | Path) -> str:
@@ -218,8 +226,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fak
     layout = Layout(results)
     shown = unreached(layout, set(), runs=False, before=None)
     fakes.set(free=len(fakes.executions()))  # it waits at its first node
-    spec = small_spec.with_name("more.yaml")
-    spec.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [0, 9]"), encoding="utf-8")
+    spec = written(small_spec.with_name("more.yaml"), "seeds: [0, 1]", "seeds: [0, 9]")
     process = start("run", spec, "--results", results, "-j", "1")
     try:
         wait_until(lambda: len(run_ids(layout)) == 3 and any(results.glob("runs/*/running/*.json")))

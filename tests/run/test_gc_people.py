@@ -21,13 +21,7 @@ def stored(layout: Layout, kind: str, number: int, reads: int | None = None, var
     if session:
         write_record(staging / SESSION_FILE, {"number": 1})
     upstream = {} if reads is None else {"read": key(reads)}
-    manifest: dict[str, Any] = {
-        "kind": kind,
-        "key": key(number),
-        "label": f"n{number}",
-        "axes": {"operator": variant},
-        "upstream": upstream,
-    }
+    manifest = {"kind": kind, "key": key(number), "label": f"n{number}", "axes": {"operator": variant}, "upstream": upstream}
     return commit(layout, kind, key(number), staging, manifest)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.plan.test_plan import text_of
 from tests.run.harness import data_of
-from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, here, kinds, moved, node_of, plan, published_manifest, rewrite, run
+from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, kinds, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.errors import UsageError
 from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import closure
@@ -18,10 +18,10 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
-__all__ = ["fresh_console", "here", "moved"]
+__all__ = ["fresh_console"]
 
 
-def test_a_fresh_folder_computes_nothing_that_is_published(here, fakes, small_spec, tmp_path, capsys):
+def test_a_fresh_folder_computes_nothing_that_is_published(here, computed, fakes, small_spec, capsys):
     before = plan(small_spec, here)
     done = run(small_spec, here)
     assert not fakes.executions()
@@ -31,7 +31,7 @@ def test_a_fresh_folder_computes_nothing_that_is_published(here, fakes, small_sp
     assert {node.key for node in taken} == before.grid.targets == {path.parent.name for path in here.glob("store/*/*/_manifest.json")}
     assert {step.reason for step in before.steps if step.node in taken} == {"published with this code"}
     assert {step.reason for step in before.steps if step.node not in taken} == {"everything that needs it is computed"}
-    assert data_of(here).items() <= data_of(tmp_path / "elsewhere").items()
+    assert data_of(here).items() <= data_of(computed / "elsewhere").items()
     assert f"0 computed, 0 computed before, {len(taken)} published in" in capsys.readouterr().err
     assert plan(small_spec, here).count("cached") == len(taken)
     assert f"nothing to compute: a run copies {len(taken)} published results" in text_of(before)

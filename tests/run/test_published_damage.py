@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.run.layered import COMMON, MORE, fresh_console, here, kinds, moved, plan, published_manifest, rewrite, run
+from tests.run.layered import COMMON, MORE, fresh_console, kinds, plan, published_manifest, rewrite, run
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
@@ -16,7 +16,7 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import import_artifact
 
-__all__ = ["fresh_console", "here", "moved"]
+__all__ = ["fresh_console"]
 
 
 def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):

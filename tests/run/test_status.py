@@ -9,8 +9,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-import pytest
-
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
 from tests.run.recorded import at, dead_pid, key, planned, process, write_run
@@ -160,14 +158,29 @@ def test_a_log_commands_no_terminal(layout):
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
 
 
-@pytest.mark.parametrize("command", ["status {0}", "logs a --results {0}", "show a --results {0}", "gc {0} --dry-run"])
-def test_who_looks_imports_nothing_heavy(command, layout):
+LOOKS = """
+import json, sys
+from wasp_cli.cli.app import main
+
+for command in json.loads(sys.argv[1]):
+    sys.argv[1:], code = command, None
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code
+    heavy = [name for name in ("torch", "mujoco", "joblib", "matplotlib", "gymnasium") if name in sys.modules]
+    print(f"after {command[0]}: {code} {heavy}")
+"""
+
+
+def test_who_looks_imports_nothing_heavy(layout):
     write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", {})])
     layout.log(RUN, "a", key(1)).write_text("log\n")
     manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
     write_record(layout.manifest("world_model", key(1)), manifest)
-    code = "import sys\nfrom wasp_cli.cli.app import main\ntry: main()\nexcept SystemExit as end: code = end.code\n"
-    code += "print(code, [name for name in ('torch', 'mujoco', 'joblib', 'matplotlib', 'gymnasium') if name in sys.modules])"
-    arguments = command.format(layout.root).split()
-    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
+    commands = [["status", "R"], ["logs", "a", "--results", "R"], ["show", "a", "--results", "R"], ["gc", "R", "--dry-run"]]
+    asked = [[str(layout.root) if word == "R" else word for word in command] for command in commands]
+    done = subprocess.run([sys.executable, "-c", LOOKS, json.dumps(asked)], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert [line for line in done.stdout.splitlines() if line.startswith("after ")] == [f"after {c[0]}: 0 []" for c in commands], (
+        done.stderr
+    )

@@ -24,6 +24,7 @@ NODES = [
     planned(5, "f", needs=[4]),
 ]
 HERE = process(os.getpid())
+RUN = "20260501-120000-small-0001"
 
 
 def started(**facts: Any) -> tuple[float, str, dict[str, Any]]:
@@ -51,7 +52,7 @@ def test_a_run_that_goes_on(layout):
         2: {"label": "c", "kind": "expert", "share": 0.25, "text": "step 5", "started": at(60), "at": at(119), "memory_mb": 512, **HERE},
         1: {"label": "b", "share": 1.0, "text": "left behind by a node that has ended", **HERE},
     }
-    write_run(layout, "20260501-120000-small-0001", NODES, events, running)
+    write_run(layout, RUN, NODES, events, running)
     state = only(layout)
     assert (state.state, state.spec, state.total) == ("running", "small", 5)
     assert (state.done, state.shared, len(state.failed), state.blocked, state.running, state.waiting) == (1, 0, 1, 1, 1, 1)
@@ -68,21 +69,21 @@ def test_a_run_that_goes_on(layout):
 
 def test_workers_share_what_does_not_wait(layout):
     nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
-    write_run(layout, "20260501-120000-small-0001", nodes, [started(jobs=2)])
+    write_run(layout, RUN, nodes, [started(jobs=2)])
     assert only(layout).left_seconds == pytest.approx(180)
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
 def test_a_running_node_has_less_left(share, left, layout):
     running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=100.0)], [started()], running)
+    write_run(layout, RUN, [planned(1, "b", seconds=100.0)], [started()], running)
     assert only(layout).left_seconds == pytest.approx(left)
 
 
 def test_without_estimates_the_rate_tells_what_is_left(layout):
     nodes = [planned(number, f"n{number}") for number in range(40)]
     events = [started(), *(ended("done", number, 600 + 6 * number) for number in range(20))]
-    write_run(layout, "20260501-120000-small-0001", nodes, events)
+    write_run(layout, RUN, nodes, events)
     state = only(layout, 600 + 6 * 19)
     assert state.per_minute == pytest.approx(10)  # the slow beginning is over
     assert state.left_seconds == pytest.approx(120)
@@ -90,7 +91,7 @@ def test_without_estimates_the_rate_tells_what_is_left(layout):
 
 
 def test_nodes_without_an_estimate_are_counted(layout):
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
+    write_run(layout, RUN, [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
     assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
 
 
@@ -104,7 +105,7 @@ def test_nodes_without_an_estimate_are_counted(layout):
     ],
 )
 def test_the_death_of_a_run_shows(facts, state, layout):
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(**facts), ended("done", 1, 60)])
+    write_run(layout, RUN, NODES, [started(**facts), ended("done", 1, 60)])
     found = only(layout)
     assert found.state == state
     assert (found.ended == moment(at(60))) == (state == "died")
@@ -113,27 +114,27 @@ def test_the_death_of_a_run_shows(facts, state, layout):
 
 @pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
 def test_a_run_that_is_over_says_so(event, state, layout):
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
+    write_run(layout, RUN, NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
     found = only(layout)
     assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
 
 
 def test_a_node_whose_process_is_gone(layout):
     running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
-    write_run(layout, "20260501-120000-small-0001", NODES, [started()], running)
+    write_run(layout, RUN, NODES, [started()], running)
     state = only(layout)
     assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
     assert (state.running, state.waiting) == (1, 4)
 
 
 def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout):
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
+    write_run(layout, RUN, NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
     state = only(layout)
     assert (state.done, state.failed, state.finished) == (1, (), 1)
 
 
 def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout):
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "a", "cached")])
+    write_run(layout, RUN, [planned(1, "a", "cached")])
     write_run(layout, "20260501-130000-small-0002", NODES)
     later, earlier = (state_of(layout, run) for run in planned_runs(layout))
     assert (earlier.state, earlier.total, earlier.done, earlier.idle) == ("ended", 1, 1, True)
@@ -169,8 +170,8 @@ def test_what_is_odd_in_a_folder_is_left_out(layout):
     for number, entry in enumerate(odd):
         write_run(layout, f"20260501-110000-small-100{number}", [planned(2, "c"), entry], [started()])
     events = [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})]
-    write_run(layout, "20260501-120000-small-0001", [planned(2, "c", needs=[99]), planned(3, "d")], events)
-    folder = layout.run("20260501-120000-small-0001") / "running"
+    write_run(layout, RUN, [planned(2, "c", needs=[99]), planned(3, "d")], events)
+    folder = layout.run(RUN) / "running"
     (folder / "nonsense.json").write_text("{}")
     (folder / f"{key(2)}.json").write_text('{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}')
     state = only(layout)
@@ -179,12 +180,8 @@ def test_what_is_odd_in_a_folder_is_left_out(layout):
 
 
 def test_a_circle_ends(layout):
-    write_run(
-        layout,
-        "20260501-120000-small-0001",
-        [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)],
-        [started()],
-    )
+    nodes = [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)]
+    write_run(layout, RUN, nodes, [started()])
     assert only(layout).left_seconds is not None
     (run,) = planned_runs(layout)
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
@@ -211,7 +208,7 @@ def test_processes(layout):
 
 def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):
     events = [started(backend="dask"), (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"})]
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0)], events)
+    write_run(layout, RUN, [planned(1, "b", seconds=10.0)], events)
     state = only(layout)
     assert state.deserted == "all dask workers are gone; the run waits, and goes on when one is there: dask worker tcp://a:1"
     assert (state.state, state.left_seconds) == ("running", None)

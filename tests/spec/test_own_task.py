@@ -89,9 +89,6 @@ gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
     assert hint in (problem.hint or "")
 
 
-# -- what a changed environment re-runs --------------------------------------------------------------------------------------------------
-
-
 PLAN = """
 import json, sys
 from pathlib import Path

@@ -32,9 +32,6 @@ def far_from_barrels(task: Formula) -> None:
     task.restore(state)
 
 
-# -- the car ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_left_is_the_drivers_right_and_the_front_is_minus_y():
     task = Race(3, action_repeat=10, observe=())
     task.reset([0, 0, 0])
@@ -54,9 +51,6 @@ def test_torque_saturates():
     task.reset([0, 0])
     step = task.step(np.array([[0.02, 0.02], [1.0, 1.0]]))
     assert step.observation.state[0].tobytes() == step.observation.state[1].tobytes()
-
-
-# -- Race -------------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_goal_pays_ten_and_ends_the_race():
@@ -129,9 +123,6 @@ def test_leaving_out_distant_scenery_changes_no_motion(monkeypatch):
         quick.step(action)
         np.testing.assert_allclose(quick.snapshot()["qpos"], whole.snapshot()["qpos"], atol=1e-9)
     assert left_out > 60
-
-
-# -- Formula One ------------------------------------------------------------------------------------------------------------------
 
 
 def test_stages_follow_each_other_around_the_lap():

@@ -17,8 +17,6 @@ from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
 
 SEEDS = [3, 4]
 
-# -- what it makes of them --------------------------------------------------------------------------------------------------------------
-
 
 def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
@@ -145,8 +143,6 @@ def test_costs_may_be_told_flat(costs, sources):
     assert {name: int(count[0]) for name, count in step.sources.items()} == {name: 4 * (name != "cold") for name in sources}
 
 
-# -- observations -----------------------------------------------------------------------------------------------------------------------
-
 BOX = gymnasium.spaces.Box
 RANDOM = np.random.default_rng(0).integers(0, 256, (64, 64, 6), np.uint8)
 
@@ -221,9 +217,6 @@ def test_episodes_can_be_recorded():
     assert replay.cost.sum() > 0, "through puddles"
 
 
-# -- snapshots --------------------------------------------------------------------------------------------------------------------------
-
-
 def test_an_environment_without_snapshots_works_and_says_so_when_asked():
     task = GymTask(registered(Lights), 1)
     task.reset([0])
@@ -235,9 +228,6 @@ def test_an_environment_without_snapshots_works_and_says_so_when_asked():
     other.reset([0])
     with pytest.raises(TaskError, match="not one of this task"):
         other.restore({"goals": np.zeros(5)})
-
-
-# -- names ------------------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["my_pkg:MyEnv-v0", "my.pkg:space/My-Env-v12", "MyEnv-v0", "space/MyEnv", "pkg:MyEnv"])

@@ -17,7 +17,6 @@ from wasp_cli.tasks.foreign.task import GymTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
-SEEDS = [3, 4]
 BOX = gymnasium.spaces.Box
 
 
@@ -234,17 +233,11 @@ def test_an_unknown_id_survives_pickling():
         assert (again.message, again.hint, again.known) == (caught.value.message, caught.value.hint, caught.value.known)
 
 
-def test_a_module_that_ends_the_process_on_import_is_named(tmp_path, monkeypatch):
-    (tmp_path / "exits_on_import.py").write_text("import sys\nsys.exit(3)\n")
+@pytest.mark.parametrize(("fails", "named"), [("import sys\nsys.exit(3)\n", "SystemExit: 3"), ("1 / 0\n", "ZeroDivisionError")])
+def test_a_module_that_fails_on_import_is_named(fails, named, tmp_path, monkeypatch):
+    (tmp_path / "fails_on_import.py").write_text(fails)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(TaskError, match="'exits_on_import' does not import: SystemExit: 3"):
-        examine("exits_on_import:MyEnv-v0")
-
-
-def test_a_module_that_fails_on_import_is_named(tmp_path, monkeypatch):
-    (tmp_path / "fails_on_import.py").write_text("import gymnasium\n1 / 0\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(TaskError, match="'fails_on_import' does not import: ZeroDivisionError") as caught:
+    with pytest.raises(TaskError, match=f"'fails_on_import' does not import: {named}") as caught:
         examine("fails_on_import:MyEnv-v0")
     assert caught.value.hint == "repair the module"
 

@@ -74,15 +74,6 @@ def test_when_one_step_shows_the_hazard_no_command_stops_in_time(variant, stops)
     assert (torch.stack(inside).amax(0) == (0.0 if stops else 1.0)).all()
 
 
-def test_the_first_correction_in_the_corridor_is_to_slow_down():
-    for variant in ("full", "safety-only"):
-        drive = careful(Corridor, variant)
-        first = (drive.gate == GATE_SAFETY).argmax(0)
-        action, a_h = drive.action[first, range(ROWS), 0], drive.a_h[first, range(ROWS), 0]
-        assert (action <= a_h).all()
-        assert action.mean() < a_h.mean() - 0.05  # of 64 drivers it is 0.1; of eight, by chance, 0.05 to 0.17
-
-
 def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around():
     """Fig. 1(c, d)."""
     alone, safety, full = careful(Fork, None), careful(Fork, "safety-only"), careful(Fork, "full")
@@ -100,8 +91,7 @@ def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around():
 
 
 def test_the_task_gate_alone_drives_through():
-    for kind in (Corridor, Fork):
-        assert careful(kind, "task-only").costs.mean() > careful(kind, "full").costs.mean() + 8
+    assert careful(Fork, "task-only").costs.mean() > careful(Fork, "full").costs.mean() + 8
 
 
 def test_an_expert_who_avoids_the_hazard_is_left_alone():
@@ -127,7 +117,7 @@ def from_within(kind: Kind, variant: str | None) -> Drive:
     return scene_drives.drive(world, operator, config, 30, start=world.at(*within))
 
 
-@pytest.mark.parametrize("kind", [Corridor, Fork])
+@pytest.mark.parametrize("kind", [pytest.param(Corridor, marks=pytest.mark.slow), Fork])
 def test_case_two_leaves_the_hazard_sooner(kind):
     alone, full, without = (from_within(kind, variant) for variant in (None, "full", "no-case2"))
     assert (full.case2[0] == 1).all()  # nothing is safe at first
@@ -146,9 +136,6 @@ def test_an_operator_who_repeats_himself_is_kept_out_of_the_hazard_too():
         costs[variant] = scene_drives.drive(world, operator, None if variant is None else scene_drives.settings(**SMALL), 60).costs
     assert costs[None].mean() > 2
     assert costs["full"].mean() < 0.25 * costs[None].mean()
-
-
-# -- what is imagined ---------------------------------------------------------------------------------------------------
 
 
 class Moment(NamedTuple):
@@ -216,9 +203,6 @@ def test_the_drawn_rollouts_are_those_that_the_gate_sums():
     drive = scene_drives.drive(world, scene_worlds.driver(world, scene_worlds.careful(world)), config, 30, watch=watch)
     np.testing.assert_allclose(drive.g_cost[:, 0], seen, atol=1e-4)
     assert drive.g_cost.max() > 1
-
-
-# -- the picture ------------------------------------------------------------------------------------------------------
 
 
 def test_the_picture_shows_what_the_figure_claims(tmp_path):
