@@ -17,15 +17,9 @@ ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
 PAGE = ROOT / "docs" / "own_task.md"
 SETTINGS = (
-    "preset=smoke",
-    "episodes=2",
-    "expert.interactions=400",
-    "expert.envs=4",
-    "expert.evaluation_episodes=2",
-    "dataset.steps=300",
-    "policies.evaluation_episodes=2",
-    "policies.reinforce.interactions=0",
-)
+    "preset=smoke", "episodes=2", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=2", "dataset.steps=300",
+    "policies.evaluation_episodes=2", "policies.reinforce.interactions=0",
+)  # fmt: skip
 SMALL = [part for setting in SETTINGS for part in ("--set", setting)]
 """One round and few episodes: every stage runs, and nothing is learned."""
 

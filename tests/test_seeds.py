@@ -35,10 +35,5 @@ def test_not_a_number_is_refused():
 
 
 def test_roles_differ_for_the_same_identity():
-    seeds = {
-        layout_seed("goal1", 0, 3),
-        operator_seed("goal1", "noisy", 0, 3),
-        method_seed("goal1", "noisy", 0, 3, "wasp"),
-        method_seed("goal1", "noisy", 0, 3, "ida"),
-    }
-    assert len(seeds) == 4
+    methods = {method_seed("goal1", "noisy", 0, 3, name) for name in ("wasp", "ida")}
+    assert len({layout_seed("goal1", 0, 3), operator_seed("goal1", "noisy", 0, 3)} | methods) == 4

@@ -40,11 +40,6 @@ def commands(operator: Operator, seen: list[Tensor]) -> Tensor:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_variant_has_a_severity_for_these_tests(name):
-    assert name in LADDER or name == UNIMPAIRED
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_commands_are_bounded_and_repeatable(name):
     first, second = (commands(make(name, [1, 2, 3, 4]), features()) for _ in range(2))
     assert first.shape == (STEPS, ROWS, ACTION)
@@ -109,13 +104,9 @@ def overridden(operator: Operator, seen: list[Tensor], by: float) -> Tensor:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_one_whose_commands_are_executed_goes_on_as_one_who_is_told_nothing(name):
-    torch.testing.assert_close(overridden(make(name, [1, 2, 3, 4]), features(), 0.0), commands(make(name, [1, 2, 3, 4]), features()))
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_only_those_who_react_go_on_otherwise_when_they_are_overridden(name):
     alone = commands(make(name, [1, 2, 3, 4]), features())
+    torch.testing.assert_close(overridden(make(name, [1, 2, 3, 4]), features(), 0.0), alone)  # as one who is told nothing
     found = overridden(make(name, [1, 2, 3, 4]), features(), 0.5)
     assert torch.equal(found[0], alone[0])
     assert torch.equal(found, alone) == (name not in REACTING)
@@ -167,6 +158,7 @@ def test_a_mixture_tells_everybody_and_its_forks_and_snapshots_too():
     fork = mixed.fork(torch.tensor([1, 2]), 1, DrawnNoise(uniforms[:, 1:3]))
     imagined = overridden(fork, [f[1:3] for f in seen[6:]], 0.5)
     wanted = overridden(mixed, seen[6:], 0.5)
+    mixed.choice = 1 - mixed.choice
     mixed.restore(snapshot)
     assert torch.equal(overridden(mixed, seen[6:], 0.5), wanted)
     mixed.restore(snapshot)

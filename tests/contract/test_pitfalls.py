@@ -15,7 +15,7 @@ import torch
 import wasp_cli
 from wasp_cli import seeds
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
+from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.methods.configs import DiffusionConfig
 from wasp_cli.methods.diffusion import assist
@@ -24,8 +24,6 @@ from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
 
@@ -70,32 +68,11 @@ def test_environments_of_a_batch_lag_at_their_own_times():
     assert torch.corrcoef(repeats.T)[~torch.eye(rows, dtype=torch.bool)].abs().mean() < 0.2
 
 
-def test_a_training_batch_of_saferl_holds_several_operators_at_once():
-    rows = 64
-    noise = EpisodeNoise(list(range(rows)))
-    operators = [
-        build_operator(name, value, context_of(lambda f: f[:, :2]), noise, rows)
-        for name, values in ResidualConfig().operators.items()
-        for value in values
-    ]
-    mixed = MixedOperator(operators, noise, seed=1)
-    mixed.reset(torch.ones(rows, dtype=torch.bool))
-    assert len(set(mixed.choice.tolist())) > len(operators) / 2
-
-
 def test_an_intervention_on_one_component_counts():
     a_h = np.zeros((4, 2))
     a = a_h.copy()
     a[1, 1] = 0.5
     assert episode_metrics(episode(a_h, a), 1, 25.0).int_rate == 0.25
-
-
-def test_magnitude_is_rate_times_magnitude_of_the_intervened():
-    random = np.random.default_rng(0)
-    a_h = random.uniform(-1, 1, (STEPS, 2))
-    a = np.where(random.random((STEPS, 1)) < 0.3, random.uniform(-1, 1, (STEPS, 2)), a_h)
-    row = episode_metrics(episode(a_h, a), 1, 25.0)
-    assert row.mag == pytest.approx(row.int_rate * row.mag_int)
 
 
 def test_a_deviation_is_measured_between_bounded_actions(parts):
@@ -114,11 +91,6 @@ def test_an_episode_that_runs_out_of_time_stays_in_the_mean():
     rows = [episode_metrics(episode(a, a), 1, 25.0) for _ in range(3)]
     assert [row.success for row in rows] == [False] * 3
     assert np.mean([row.success for row in rows]) == 0
-
-
-def test_the_spread_is_in_the_units_of_the_mean():
-    value = over_seeds([0.2, 0.4, 0.6])
-    assert (value.mean, value.sd) == (pytest.approx(0.4), pytest.approx(0.2))
 
 
 def test_every_episode_has_its_own_world_and_all_methods_the_same_ones():
@@ -210,15 +182,6 @@ def test_tau_q_is_the_margin_at_which_the_vote_tips(parts, vote, needed):
     torch.testing.assert_close(tips, advantage.sort(0, descending=True).values[needed - 1])
     for margin in (tips - 1e-4, tips + 1e-4):
         assert torch.equal((advantage - margin).sign().mean(0) > vote, margin < tips)
-
-
-def test_methods_without_a_threshold_of_their_own_leave_the_expert_s_command(parts):
-    latent = latents(parts, 50)
-    expert = parts.skills.expert(latent.features)
-    operator = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * 50), 50)
-    with torch.inference_mode():
-        for name in ("human", "expert", "saferl"):
-            assert torch.equal(build_assistant(name, {}, parts).decide(latent, expert, operator).action, expert)
 
 
 def test_the_residual_is_exactly_zero_before_training(parts):

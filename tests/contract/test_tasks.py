@@ -187,9 +187,3 @@ def test_wrong_resets_are_errors(name):
         task.reset([0, -1])
     with pytest.raises(TaskError, match="reset"):
         task.step(np.zeros((2, task.action_size)))
-
-
-def test_step_before_reset_is_an_error(name):
-    task = make_task(name, 1, observe=())
-    with pytest.raises(TaskError, match="reset"):
-        task.step(np.zeros((1, task.action_size)))

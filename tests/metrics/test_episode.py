@@ -12,21 +12,11 @@ from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episod
 
 def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
     """Four quiet steps unless told otherwise."""
-    undefined = np.full(steps, np.nan)
     fields: dict[str, Any] = {
-        "reward": np.zeros(steps),
-        "cost": np.zeros(steps, bool),
-        "cost_env": np.zeros(steps, int),
-        "env_steps": np.full(steps, 4),
-        "goals": np.zeros(steps, int),
-        "a_h": np.zeros((steps, 2)),
-        "a": np.zeros((steps, 2)),
-        "gate": np.zeros(steps, np.int8),
-        "g_cost": undefined,
-        "g_return": undefined,
-        "delta_g": undefined,
-        "signal": undefined,
-    }
+        "reward": np.zeros(steps), "cost": np.zeros(steps, bool), "cost_env": np.zeros(steps, int), "env_steps": np.full(steps, 4),
+        "goals": np.zeros(steps, int), "a_h": np.zeros((steps, 2)), "a": np.zeros((steps, 2)), "gate": np.zeros(steps, np.int8),
+        **dict.fromkeys(("g_cost", "g_return", "delta_g", "signal"), np.full(steps, np.nan)),
+    }  # fmt: skip
     plans = changes.pop("plans", None)
     return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}), plans=plans)
 

@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,11 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
-from wasp_cli.store.branches import read_branches
-from wasp_cli.store.tables import CellIdentity
-
-ROOT = Path(__file__).parents[2]
+from wasp_cli.metrics.necessity import necessity
 
 
 def test_by_hand():
@@ -53,23 +48,6 @@ def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_o
         assert differs or found.unnecessary[i]
         unnecessary += [found.unnecessary[i]] * differs
     assert found.uir_eff == pytest.approx(np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True)
-
-
-def _place(identity: CellIdentity) -> tuple[str, str, int]:
-    return identity.task, identity.method, identity.seed
-
-
-def test_the_floor_of_the_published_branches_of_race1():
-    """Among interventions that changed anything the command would have been the necessary one in a quarter (WASP) and a seventh (IDA)."""
-    floor = {}
-    for method in ("wasp", "ida"):
-        paths = sorted((ROOT / "results" / "published" / "store" / "counterfactual").glob("*/branches.parquet"))
-        cells = [each for each in map(read_branches, paths) if _place(each.cell.identity) == ("race1", method, 1)]
-        found = [
-            necessity(each.cost[ALONE], each.cost[ASSISTED], each.reward[ALONE], each.reward[ASSISTED], each.cell.tau_R) for each in cells
-        ]
-        floor[method] = 1.0 - np.concatenate([worth.swapped[worth.effective] for worth in found]).mean()
-    assert floor == {"wasp": pytest.approx(0.25, abs=0.005), "ida": pytest.approx(0.15, abs=0.005)}
 
 
 def test_refuses_branches_of_different_length():

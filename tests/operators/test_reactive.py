@@ -116,8 +116,3 @@ def test_late_and_noisy_is_the_noise_of_the_one_on_the_commands_of_the_other():
     assert torch.equal(issued, torch.stack([noisy.command(seen) for seen in delayed]))
     assert torch.equal(delayed[2:], intended[:-2])  # 0.16 s are two decisions
     assert 0.2 < (issued != delayed).any(-1).float().mean() < 0.6
-
-
-def test_late_and_noisy_without_noise_is_late():
-    both, late = operator("delayed-noisy", 0.0), operator("reaction-time", DELAY)
-    assert all(torch.equal(both.command(seen), late.command(seen)) for seen in random(5))

@@ -67,13 +67,6 @@ def test_a_severer_lag_repeats_wherever_a_milder_one_does():
     assert severe.sum() > mild.sum()
 
 
-def test_lag_ignores_what_an_assistant_executed():
-    laggy = operator("laggy", 1.0)
-    first = laggy.command(torch.tensor([[0.3, -0.3]]))
-    # An assistant may execute anything in between: the operator is never told.
-    assert torch.equal(laggy.command(torch.tensor([[0.9, 0.9]])), first)
-
-
 @pytest.mark.parametrize(
     ("seconds", "step", "wanted"), [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)]
 )
@@ -140,14 +133,3 @@ def test_a_forked_mixture_goes_on_from_the_memory_of_each_row():
     mixed.noise = DrawnNoise(uniforms)
     real = torch.stack([mixed.command(rising(t).expand(8, -1)) for t in range(5, 9)])
     assert torch.equal(imagined, real[:, rows].repeat_interleave(2, 1))
-
-
-def test_a_restored_mixture_repeats_itself():
-    mixed = mixture(4)
-    for t in range(3):
-        mixed.command(rising(t).expand(4, -1))
-    before = mixed.snapshot()
-    first = [mixed.command(rising(t).expand(4, -1)) for t in range(3, 8)]
-    mixed.choice = mixed.choice.flip(0)
-    mixed.restore(before)
-    assert torch.equal(torch.stack(first), torch.stack([mixed.command(rising(t).expand(4, -1)) for t in range(3, 8)]))

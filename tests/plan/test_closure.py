@@ -188,22 +188,9 @@ def test_every_node_of_the_syntax_is_told_apart():
         return "".join(texts)
 
     sources = [
-        "x = 1",
-        "x = 1.0",
-        "x = '1'",
-        "x = True",
-        "x: int = 1",
-        "x += 1",
-        "y = 1",
-        "x = -1",
-        "def x(a=1): 0",
-        "def x(*, a=1): 0",
-        "x = [1]",
-        "x = (1,)",
-        "def x(a): 0",
-        "async def x(a): 0",
-        "x = lambda a: 0",
-    ]
+        "x = 1", "x = 1.0", "x = '1'", "x = True", "x: int = 1", "x += 1", "y = 1", "x = -1",
+        "def x(a=1): 0", "def x(*, a=1): 0", "x = [1]", "x = (1,)", "def x(a): 0", "async def x(a): 0", "x = lambda a: 0",
+    ]  # fmt: skip
     assert len({text(source) for source in sources}) == len(sources)
 
 

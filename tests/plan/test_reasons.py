@@ -17,18 +17,10 @@ def store(layout: Layout, node: Node, **changes: Any) -> None:
     """An artifact as a worker leaves it, with changes to its manifest."""
     folder = staging_folder(layout, node.key)
     (folder / "data.bin").write_bytes(b"12345")
-    manifest = {
-        "kind": node.kind,
-        "key": node.key,
-        "task": node.task,
-        "seed": node.seed,
-        "axes": node.axes,
-        "config": node.config,
-        "settings": node.settings,
-        "upstream": {name: needed.key for name, needed in node.needs.items()},
-        "sources": source_hashes(node.modules),
-        "provenance": {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"},
-    }
+    manifest = {name: getattr(node, name) for name in ("kind", "key", "task", "seed", "axes", "config", "settings")}
+    manifest["upstream"] = {name: needed.key for name, needed in node.needs.items()}
+    manifest["sources"] = source_hashes(node.modules)
+    manifest["provenance"] = {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"}
     commit(layout, node.kind, node.key, folder, {**manifest, **changes})
 
 

@@ -253,25 +253,6 @@ def test_lengths_must_agree(tmp_path):
         write_cell(tmp_path, CELL, [trajectory], [], Thresholds(), [np.ones(3)], [0])
 
 
-@pytest.mark.parametrize("reader", ["duckdb", "pyarrow", "pandas"])
-def test_other_readers_see_all_cells_as_one_table(write, tmp_path, reader):
-    for seed in range(3):
-        write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed)
-    for file, count in ((EPISODES_FILE, 9), (STEPS_FILE, 45)):
-        paths = [str(path) for path in sorted(tmp_path.glob(f"*/{file}"))]
-        if reader == "duckdb":
-            import duckdb
-
-            found = duckdb.sql(
-                f"select seed, count(*) from read_parquet('{tmp_path}/*/{file}') where method = 'ida' group by seed"
-            ).fetchall()
-            assert sorted(found) == [(seed, count // 3) for seed in range(3)]
-        elif reader == "pyarrow":
-            assert pq.read_table(paths).num_rows == count
-        else:
-            assert len(pytest.importorskip("pandas").read_parquet(paths)) == count
-
-
 def test_former_names_of_columns_are_read(write, tmp_path):
     path = write()
     former = with_former_names(path, tmp_path / "former")
