@@ -94,7 +94,7 @@ def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spe
 
 
 def test_a_reader_that_goes_away_ends_other_output_quietly():
-    done = wasp("plan", "specs/table1.yaml", "--json", stdout=closed_pipe())
+    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=closed_pipe())
     assert (done.returncode, done.stderr) == (141, "")
 
 
