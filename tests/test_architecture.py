@@ -15,7 +15,6 @@ ROOMS = {path.parent.name for path in (ROOT / "wasp_cli").glob("*/__init__.py")}
 
 @pytest.fixture(scope="module")
 def picture() -> ModuleType:
-    """The script that draws it."""
     spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs" / "pictures" / "architecture.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

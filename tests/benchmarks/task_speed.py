@@ -126,7 +126,6 @@ def _raw_rays(seconds: float) -> float:
 
 
 def _mean(action: Callable[[], object], seconds: float) -> float:
-    """Seconds per call."""
     action()
     count, begun = 0, time.perf_counter()
     while time.perf_counter() - begun < seconds:
@@ -136,7 +135,6 @@ def _mean(action: Callable[[], object], seconds: float) -> float:
 
 
 def _fastest(action: Callable[[], object], seconds: float) -> float:
-    """Seconds of the fastest call."""
     action()
     best, until = np.inf, time.perf_counter() + seconds
     while time.perf_counter() < until:

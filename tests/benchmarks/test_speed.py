@@ -18,7 +18,6 @@ torch.set_num_threads(1)
 
 
 def seconds(action: Callable[[], Any], repeats: int = 5) -> float:
-    """The fastest of a few calls."""
     action()
     times = []
     for _ in range(repeats):

@@ -17,7 +17,6 @@ from wasp_cli.store.artifact import exists, read_manifest
 
 
 def times(folders: Sequence[Path]) -> Any:
-    """Return the figures of what was computed in results folders."""
     found = {}
     for folder in folders:
         layout = results_of(folder)

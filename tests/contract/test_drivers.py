@@ -16,7 +16,6 @@ BATCH = 6
 
 
 def nearest(points: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Of points [B, K, 2] those nearest to [B, 2]."""
     apart = np.linalg.norm(points - xy[:, None], axis=2)
     return points[np.arange(len(points)), apart.argmin(axis=1)]
 

@@ -24,5 +24,4 @@ def fly(kind: Kind, pilot: str, expert: Policy, assistant: Assistant, worlds: Se
 
 
 def alone(kind: Kind, pilot: str, expert: Policy, worlds: Sequence[int], *, keep: bool = False) -> Loop:
-    """Return the same without assistance."""
     return fly(kind, pilot, expert, HumanOnly(), worlds, keep=keep)

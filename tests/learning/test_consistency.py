@@ -25,7 +25,6 @@ def either(rows: int, source: torch.Generator) -> torch.Tensor:
 
 @pytest.fixture(scope="module")
 def trained() -> tuple[Consistency, Consistency, float]:
-    """Teacher, student, and the loss of the student in the end."""
     source = generator(0)
     torch.manual_seed(0)
     untrained = Consistency(1, 1, CONFIG.width, CONFIG.depth)

@@ -3,7 +3,7 @@ import torch
 
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.configs import WorldModelConfig
-from wasp_cli.learning.device import VARIABLE, mixed_precision, training_device
+from wasp_cli.learning.device import VARIABLE, training_device
 from wasp_cli.learning.world_model import build, loss_weights
 from wasp_cli.models.world_model import Ahead, Batch
 
@@ -23,12 +23,6 @@ def test_a_device_that_is_not_there_is_an_error_with_a_way_out(name, monkeypatch
     with pytest.raises(UsageError, match=f"WASP_DEVICE={name}") as caught:
         training_device()
     assert "unset WASP_DEVICE" in str(caught.value.hint)
-
-
-def test_a_cpu_computes_in_float32():
-    a = torch.ones(4, 4)
-    with mixed_precision(torch.device("cpu")):
-        assert (a @ a).dtype == torch.float32
 
 
 def test_losses_in_bfloat16_are_float32_sums_close_to_those_in_float32():

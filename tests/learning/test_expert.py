@@ -79,7 +79,6 @@ class Interrupted(Exception):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> tuple[Path, Any]:
-    """Folder of a finished artifact, and its summary."""
     root = tmp_path_factory.mktemp("trained")
     summary = ExpertStage().run(job(root))
     return root / "out", summary

@@ -47,7 +47,6 @@ def expected(h: Tensor, a: Tensor) -> Tensor:
 
 
 def made(shake: float = 0.0, **settings: Any) -> MPMI:
-    """MPMI on that world."""
     made = object.__new__(MPMI)
     made.config = MPMIConfig(**{"horizon": H, "rollouts": 2, **settings})
     made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)

@@ -32,7 +32,6 @@ class Bowl:
 
 
 def made(gamma: float | str = 0.9, motors: Motors = UNKNOWN, **settings: Any) -> ReachabilityFilter:
-    """A filter with that value."""
     made = object.__new__(ReachabilityFilter)
     made.config = ReachConfig.model_validate({"gamma": gamma, "candidates": SPREAD, **settings})
     made.value, made.motors = Bowl(), motors

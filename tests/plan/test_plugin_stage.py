@@ -59,7 +59,6 @@ seeds: [0]
 
 @pytest.fixture
 def outsider(tmp_path, monkeypatch) -> Iterator[Path]:
-    """The folder with the installed package."""
     package = tmp_path / "site" / "outsider"
     package.mkdir(parents=True)
     files = {"__init__": "", "entries": REGISTERED, "settings": SETTINGS, "stage": STAGE, "method": "class Nudge: ..."}

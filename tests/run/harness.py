@@ -96,13 +96,11 @@ def run(spec: Path, results: Path, pool: Pool | None = None) -> Summary:
 
 
 def keys_of(spec: Path, results: Path) -> set[str]:
-    """The keys of everything that a spec asks for."""
     _, _, plan = prepared(spec, results)
     return {step.node.key for step in plan.steps}
 
 
 def data_of(results: Path) -> dict[str, bytes]:
-    """The payload of every artifact in a store."""
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
 
 
@@ -113,7 +111,6 @@ def as_undisturbed(spec: Path, results: Path) -> bool:
 
 
 def finished(results: Path) -> set[str]:
-    """The keys of every artifact in a store."""
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 

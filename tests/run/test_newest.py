@@ -14,7 +14,6 @@ from wasp_cli.store.layout import Layout
 
 
 def other(spec: Path) -> Path:
-    """The same experiment with another seed, under the same name."""
     path = spec.with_name("other.yaml")
     path.write_text(spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
     return path

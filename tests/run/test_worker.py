@@ -18,7 +18,6 @@ from wasp_cli.store.layout import Layout
 
 @pytest.fixture
 def job(fakes, small_spec, tmp_path) -> NodeJob:
-    """The job for the first node of a run."""
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     return Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
 

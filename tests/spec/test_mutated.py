@@ -21,7 +21,6 @@ def folder(tmp_path_factory) -> Path:
 
 
 def problems(path: Path) -> tuple[Problem, ...]:
-    """What is wrong with a spec, asked as `wasp check` does."""
     try:
         list(cells_of(load(path).spec))
     except InvalidSpec as error:
@@ -33,7 +32,6 @@ def problems(path: Path) -> tuple[Problem, ...]:
 
 
 def is_place(file: str, line: int | None, column: int | None) -> bool:
-    """Whether a file has such a line with such a column."""
     path = Path(file)
     lines = lines_of(path.read_bytes().decode("utf-8-sig", errors="replace") if path.is_file() else "")
     return line is not None and column is not None and 1 <= line <= len(lines) and 1 <= column <= len(lines[line - 1]) + 1

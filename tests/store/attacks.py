@@ -175,7 +175,6 @@ def names_of_runs_and_kinds(it: UntrustedStore, outside: Path) -> None:
 
 
 def link(path: Path, target: Path) -> None:
-    """Put a link in the place of a file or a folder."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)

@@ -55,7 +55,6 @@ def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
 
 
 def count_up(lock: str, counter: str, times: int) -> None:
-    """Add to a file that only a lock protects."""
     for _ in range(times):
         with held(Path(lock), nothing):
             number = int(Path(counter).read_text())

@@ -20,7 +20,6 @@ def git(root: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch) -> Path:
-    """A repository that holds a package of our name."""
     package = tmp_path / "wasp_cli"
     (package / "deep").mkdir(parents=True)
     for name in ("__init__.py", "one.py", "deep/two.py"):

@@ -72,7 +72,6 @@ class UntrustedStore:
         write_record(self.layout.failure(expert), {"kind": "expert", "label": "goal1 s0 expert", "message": "x", **facts})
 
     def rows(self, file: str = EPISODES_FILE, **columns: Any) -> None:
-        """Rewrite a table of the cell with other columns."""
         path = self.artifact / file
         table = pq.read_table(path)
         for name, values in columns.items():
@@ -89,7 +88,6 @@ class UntrustedStore:
         self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "operator": "noisy", "value": 0.2})
 
     def steps(self, **numbers: Any) -> None:
-        """Rewrite fields of every decision of the cell."""
         table = pq.read_table(self.artifact / STEPS_FILE)
         columns = {name: pa.array([value] * table.num_rows, table.schema.field(name).type) for name, value in numbers.items()}
         self.rows(STEPS_FILE, **columns)

@@ -10,7 +10,7 @@ from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.formula.task import Formula
-from wasp_cli.tasks.frames import distance, yaw_quaternion
+from wasp_cli.tasks.frames import distance
 from wasp_cli.tasks.outline import distance_to_segments, inside
 from wasp_cli.tasks.race.task import GOAL_XY, HAZARD_RADIUS, SIDES, Race
 
@@ -324,15 +324,6 @@ def test_the_scripted_driver_wins_the_race_and_passes_stages():
     # From starts 3 and 5 (first goals 4 and 6) no stage can be reached in an episode.
     for goal, count in zip(first.tolist(), passed.tolist(), strict=True):
         assert count == 0 if goal in (4, 6) else count >= 1
-
-
-def test_quaternions_of_placed_barrels_are_their_yaws():
-    task = Formula(1, observe=())
-    task.reset([2])
-    quaternions = task.snapshot()["bodies"][0, :, 3:]
-    yaw = 2.0 * np.arctan2(quaternions[:, 3], quaternions[:, 0])
-    np.testing.assert_allclose(quaternions, yaw_quaternion(yaw), atol=1e-12)
-    assert np.ptp(yaw) > 5.0
 
 
 def test_a_lying_barrel_is_met_at_its_top():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.camera.topdown import from_above
 from wasp_cli.tasks.goal.task import GOAL_KEEPOUT, HAZARD_KEEPOUT, Goal
 
 VECTORS = ("state", "privileged")
@@ -234,16 +233,6 @@ def test_foreign_snapshots_are_refused():
         del partial[name]
         with pytest.raises(TaskError, match=f"'{name}' is missing"):
             task.restore(partial)
-
-
-def test_the_map_shows_everything():
-    task = Goal(2, observe=())
-    task.reset([1, 2])
-    picture = from_above(task, 1, 128)
-
-    assert picture.shape == (128, 128, 3)
-    assert picture.dtype == np.uint8
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) >= 6
 
 
 def test_pushing_a_vase_costs_at_level_2_only():

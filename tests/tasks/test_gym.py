@@ -79,7 +79,6 @@ def test_rendering():
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal in structure, type and every bit."""
     if isinstance(one, dict):
         return isinstance(other, dict) and one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, tuple):

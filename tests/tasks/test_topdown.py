@@ -31,7 +31,6 @@ def scene(appearance: Appearance, at=(0.0, 0.0), heading=0.0, **things) -> Scene
 
 
 def at(image: np.ndarray, place, centre, half_side) -> np.ndarray:
-    """The pixel of a place in the world."""
     column = int((place[0] - centre[0] + half_side) / (2 * half_side) * len(image))
     row = int((centre[1] + half_side - place[1]) / (2 * half_side) * len(image))
     return image[row, column].astype(int)
