@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,13 @@ def home(tmp_path_factory) -> Home:
     return Home(tmp_path_factory.mktemp("plugin"))
 
 
+@pytest.fixture
+def here(home) -> Iterator[Home]:
+    """Installed for this process too."""
+    with installed(home.site, "wasp_example"):
+        yield home
+
+
 def files() -> list[Path]:
     return sorted(path for path in EXAMPLE.rglob("*") if path.suffix in {".py", ".toml", ".yaml"} and path.name != "__init__.py")
 
@@ -85,35 +93,33 @@ def test_its_own_tests_pass(home):
     assert done.returncode == 0, done.stdout
 
 
-def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(home):
-    spec = home.folder / "careful.yaml"
-    with installed(home.site, "wasp_example"):
-        assert "ok, 5 cells" in run_here("check", spec, columns=400).stdout
-        wrong = run_here("check", spec, "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3", columns=400)
-        assert wrong.exit_code == 3
-        assert "careful.limit: should be less than 1" in wrong.stderr
-        assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
-        before = home.keys()
-        assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(before)
-        for file, old, new, moved in (
-            ("entries.py", "Careful executes", "It executes", ""),
-            ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
-            ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
-            ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
-        ):
-            path = home.site / "wasp_example" / file
-            text = path.read_text(encoding="utf-8")
-            assert old in text
-            path.write_text(text.replace(old, new), encoding="utf-8")
-            after = home.keys()
-            path.write_text(text, encoding="utf-8")
-            wanted = {label for label in before if moved and re.search(moved, label)}
-            assert {label for label in before if before[label] != after[label]} == wanted, file
+def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(here):
+    spec = here.folder / "careful.yaml"
+    assert "ok, 5 cells" in run_here("check", spec, columns=400).stdout
+    wrong = run_here("check", spec, "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3", columns=400)
+    assert wrong.exit_code == 3
+    assert "careful.limit: should be less than 1" in wrong.stderr
+    assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
+    before = here.keys()
+    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(before)
+    for file, old, new, moved in (
+        ("entries.py", "Careful executes", "It executes", ""),
+        ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
+        ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
+        ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
+    ):
+        path = here.site / "wasp_example" / file
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        after = here.keys()
+        path.write_text(text, encoding="utf-8")
+        wanted = {label for label in before if moved and re.search(moved, label)}
+        assert {label for label in before if before[label] != after[label]} == wanted, file
 
 
-def test_its_stage_trains_what_its_assistant_reads(home, tmp_path):
-    with installed(home.site, "wasp_example"):
-        stage, configs, risk = (importlib.import_module(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
+def test_its_stage_trains_what_its_assistant_reads(here, tmp_path):
+    stage, configs, risk = (importlib.import_module(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
     rows = recording((30, 30, 30))
     write_shard(tmp_path / "shard-00000.parquet", rows, SOURCES)
     # One class of the latent says whether the next decisions cost.
