@@ -237,7 +237,7 @@ TIGHT = [
 TRAPPED = [
     (Corridor, Start((1.6,), (1.0,), 1.0), 2),
     slow(Corridor, Start((2.3,), (0.1,), 0.0), 2),
-    (Fork, Start((1.7, 0.15), (0.2, 0.0), 1.0), 2),
+    slow(Fork, Start((1.7, 0.15), (0.2, 0.0), 1.0), 2),
 ]
 """Too fast to stop, or in the hazard."""
 BETWEEN = 0.1
