@@ -131,7 +131,7 @@ def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path):
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, no_progress)
     good = (tmp_path / "training.safetensors").read_bytes()
     data.reward[:] = np.nan
-    with pytest.raises(TrainingError, match="6 updates had a non-finite loss.*beta_r nan"):
+    with pytest.raises(TrainingError, match=r"6 updates had a non-finite loss.*beta_r nan"):
         train(build(TINY, 2), data, ROWS, TINY, 40, 5, tmp_path, no_progress)
     assert (tmp_path / "training.safetensors").read_bytes() == good
 
