@@ -1,7 +1,5 @@
 """Small untrained artifacts of every kind that assistants read."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

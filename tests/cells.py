@@ -1,7 +1,5 @@
 """Cells of tiny untrained models, evaluated by the real stage."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,7 +36,6 @@ class Evaluated(NamedTuple):
         return make_task(self.task, self.episodes, action_repeat=REPEAT, observe=("pixels",))
 
     def operator(self, world: VectorTask) -> Operator:
-        """The operator of the cell, fresh."""
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(self.episodes)]
         context = OperatorContext(load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes)

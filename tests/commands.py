@@ -1,7 +1,5 @@
 """Commands run in this process."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from click.testing import Result

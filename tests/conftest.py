@@ -1,10 +1,10 @@
 """Settings of the whole test suite."""
 
-from __future__ import annotations
-
 import os
 import signal
 from contextlib import suppress
+
+import pytest
 
 # Before anything imports torch: two OpenMP pools on two cores slow a test down by an order of magnitude.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -18,3 +18,30 @@ with suppress(ImportError):  # the sessions `peers` and `external` of nox have n
     # An example may take as long as a busy machine needs.
     settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("busy")
+
+
+@pytest.fixture
+def layout(tmp_path):
+    """Of a results folder that is ready, and empty."""
+    from wasp_cli.store.layout import Layout
+
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    return layout
+
+
+@pytest.fixture(scope="session")
+def artifacts(tmp_path_factory):
+    """Tiny untrained ones, by stage kind; tests only read them."""
+    from tests.artifacts import tiny_artifacts
+
+    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
+
+
+@pytest.fixture(scope="module")
+def parts(artifacts):
+    """What assistants are built of."""
+    from wasp_cli.learning.assistants import load_parts
+    from wasp_cli.learning.configs import ReturnsConfig
+
+    return load_parts(artifacts, ReturnsConfig())

@@ -1,7 +1,5 @@
 """Invented plans for invented episodes."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

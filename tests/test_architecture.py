@@ -1,7 +1,5 @@
 """The page and the picture for newcomers show the rooms as they are."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import tomllib
@@ -17,21 +15,18 @@ ROOMS = {path.parent.name for path in (ROOT / "wasp_cli").glob("*/__init__.py")}
 
 @pytest.fixture(scope="module")
 def picture() -> ModuleType:
-    """The script that draws it."""
     spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs" / "pictures" / "architecture.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-def test_the_page_names_every_room_and_no_other() -> None:
+def test_the_page_names_every_room_and_no_other():
     listed = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
     assert sorted(listed) == sorted(ROOMS)
 
 
-def test_modules_and_files_on_the_page_are_there() -> None:
+def test_modules_and_files_on_the_page_are_there():
     modules = re.findall(rf"`((?:{'|'.join(sorted(ROOMS))})(?:\.\w+)+)`", PAGE)
     assert len(modules) > 10
     for dotted in modules:
@@ -42,12 +37,11 @@ def test_modules_and_files_on_the_page_are_there() -> None:
     for file in re.findall(r"`(tests/[\w/]+\.py)`", PAGE):
         assert (ROOT / file).is_file(), file
     others = re.search(r"^Beside the rooms: (.+)\.$", PAGE, re.MULTILINE)
-    assert others is not None
     for name in re.findall(r"`(\w+)`", others[1]):
         assert (ROOT / "wasp_cli" / f"{name}.py").is_file(), name
 
 
-def test_the_picture_has_the_layers_of_the_contract(picture: ModuleType) -> None:
+def test_the_picture_has_the_layers_of_the_contract(picture):
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = (each for each in settings["tool"]["importlinter"]["contracts"] if each.get("exhaustive"))
     layers = [[name for name in layer.split(" | ") if name in ROOMS] for layer in contract["layers"]]
@@ -55,11 +49,11 @@ def test_the_picture_has_the_layers_of_the_contract(picture: ModuleType) -> None
     assert {where for where, _ in (*picture.SPEC_TO_TABLE, *picture.DECISION)} <= ROOMS
 
 
-def test_the_picture_is_the_drawn_one(picture: ModuleType) -> None:
+def test_the_picture_is_the_drawn_one(picture):
     assert (ROOT / "docs" / "pictures" / "architecture.svg").read_text(encoding="utf-8") == picture.draw()
 
 
-def test_rooms_in_no_key_are_those_of_the_closures(picture: ModuleType) -> None:
+def test_rooms_in_no_key_are_those_of_the_closures(picture):
     from wasp_cli.plan.closure import ORCHESTRATION
 
     assert ROOMS - ORCHESTRATION == picture.KEYED

@@ -1,7 +1,5 @@
 """README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import assistants
@@ -16,7 +14,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "assistants.md").read_text(encoding="utf-8")
 
 
-def test_the_tables_of_results_are_the_published_rows() -> None:
+def test_the_tables_of_results_are_the_published_rows():
     field = assistants.published("field")
     moderate, unseen = list(assistants.GROUPS)[:2]
     assert assistants.table(field, moderate) in PAGE
@@ -24,23 +22,23 @@ def test_the_tables_of_results_are_the_published_rows() -> None:
     assert assistants.table(assistants.published("assistants"), unseen) in PAGE
 
 
-def test_the_table_of_the_readme_is_the_field() -> None:
+def test_the_table_of_the_readme_is_the_field():
     assert assistants.short(assistants.published("field")) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_table_of_trained_parts_is_the_published_one() -> None:
+def test_the_table_of_trained_parts_is_the_published_one():
     tasks = trained.trained()
     assert list(tasks) == list(trained.TASKS)
     assert trained.table(tasks) in (DOCS / "learning.md").read_text(encoding="utf-8")
 
 
-def test_the_rule_chooses_the_least_intervention_that_keeps_the_return() -> None:
+def test_the_rule_chooses_the_least_intervention_that_keeps_the_return():
     rows = curves.shown(pq.read_table(curves.published("assistants"))).splitlines()
     chosen = {tuple(part.strip() for part in row.split("|")[2:4]) for row in rows if "by the rule" in row}
     assert {("IDA", "tau_Q, times 0"), ("Diffusion", "ratio 0.6"), ("WASP", "tau_r, times 1")} <= chosen
 
 
-def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worlds() -> None:
+def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worlds():
     numbers = {"return": 1.0, "success": 1.0, "cost": 4.0, "deviation": 2.0, "branched": 4, "unnecessary": 1, "swapped": 2}
     cells = [("noisy", 0, 10, 5), ("noisy", 1, 30, 3), ("laggy", 0, 10, 0), ("laggy", 1, 10, 2)]
     rows = pa.Table.from_pylist(

@@ -1,7 +1,5 @@
 """docs/baselines.md says what the session `external` measured: theirs beside ours, and what holds of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -14,13 +12,13 @@ PAGE = (Path(__file__).parents[1] / "docs" / "baselines.md").read_text(encoding=
 
 
 @pytest.mark.parametrize("expert", external.EXPERTS)
-def test_the_tables_are_the_published_rows(expert: str) -> None:
+def test_the_tables_are_the_published_rows(expert):
     rows = pq.read_table(external.ROWS)
     for table in (external.table, external.verdicts, external.sweep):
         assert table(rows, expert) in PAGE
 
 
-def test_so_is_what_was_trained() -> None:
+def test_so_is_what_was_trained():
     assert external.parts(json.loads(external.PARTS.read_text())) in PAGE
 
 
@@ -43,13 +41,11 @@ def rows_of(shares: dict[tuple[str, float], tuple[int, int]]) -> pa.Table:
         ((20, 30), (55, 16), (54, 18), ["**no** (+35.0, theirs +47.3)", "**no** (to 53 %, theirs 27 %)", "**no** (-1.0, theirs -39.0)"]),
     ],
 )
-def test_verdicts_follow_from_the_shares(
-    alone: tuple[int, int], assisted: tuple[int, int], free: tuple[int, int], expected: list[str]
-) -> None:
+def test_verdicts_follow_from_the_shares(alone, assisted, free, expected):
     rows = rows_of({("alone", 0.0): alone, ("diffusion", 0.4): assisted, ("diffusion", 1.0): free})
     assert [cell.strip() for cell in external.verdicts(rows, "ours").splitlines()[-1].split("|")[3:6]] == expected
 
 
-def test_a_cell_that_was_not_measured_is_left_open() -> None:
+def test_a_cell_that_was_not_measured_is_left_open():
     text = external.table(rows_of({("alone", 0.0): (20, 30), ("diffusion", 0.4): (68, 8)}), "ours")
     assert text.splitlines()[-1] == "| Lander | noisy 0.3 | 20.7 / 28.3 | 68.0 / 7.7 | +47.3 | 20.0 / 30.0 | 68.0 / 8.0 | +48.0 |  |  |"

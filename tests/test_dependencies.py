@@ -1,7 +1,5 @@
 """What the package imports is what it declares, and no more."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -36,7 +34,7 @@ def declared(*extras: str) -> set[str]:
     return {NAMES.get(name, name.replace("-", "_")) for name in names}
 
 
-def test_every_import_is_declared() -> None:
+def test_every_import_is_declared():
     imported: dict[str, set[str]] = {}
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
         for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - OPTIONAL - {"wasp_cli"}:
@@ -62,5 +60,5 @@ def test_the_lock_file_has_every_dependency_in_the_version_that_computed_what_is
 @pytest.mark.parametrize(
     ("source", "expected"), [("def f():\n from a.b import c", {"a"}), ("import x.y as z", {"x"}), ("from . import q", set())]
 )
-def test_the_walk_sees_what_is_imported(source: str, expected: set[str]) -> None:
+def test_the_walk_sees_what_is_imported(source, expected):
     assert modules_of(source) == expected

@@ -33,7 +33,6 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    """The code blocks of a language on a page."""
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
@@ -62,7 +61,7 @@ def parse(line: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("page", "folder", "line"), shown(), ids=lambda part: part)
-def test_shown_commands_parse(page: str, folder: str, line: str) -> None:
+def test_shown_commands_parse(page, folder, line):
     parameters = parse(line)
     if shlex.split(line)[1] == "ablate":
         arguments = parameters["variant"], parameters["task"], parameters["preset"], parameters["set_"] or ()
@@ -80,21 +79,21 @@ def test_shown_commands_parse(page: str, folder: str, line: str) -> None:
                 assert (ROOT / folder / path).is_file(), f"{page} shows {path}, which is not there"
 
 
-def test_pages_show_commands() -> None:
+def test_pages_show_commands():
     assert len(shown()) >= 8
 
 
 @pytest.mark.parametrize(
     "text", [text for page in PAGES if page.name != PLUGIN for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))]
 )
-def test_shown_specs_are_valid(text: str, tmp_path: Path) -> None:
+def test_shown_specs_are_valid(text, tmp_path):
     shutil.copytree(ROOT / "specs", tmp_path, dirs_exist_ok=True)  # which they may extend
     (tmp_path / "spec.yaml").write_text(text, encoding="utf-8")
     assert load(tmp_path / "spec.yaml").spec.tasks
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
@@ -102,14 +101,14 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize(
     "page", ["README.md", "CHANGELOG.md", "REPRODUCTION.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
 )
-def test_no_page_has_a_gap_left_to_fill_or_a_picture_that_is_not_there(page: str) -> None:
+def test_no_page_has_a_gap_left_to_fill_or_a_picture_that_is_not_there(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     assert not re.search(r"^[A-Z_]{5,}$", text, re.MULTILINE)
     for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)|<img src=\"([^\"]+)\"", text):
         assert ((ROOT / page).parent / "".join(picture)).is_file()
 
 
-def test_the_readme_is_read_in_minutes() -> None:
+def test_the_readme_is_read_in_minutes():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
 
 
@@ -146,11 +145,10 @@ COLUMNS = 8
 
 
 def read_row(line: str) -> list[str]:
-    """The cells of a line of a Markdown table."""
     return [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip()[1:-1])]
 
 
-def test_the_film_of_the_readme_moves_and_is_small() -> None:
+def test_the_film_of_the_readme_moves_and_is_small():
     (name,) = re.findall(r"\]\((docs/pictures/[^)]+\.webp)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert (ROOT / name).stat().st_size < 1.5e6
     with Image.open(ROOT / name) as film:

@@ -1,6 +1,4 @@
-"""Public functions have docstrings, and arrays say how they are shaped: the docstrings, read as text."""
-
-from __future__ import annotations
+"""Arrays say how they are shaped: the docstrings of public functions, read as text."""
 
 import ast
 import re
@@ -22,9 +20,6 @@ class Function:
     """A public function or method, as it stands in a file."""
 
     place: str
-    name: str
-    owner: str | None
-    """the class of a method"""
     docstring: str | None
     signature: str
     legend: str
@@ -43,9 +38,7 @@ def _functions(tree: ast.Module, place: str) -> Iterator[Function]:
                 types = [argument.annotation for argument in ast.walk(item.args) if isinstance(argument, ast.arg)]
                 signature = " ".join(ast.unparse(each) for each in [*types, item.returns] if each is not None)
                 name, line = (f"{owner.name}.{item.name}" if owner else item.name), item.lineno
-                yield Function(
-                    f"{place}:{line} {name}", item.name, owner.name if owner else None, ast.get_docstring(item), signature, legend
-                )
+                yield Function(f"{place}:{line} {name}", ast.get_docstring(item), signature, legend)
 
     yield from inside(tree.body, None)
 
@@ -58,14 +51,7 @@ def _package() -> list[Function]:
     ]
 
 
-def test_public_functions_have_docstrings() -> None:
-    # A method may leave its docstring to the protocol or the base class that documents a method of that name.
-    functions = _package()
-    documented = {each.name for each in functions if each.owner and each.docstring}
-    assert not [each.place for each in functions if not each.docstring and not (each.owner and each.name in documented)]
-
-
-def test_arrays_have_shapes() -> None:
+def test_arrays_have_shapes():
     # In brackets, in the docstring or in the legend of the class or the module.
     silent = [
         each.place

@@ -1,7 +1,5 @@
 """The whole chain through the command line on the smallest budgets: every stage runs, and every method really acts."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -51,7 +49,7 @@ def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("chain")
     spec = folder / "chain.yaml"
     spec.write_text(SPEC)
@@ -68,7 +66,7 @@ def cells(results: Path) -> dict[tuple[str, str], Path]:
     return found
 
 
-def test_every_stage_has_left_an_artifact_with_its_numbers(results: Path) -> None:
+def test_every_stage_has_left_an_artifact_with_its_numbers(results):
     for kind in STAGES.keys() - {"clone"}:  # of people
         manifests = list((results / "store" / kind).glob("*/_manifest.json"))
         assert manifests, f"no {kind}"
@@ -76,7 +74,7 @@ def test_every_stage_has_left_an_artifact_with_its_numbers(results: Path) -> Non
             assert json.loads(manifest.read_text())["summary"], f"{kind} says nothing about itself"
 
 
-def test_every_method_and_variant_has_its_cell_of_whole_episodes(results: Path) -> None:
+def test_every_method_and_variant_has_its_cell_of_whole_episodes(results):
     wanted = {(name, "full") for name in METHODS} | {
         (name, variant) for name in ("wasp", "printed") for variant in ("safety-only", "task-only")
     }
@@ -88,7 +86,7 @@ def test_every_method_and_variant_has_its_cell_of_whole_episodes(results: Path) 
         assert read_steps(path).num_rows == 2 * 50
 
 
-def test_methods_act_and_human_only_does_not(results: Path) -> None:
+def test_methods_act_and_human_only_does_not(results):
     full = {name: path for (name, variant), path in cells(results).items() if variant == "full"}
     rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
     assert rates["human"] == 0
@@ -101,7 +99,7 @@ def branches(results: Path) -> dict[str, Path]:
     return {path.parent.name: path for path in (results / "store" / "counterfactual").glob("*/branches.parquet")}
 
 
-def test_the_interventions_of_every_method_that_acts_are_branched(results: Path) -> None:
+def test_the_interventions_of_every_method_that_acts_are_branched(results):
     found = {(b.cell.identity.method, b.cell.identity.variant): b for b in map(read_branches, branches(results).values())}
     assert set(found) == {name for name in cells(results) if METHODS[name[0]].intervenes}
     for name, judged in found.items():
@@ -115,7 +113,7 @@ def test_the_interventions_of_every_method_that_acts_are_branched(results: Path)
     assert all(METHODS[method].title in report for method, _ in found)
 
 
-def test_no_two_methods_have_the_same_rows(results: Path) -> None:
+def test_no_two_methods_have_the_same_rows(results):
     # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action.
     compared = {
         name: path
@@ -126,7 +124,7 @@ def test_no_two_methods_have_the_same_rows(results: Path) -> None:
     assert len(set(actions.values())) == len(actions) == 11
 
 
-def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:
+def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results):
     impaired = {name: path for name, path in cells(results).items() if METHODS[name[0]].impaired}
     seeds = {tuple(read_episodes([path])["episode_seed"].to_pylist()) for path in impaired.values()}
     assert len(seeds) == 1
@@ -134,7 +132,7 @@ def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(result
     assert len(first) == 1
 
 
-def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results: Path) -> None:
+def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
     def steps(variant: str) -> pa.Table:
         return read_steps(cells(results)["wasp", variant])
 
@@ -154,7 +152,7 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results: Path) -
     assert set(thresholds["tau_c"].to_pylist()) == {0.05}
 
 
-def test_a_second_run_computes_nothing(results: Path) -> None:
+def test_a_second_run_computes_nothing(results):
     before = {path: path.stat().st_mtime_ns for path in (results / "store").rglob("*") if path.is_file()}
     again = wasp("run", str(results.parent / "chain.yaml"), "--results", str(results))
     assert again.returncode == 0
@@ -162,7 +160,7 @@ def test_a_second_run_computes_nothing(results: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in (results / "store").rglob("*") if path.is_file()} == before
 
 
-def test_report_needs_the_results_folder_alone(results: Path) -> None:
+def test_report_needs_the_results_folder_alone(results):
     shown = wasp("report", str(results))
     assert shown.returncode == 0, shown.stderr
     for info in METHODS.values():
@@ -175,7 +173,7 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
     assert {"contact_sheet.png", "open_loop.png", "open_loop.gif", "reconstruction.png", "curve.png", "critics.png"} <= files
 
 
-def test_one_worker_trains_and_evaluates_the_same_as_two(results: Path, tmp_path: Path) -> None:
+def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
     # What judges the models has no part in the rows.
     spec = str(results.parent / "chain.yaml")
     done = wasp("run", spec, "--results", str(tmp_path), "-j", "1", "--set", "stages=[counterfactual]")
@@ -190,7 +188,7 @@ def test_one_worker_trains_and_evaluates_the_same_as_two(results: Path, tmp_path
     assert all(path.read_bytes() == judged[key].read_bytes() for key, path in branched.items())
 
 
-def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path, tmp_path: Path) -> None:
+def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_path):
     spec, here = str(results.parent / "chain.yaml"), tmp_path / "results"
     done = wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))
     assert done.returncode == 0, done.stderr
@@ -207,7 +205,7 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path
     assert next(tables).read_text() == next(tables).read_text()
 
 
-def test_cells_follow_from_the_models_beside_them_to_the_bit(results: Path, tmp_path: Path) -> None:
+def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     done = wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1")
     assert done.returncode == 0, done.stderr
     assert "2 of 2 cells are the same to the bit" in done.stdout
@@ -220,7 +218,7 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results: Path, tmp_
     assert differences(rows.parent, results / "store" / "evaluate" / key) == ["return"]
 
 
-def test_a_cell_without_its_models_is_not_drawn(results: Path, tmp_path: Path) -> None:
+def test_a_cell_without_its_models_is_not_drawn(results, tmp_path):
     copy = shutil.copytree(results, tmp_path / "results")
     shutil.rmtree(copy / "store" / "policies")
     done = wasp("verify", str(copy))

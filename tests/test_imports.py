@@ -1,7 +1,5 @@
 """Imports of the package: no circle between its modules, lazy imports included, and imports by string only where a name is data."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -120,17 +118,17 @@ def by_string(tree: ast.Module) -> list[ast.Call]:
 
 
 @pytest.mark.parametrize("typing", [False, True], ids=["running", "with imports for types"])
-def test_no_modules_import_each_other(typing: bool) -> None:
+def test_no_modules_import_each_other(typing):
     assert circles(graph(typing=typing)) == []
 
 
-def test_imports_by_string_are_those_that_are_listed() -> None:
+def test_imports_by_string_are_those_that_are_listed():
     found = {path.relative_to(ROOT / PACKAGE).as_posix() for path, tree in sources().values() if by_string(tree)}
     assert sorted(found - {*ALLOWED}) == [], "use an import statement, within a function where it has to be lazy"
     assert sorted({*ALLOWED} - found) == [], "listed, and no longer there"
 
 
-def test_what_can_be_imported_by_a_statement_is() -> None:
+def test_what_can_be_imported_by_a_statement_is():
     fixed = [
         f"{path.relative_to(ROOT)}:{call.lineno}"
         for path, tree in sources().values()
@@ -160,9 +158,7 @@ TYPED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a i
         ({"a.py": "from house import b, c\n", "b.py": "from house import c\n", "c.py": "import house\n"}, True, []),
     ],
 )
-def test_circles_are_found_wherever_the_import_stands(
-    files: dict[str, str], typing: bool, expected: list[list[str]], tmp_path: Path
-) -> None:
+def test_circles_are_found_wherever_the_import_stands(files, typing, expected, tmp_path):
     for name, text in {"__init__.py": "", "sub/__init__.py": "", **files}.items():
         path = tmp_path / "house" / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -175,10 +171,10 @@ def test_circles_are_found_wherever_the_import_stands(
     ["load_target('a:b')", "registry.load_target('a:b')", "import_module('a')", "importlib.import_module('a')", "__import__('a')",
      "importlib.util.find_spec('a')", "exec('import a')", "runpy.run_module('a')", "pkgutil.resolve_name('a')"],
 )  # fmt: skip
-def test_an_import_by_string_is_seen(text: str) -> None:
+def test_an_import_by_string_is_seen(text):
     assert len(by_string(ast.parse(f"def f():\n    return {text}\n"))) == 1
 
 
 @pytest.mark.parametrize("text", ["import a", "from a import load_target", "re.compile('a')", "model.eval()", "version('a')"])
-def test_what_imports_nothing_by_string_is_not_listed(text: str) -> None:
+def test_what_imports_nothing_by_string_is_not_listed(text):
     assert by_string(ast.parse(text)) == []

@@ -1,7 +1,5 @@
 """Freed memory stays with the process."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys
@@ -31,6 +29,6 @@ with torch.inference_mode():
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="mallopt is glibc's")
-def test_a_decision_gets_almost_no_new_pages() -> None:
+def test_a_decision_gets_almost_no_new_pages():
     done = subprocess.run([sys.executable, "-c", COUNT], capture_output=True, text=True, timeout=600, check=True, cwd=ROOT)
     assert int(done.stdout) < 3000  # 30,000 to 40,000 without it

@@ -1,7 +1,5 @@
 """The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and `wasp run`."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -19,15 +17,9 @@ ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
 PAGE = ROOT / "docs" / "own_task.md"
 SETTINGS = (
-    "preset=smoke",
-    "episodes=2",
-    "expert.interactions=400",
-    "expert.envs=4",
-    "expert.evaluation_episodes=2",
-    "dataset.steps=300",
-    "policies.evaluation_episodes=2",
-    "policies.reinforce.interactions=0",
-)
+    "preset=smoke", "episodes=2", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=2", "dataset.steps=300",
+    "policies.evaluation_episodes=2", "policies.reinforce.interactions=0",
+)  # fmt: skip
 SMALL = [part for setting in SETTINGS for part in ("--set", setting)]
 """One round and few episodes: every stage runs, and nothing is learned."""
 
@@ -40,7 +32,7 @@ def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def home(tmp_path_factory) -> Path:
     """A folder with the module, the spec, and the results of its run on the smallest budgets."""
     folder = tmp_path_factory.mktemp("own")
     for name in ("puddle.py", "puddle.yaml"):
@@ -52,13 +44,13 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("language", "name"), [("python", "puddle.py"), ("yaml", "puddle.yaml")])
-def test_the_page_shows_the_files_as_they_are(language: str, name: str) -> None:
+def test_the_page_shows_the_files_as_they_are(language, name):
     blocks = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert (EXAMPLES / name).read_text(encoding="utf-8") in blocks
 
 
 @pytest.mark.slow
-def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
+def test_a_run_prints_the_tables_of_ones_own_task(home):
     printed = (home / "printed.txt").read_text(encoding="utf-8")
     for word in ("Puddle-v0", "Human-only", "WASP", "Expert"):
         assert word in printed
@@ -66,7 +58,7 @@ def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
 
 
 @pytest.mark.slow
-def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
+def test_its_snapshots_serve_to_judge_interventions(home):
     found = [read_branches(path) for path in (home / "results" / "store" / "counterfactual").glob("*/branches.parquet")]
     assert {branches.cell.identity.method for branches in found} == {"wasp"}
     assert sum(len(branches.t) for branches in found) > 0
@@ -74,7 +66,7 @@ def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
 
 
 @pytest.mark.slow
-def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
+def test_its_costs_and_episodes_are_its_own(home):
     cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/episodes.parquet")]
     assert len(cells) == 5
     rows = [row for cell in cells for row in cell]
@@ -88,14 +80,14 @@ def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_file_is_named_by_what_a_file_name_cannot_hold(home: Path) -> None:
+def test_no_file_is_named_by_what_a_file_name_cannot_hold(home):
     names = [path.name for path in (home / "results").rglob("*")]
     assert any("puddle-Puddle-v0" in name for name in names), "logs are named after the task"
     assert not [name for name in names if ":" in name]
 
 
 @pytest.mark.slow
-def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home: Path) -> None:
+def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home):
     assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
     text = module.read_text(encoding="utf-8")
@@ -109,7 +101,7 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
 
 
 @pytest.mark.slow
-def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:
+def test_the_report_needs_no_environment(home, tmp_path):
     shown = wasp(tmp_path, "report", str(home / "results"))
     assert shown.returncode == 0, shown.stderr
     assert "Puddle-v0" in shown.stdout

@@ -1,18 +1,24 @@
 """The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
 
-from __future__ import annotations
-
+import importlib
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from functools import cached_property
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+import torch
+
+from tests.commands import run_here
+from tests.learning.recordings import SOURCES, recording
+from tests.plugins import forget, installed
+from wasp_cli.learning.latents import Latents, save_latents
+from wasp_cli.learning.shards import write_shard
+from wasp_cli.stages.base import Job
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
@@ -33,8 +39,8 @@ class Home:
         shutil.copytree(EXAMPLE, self.source)
         shutil.copy(EXAMPLE / "careful.yaml", folder)
         offline = ("--no-index", "--no-deps", "--no-build-isolation", "--target", str(self.site))
-        installed = self.python("-m", "pip", "install", "--quiet", *offline, str(self.source))
-        assert installed.returncode == 0, installed.stderr
+        done = self.python("-m", "pip", "install", "--quiet", *offline, str(self.source))
+        assert done.returncode == 0, done.stderr
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.site), str(ROOT)]), "NO_COLOR": "1", "COLUMNS": "200"}
@@ -46,18 +52,23 @@ class Home:
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    @cached_property
-    def first_keys(self) -> dict[str, str]:
-        """Of the package as it is."""
-        return self.keys()
-
     def keys(self) -> dict[str, str]:
-        return {node["label"]: node["key"] for node in json.loads(self.wasp("plan", "careful.yaml", "--json"))["nodes"]}
+        forget("wasp_example")
+        done = run_here("plan", self.folder / "careful.yaml", "--results", self.folder / "results", "--json", columns=80)
+        assert done.exit_code == 0, done.stderr
+        return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+def home(tmp_path_factory) -> Home:
     return Home(tmp_path_factory.mktemp("plugin"))
+
+
+@pytest.fixture
+def here(home) -> Iterator[Home]:
+    """Installed for this process too."""
+    with installed(home.site, "wasp_example"):
+        yield home
 
 
 def files() -> list[Path]:
@@ -69,7 +80,7 @@ def blocks() -> list[tuple[str, str]]:
     return re.findall(r"^```(python|toml|yaml)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def test_the_page_links_every_file_and_shows_them_as_they_are() -> None:
+def test_the_page_links_every_file_and_shows_them_as_they_are():
     text = PAGE.read_text(encoding="utf-8")
     assert [path.name for path in files() if f"]({path.relative_to(PAGE.parent).as_posix()})" not in text] == []
     known = {path.read_text(encoding="utf-8") for path in [*files(), *EXAMPLE.parent.glob("halfway.*")]}
@@ -77,51 +88,38 @@ def test_the_page_links_every_file_and_shows_them_as_they_are() -> None:
 
 
 @pytest.mark.slow
-def test_its_own_tests_pass(home: Home) -> None:
+def test_its_own_tests_pass(home):
     done = home.python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests"))
     assert done.returncode == 0, done.stdout
 
 
-def test_its_spec_is_checked_and_planned(home: Home) -> None:
-    assert "ok, 5 cells" in home.wasp("check", "careful.yaml")
-    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(home.first_keys)
-    wrong = home.python("-m", "wasp_cli", "check", "careful.yaml", "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3")
-    assert wrong.returncode == 3
+def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(here):
+    spec = here.folder / "careful.yaml"
+    assert "ok, 5 cells" in run_here("check", spec, columns=400).stdout
+    wrong = run_here("check", spec, "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3", columns=400)
+    assert wrong.exit_code == 3
     assert "careful.limit: should be less than 1" in wrong.stderr
     assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
-
-
-@pytest.mark.parametrize(
-    ("file", "old", "new", "moved"),
-    [
+    before = here.keys()
+    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(before)
+    for file, old, new, moved in (
         ("entries.py", "Careful executes", "It executes", ""),
         ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
         ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
         ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
-    ],
-)
-def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: str, moved: str) -> None:
-    path, before = home.site / "wasp_example" / file, home.first_keys
-    text = path.read_text(encoding="utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    try:
-        after = home.keys()
-    finally:
+    ):
+        path = here.site / "wasp_example" / file
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        after = here.keys()
         path.write_text(text, encoding="utf-8")
-    assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
+        wanted = {label for label in before if moved and re.search(moved, label)}
+        assert {label for label in before if before[label] != after[label]} == wanted, file
 
 
-def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(home.site))
-    import torch
-
-    from tests.learning.recordings import SOURCES, recording
-    from wasp_cli.learning.latents import Latents, save_latents
-    from wasp_cli.learning.shards import write_shard
-    from wasp_cli.stages.base import Job
-
-    stage, configs, risk = (_imported(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
+def test_its_stage_trains_what_its_assistant_reads(here, tmp_path):
+    stage, configs, risk = (importlib.import_module(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
     rows = recording((30, 30, 30))
     write_shard(tmp_path / "shard-00000.parquet", rows, SOURCES)
     # One class of the latent says whether the next decisions cost.
@@ -138,14 +136,8 @@ def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, m
     assert (tmp_path / "risk.safetensors").is_file()
 
 
-def _imported(name: str) -> Any:
-    import importlib
-
-    return importlib.import_module(name)
-
-
 @pytest.mark.slow
-def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> None:
+def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home):
     home.wasp("run", "careful.yaml", "-j", "2", sets=SMALL)
     printed = home.wasp("report", "results")
     assert re.search(r"Careful +\S+", printed)

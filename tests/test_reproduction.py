@@ -1,7 +1,5 @@
 """REPRODUCTION.md says what is published, number by number."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -40,7 +38,7 @@ def section(title: str) -> str:
     ("title", "report", "table", "left_out"),
     [("Table 1", "table1", "table1", 1), ("Table 2: FormulaOne1", "table2", "table2", 0), ("Figure 3: Race1", "figure3", "figure3", 0)],
 )
-def test_the_tables_are_the_published_ones(title: str, report: str, table: str, left_out: int) -> None:
+def test_the_tables_are_the_published_ones(title, report, table, left_out):
     """Of Table 1 the times of decisions are left out: they belong to a machine."""
     published = rows_of((REPORTS / report / f"{table}.md").read_text(encoding="utf-8"))
     assert len(published) > 5
@@ -48,14 +46,14 @@ def test_the_tables_are_the_published_ones(title: str, report: str, table: str, 
 
 
 @pytest.mark.parametrize(("title", "table"), [("World models", "world_model"), ("Policies and critics", "training")])
-def test_the_cards_have_the_published_evidence(title: str, table: str) -> None:
+def test_the_cards_have_the_published_evidence(title, table):
     published = rows_of((REPORTS / "table1" / f"{table}.md").read_text(encoding="utf-8"))
     shown = rows_of(CARDS.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0])
     assert len(published) > 3
     assert [row for row in shown if len(row) == len(published[0])] == published
 
 
-def test_the_experts_of_the_cards_are_those_of_all_three_trainings() -> None:
+def test_the_experts_of_the_cards_are_those_of_all_three_trainings():
     """One of three numbers is at most 2 / sqrt(3) standard deviations from their mean: seed 1's has to be among them."""
     with (REPORTS / "table1" / "training.csv").open(encoding="utf-8") as file:
         rows = {row["task"]: row for row in csv.DictReader(file)}
@@ -70,7 +68,7 @@ def test_the_experts_of_the_cards_are_those_of_all_three_trainings() -> None:
             assert abs(manifest["summary"][name] - mean) <= 2 / math.sqrt(3) * spread + 1e-6
 
 
-def test_each_claim_has_the_verdict_of_the_published_rows() -> None:
+def test_each_claim_has_the_verdict_of_the_published_rows():
     listed = rows_of(section("The 21 claims"))
     assert listed == rows_of(claims.table())
     words = [row[1] for row in listed[1:]]
@@ -80,7 +78,7 @@ def test_each_claim_has_the_verdict_of_the_published_rows() -> None:
     assert f"{sum(own != other for own, other in pairs)} of the {len(pairs)} claims that this row can answer come out differently" in PAGE
 
 
-def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path: Path) -> None:
+def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path):
     film = tmp_path / "film.webp"
     key = "ab95264a"  # race1 s1 wasp laggy=0.7 of the second edition
     label = (key, "--episode", "0", "--every", "30")
@@ -89,7 +87,7 @@ def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path: Pat
     assert film.stat().st_size > 10_000
 
 
-def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_path: Path) -> None:
+def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_path):
     spec, only = ROOT / "specs" / "table2.yaml", ("--select", "method=human")
     done = run_here("run", spec, "--results", tmp_path / "r", "--limit", "10", *only, columns=200)
     assert done.exit_code == 0, done.stderr
@@ -103,20 +101,20 @@ def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_p
     assert all(len(both) == 1 + (episode < 10) and both[0] == both[-1] for (_, episode), both in rows.items())
 
 
-def test_what_cuts_a_batch_is_computed(tmp_path: Path) -> None:
+def test_what_cuts_a_batch_is_computed(tmp_path):
     done = run_here("plan", ROOT / "specs" / "table2.yaml", "--results", tmp_path, "--limit", "7", columns=200)
     assert "a cell is cut after whole batches of 10 (side_by_side)" in " ".join(done.output.split())
     assert "nothing to compute" not in done.output
 
 
-def test_assistants_are_varied_over_the_published_models_without_training(tmp_path: Path) -> None:
+def test_assistants_are_varied_over_the_published_models_without_training(tmp_path):
     setting = ("--set", "wasp.tau_c=0.35", "--set", "seeds=[1]", "--json")
     done = run_here("plan", ROOT / "specs" / "table1.yaml", "--results", tmp_path, *setting, columns=200)
     nodes = json.loads(done.stdout)["nodes"]
     assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}
 
 
-def test_mild_and_severe_operators_are_the_published_ones() -> None:
+def test_mild_and_severe_operators_are_the_published_ones():
     with (REPORTS / "severity" / "severity.csv").open(encoding="utf-8") as file:
         published = list(csv.DictReader(file))
     columns = [
@@ -132,7 +130,7 @@ def test_mild_and_severe_operators_are_the_published_ones() -> None:
         assert numbers == [f"{sum(float(row[key]) for row in own) / 4:.{digits}f}" for key, digits in columns]
 
 
-def test_in_each_training_wasp_costs_less_than_the_baselines() -> None:
+def test_in_each_training_wasp_costs_less_than_the_baselines():
     """The sentence below Table 1, and of how many differences the 95 % interval over worlds includes zero."""
     spec = load(ROOT / "specs" / "table1.yaml").spec
     moderate = {(operator, severity["moderate"]) for operator, severity in spec.operators.items()}
@@ -155,7 +153,7 @@ def test_in_each_training_wasp_costs_less_than_the_baselines() -> None:
     assert f"of these 27 paired differences {open_ones} include zero" in PAGE
 
 
-def test_of_how_many_episodes_an_ablation_changed_nothing() -> None:
+def test_of_how_many_episodes_an_ablation_changed_nothing():
     """The sentence below Table 2."""
     columns = ["return", "cost", "int_rate", "mag", "env_steps"]
     rows: dict[str, dict[tuple[str, int], list[float]]] = {}

@@ -1,7 +1,5 @@
 """Analytic worlds with known answers, as test doubles of the world-model contract, and small random artifacts."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -4,8 +4,6 @@ Untrained weights: the arithmetic does not depend on them. Both gates are opened
 is timed as it runs in the closed loop.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ camera: of a pair of images (`ms`), and a hash of all of them (`images`).
 ppo: of a rollout and its update (`ms`), and the shares of the camera and of the whole task in it (`camera`, `task`); BATCH environments.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys
@@ -62,8 +60,8 @@ def ppo(name: str, batch: int) -> Iterator[dict[str, Any]]:
     spent: dict[str, float] = {}
     task = make_task(name, batch, action_repeat=4, observe=("pixels",))
     config = ReinforceConfig()
-    Camera.render = timed(Camera.render, spent, "camera")  # type: ignore[method-assign]
-    task.step = timed(task.step, spent, "task")  # type: ignore[method-assign]
+    Camera.render = timed(Camera.render, spent, "camera")
+    task.step = timed(task.step, spent, "task")
     seeds = itertools.count()
     env = FilteredTask(task, build(WorldModelConfig(), task.action_size).eval(), lambda: next(seeds))
     learner = PPO("MlpPolicy", env, device="cpu", seed=0, n_steps=ROLLOUT, batch_size=config.batch, n_epochs=config.epochs,

@@ -4,8 +4,6 @@ python -m tests.benchmarks.many FOLDER          what wasp takes for them
 python -m tests.benchmarks.many FOLDER duckdb   what DuckDB takes to pool the same columns of the same files
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import sys

@@ -3,8 +3,6 @@
 Every figure is measured on one thread, in this run. A robot is driven by the script of `driver`; time outside of the task is not counted.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -128,7 +126,6 @@ def _raw_rays(seconds: float) -> float:
 
 
 def _mean(action: Callable[[], object], seconds: float) -> float:
-    """Seconds per call."""
     action()
     count, begun = 0, time.perf_counter()
     while time.perf_counter() - begun < seconds:
@@ -138,7 +135,6 @@ def _mean(action: Callable[[], object], seconds: float) -> float:
 
 
 def _fastest(action: Callable[[], object], seconds: float) -> float:
-    """Seconds of the fastest call."""
     action()
     best, until = np.inf, time.perf_counter() + seconds
     while time.perf_counter() < until:

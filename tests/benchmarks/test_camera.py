@@ -3,8 +3,6 @@
 `WASP_BASE`: the earlier checkout. Without it there is nothing to compare.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import statistics
@@ -54,13 +52,11 @@ def running(kind: str, task: str, batch: int, base: str) -> Iterator[list[subpro
 
 
 def answer(process: subprocess.Popen[str]) -> dict[str, Any]:
-    assert process.stdout is not None
     found: dict[str, Any] = json.loads(process.stdout.readline())
     return found
 
 
 def asked(process: subprocess.Popen[str]) -> dict[str, Any]:
-    assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
     return answer(process)
@@ -68,7 +64,7 @@ def asked(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("batch", [1, 8, 16, 30])
 @pytest.mark.parametrize("task", ["goal1", "race1", "formula1"])
-def test_images(benchmark: Any, base: str, task: str, batch: int) -> None:
+def test_images(benchmark, base, task, batch):
     """CPU time of a pair of images: the median of the ratios. The images themselves are the same."""
     found: list[tuple[dict[str, Any], dict[str, Any]]] = []
     with running("camera", task, batch, base) as (ours, theirs):
@@ -81,7 +77,7 @@ def test_images(benchmark: Any, base: str, task: str, batch: int) -> None:
 
 
 @pytest.mark.parametrize("task", ["goal1", "race1"])
-def test_share_of_an_update_through_the_filter(benchmark: Any, base: str, task: str) -> None:
+def test_share_of_an_update_through_the_filter(benchmark, base, task):
     """Of the CPU time of a rollout of 32 environments and its update: the camera's share and the task's, here and there."""
     found: list[tuple[dict[str, Any], dict[str, Any]]] = []
     with running("ppo", task, 32, base) as (ours, theirs):

@@ -1,7 +1,5 @@
 """Decisions of ten episodes side by side, as a cell makes them, beside the same ones by the world model's own steps, in turn."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +14,7 @@ EPISODES, PAIRS = 10, 3
 
 
 @pytest.mark.parametrize("kind", [kind for kind in THRESHOLDS if kind != "gate"])
-def test_decisions_of_a_cell(benchmark: Any, kind: str) -> None:
+def test_decisions_of_a_cell(benchmark, kind):
     """One core; `peer_over_this` is the time of every one-hot row as a product over that of rows that are looked up."""
     keep_memory()
     torch.set_num_threads(1)

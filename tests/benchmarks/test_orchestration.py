@@ -1,7 +1,5 @@
 """What orchestration costs beside the work that it orchestrates. Limits are compared as ratios to what was measured in the same run."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -74,7 +72,7 @@ def warmed(jobs: int, tmp_path: Path, fakes: Fakes, **behaviour: float) -> LokyP
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fakes: Fakes, tmp_path: Path) -> None:
+def test_a_cell_costs_less_than_ten_milliseconds(benchmark, jobs, fakes, tmp_path):
     """Cells that do nothing: what is left is lock, log, heartbeat, staging, manifest, fsync, rename, journal."""
     pool = warmed(jobs, tmp_path, fakes)
     layout, plan, run_id = cells_alone(200, tmp_path, "many")
@@ -85,7 +83,7 @@ def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fake
     assert benchmark.extra_info["ms_a_cell"] < 10
 
 
-def test_orchestration_is_under_one_percent_of_a_grid(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+def test_orchestration_is_under_one_percent_of_a_grid(benchmark, fakes, tmp_path):
     """Cells of a second each, two at a time, beside the time that they themselves take."""
     pool = warmed(2, tmp_path, fakes, seconds=1.0)
     layout, plan, run_id = cells_alone(20, tmp_path, "grid")
@@ -96,7 +94,7 @@ def test_orchestration_is_under_one_percent_of_a_grid(benchmark: Any, fakes: Fak
     assert benchmark.extra_info["share_beside_the_work"] < 0.01
 
 
-def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+def test_two_workers_do_nearly_twice_as_much_as_one(benchmark, fakes, tmp_path):
     """Cells that keep a core busy for a third of a second; beside them, two bare processes that do the same work."""
     times = {}
     for jobs in (1, 2):
@@ -123,7 +121,7 @@ seeds: [0]
 """
 
 
-def test_a_grid_of_two_tasks_takes_little_more_than_half_of_its_time_on_one_worker(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+def test_a_grid_of_two_tasks_takes_little_more_than_half_of_its_time_on_one_worker(benchmark, fakes, tmp_path):
     """Chains of nodes that each keep a core busy for a third of a second, in the order of a real grid; beside them, two bare processes."""
     spec = tmp_path / "grid.yaml"
     spec.write_text(GRID, encoding="utf-8")
@@ -156,7 +154,7 @@ def bare(processes: int, pieces: int = 60) -> float:
     return time.perf_counter() - begun
 
 
-def test_five_thousand_cells_are_planned_in_five_seconds(benchmark: Any, tmp_path: Path) -> None:
+def test_five_thousand_cells_are_planned_in_five_seconds(benchmark, tmp_path):
     spec = large()
 
     def plan() -> Plan:
@@ -167,7 +165,7 @@ def test_five_thousand_cells_are_planned_in_five_seconds(benchmark: Any, tmp_pat
     assert benchmark.stats.stats.min < 5
 
 
-def test_five_thousand_computed_cells_are_planned_in_ten_seconds(benchmark: Any, tmp_path: Path) -> None:
+def test_five_thousand_computed_cells_are_planned_in_ten_seconds(benchmark, tmp_path):
     grid, layout = lay_out(large()), Layout(tmp_path / "results")
     layout.prepare()
     (first,) = [node for node in grid.nodes if node.kind == "expert"][:1]
@@ -186,7 +184,7 @@ def test_five_thousand_computed_cells_are_planned_in_ten_seconds(benchmark: Any,
 
 
 @pytest.mark.parametrize(("arguments", "limit"), [(("--help",), 0.3), (("plan", "specs/table1.yaml", "--results", "/nowhere"), 1.0)])
-def test_the_command_line_answers_at_once(benchmark: Any, arguments: tuple[str, ...], limit: float) -> None:
+def test_the_command_line_answers_at_once(benchmark, arguments, limit):
     """Beside Python that imports the two libraries which every command needs."""
 
     def seconds(*command: str) -> float:

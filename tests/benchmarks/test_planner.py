@@ -1,9 +1,6 @@
 """A decision of WASP beside the same floating-point operations as plain matrix products, measured in the same run."""
 
-from __future__ import annotations
-
 import os
-from typing import Any
 
 import pytest
 import torch
@@ -15,7 +12,7 @@ THREADS = min(2, os.cpu_count() or 1)
 
 @pytest.mark.parametrize("planner", ["paper", "cpu"])
 @pytest.mark.parametrize("kind", THRESHOLDS)
-def test_decision(benchmark: Any, planner: str, kind: str) -> None:
+def test_decision(benchmark, planner, kind):
     """One episode, all cores of a small machine: the operator is waiting."""
     torch.set_num_threads(THREADS)
     try:

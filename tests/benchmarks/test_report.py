@@ -1,7 +1,5 @@
 """Reading cells for a report, as a ratio to what has to be read at least, measured in the same run."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -24,14 +22,14 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Wanted]:
+def cells(tmp_path_factory) -> list[Wanted]:
     folder = tmp_path_factory.mktemp("cells")
     episodes = [invent(e, 5, 0.2, 0.05, steps=250) for e in range(30)]
     return [write(folder, CellIdentity("goal1", "wasp", "full", "noisy", 0.2, seed), episodes) for seed in range(CELLS)]
 
 
 @pytest.fixture(scope="module")
-def many_cells(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def many_cells(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("many")
     many.write(folder)
     return folder
@@ -43,14 +41,14 @@ def seconds(work: Callable[[], Any]) -> float:
     return time.perf_counter() - begun
 
 
-def test_a_report_does_not_read_the_steps(benchmark: Any, cells: list[Wanted]) -> None:
+def test_a_report_does_not_read_the_steps(benchmark, cells):
     paths = [path for cell in cells for path in (cell.path, cell.path.with_name(STEPS_FILE))]
     with_steps = min(seconds(lambda: [pq.read_table(path) for path in paths]) for _ in range(3))
     benchmark(lambda: main_table(read_frame(cells)))
     assert benchmark.stats.stats.min < 2 * with_steps
 
 
-def test_writing_a_cell_costs_little_beside_its_bytes(benchmark: Any, tmp_path: Path) -> None:
+def test_writing_a_cell_costs_little_beside_its_bytes(benchmark, tmp_path):
     episodes = [invent(e, 5, 0.2, 0.05, steps=250) for e in range(30)]
     identity = CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 0)
     path = write(tmp_path, identity, episodes).path
@@ -68,7 +66,7 @@ def measured(*arguments: object) -> dict[str, float]:
     return found
 
 
-def test_a_million_episodes_in_five_thousand_cells(benchmark: Any, many_cells: Path) -> None:
+def test_a_million_episodes_in_five_thousand_cells(benchmark, many_cells):
     """All tables and figures of a large grid; DuckDB pools the same columns of the same files."""
     measured(many_cells)  # so that the files are in memory
     peers = [measured(many_cells, "duckdb") for _ in range(2)]

@@ -1,18 +1,14 @@
 """Speed of the hot paths. Each benchmark notes the limit that was measured in the same run, so that shares can be compared."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.assistants import build_assistant
+from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
@@ -22,7 +18,6 @@ torch.set_num_threads(1)
 
 
 def seconds(action: Callable[[], Any], repeats: int = 5) -> float:
-    """The fastest of a few calls."""
     action()
     times = []
     for _ in range(repeats):
@@ -42,7 +37,7 @@ SIZES: dict[str, dict[str, int]] = {"quick": {"deter": 192, "variables": 12, "cl
 
 
 @pytest.mark.parametrize("preset", SIZES)
-def test_world_model_update(benchmark: Any, preset: str) -> None:
+def test_world_model_update(benchmark, preset):
     """A whole training step of 16 sequences of 32 steps, a quarter of them decoded, beside its images alone."""
     config = WorldModelConfig(**SIZES[preset])
     model = build(config, 2)
@@ -73,7 +68,7 @@ def test_world_model_update(benchmark: Any, preset: str) -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 10])
-def test_filter_step(benchmark: Any, batch: int) -> None:
+def test_filter_step(benchmark, batch):
     """What a decision waits for before anything is decided, beside its image encoder alone."""
     model = build(WorldModelConfig(), 2)
     pixels = torch.randint(0, 256, (batch, 6, 64, 64), dtype=torch.uint8)
@@ -87,7 +82,7 @@ def test_filter_step(benchmark: Any, batch: int) -> None:
 
 
 @pytest.mark.parametrize("batch", [300, 4096])
-def test_imagination(benchmark: Any, batch: int) -> None:
+def test_imagination(benchmark, batch):
     """Fifteen prior steps under given actions, as a share of what plain matrix products reach."""
     config, horizon = WorldModelConfig(), 15
     model = build(config, 2)
@@ -103,8 +98,7 @@ def test_imagination(benchmark: Any, batch: int) -> None:
     benchmark.extra_info["share_of_matrix_products"] = rate * products / matrix_rate()
 
 
-def test_decision_against_matrix_products(benchmark: Any, tmp_path: Path) -> None:
-    parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
+def test_decision_against_matrix_products(benchmark, parts):
     always = {"tau_c": 1e-9, "candidates": 64, "elites": 20, "feasible": 20, "iterations": 3, "probe": 64}
     assistant = build_assistant("wasp", always, parts)
     batch = 10

@@ -1,7 +1,5 @@
 """Speed of the tasks on one thread. Each benchmark notes what plain MuJoCo does in the same run, so that shares can be compared."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ NAMES = ["goal1", "race1", "formula1"]
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("batch", "repeat", "observe"), [(32, 4, ("privileged",)), (1, 1, ("state",))], ids=["batch", "single"])
-def test_env_steps(benchmark: Any, name: str, batch: int, repeat: int, observe: tuple[str, ...]) -> None:
+def test_env_steps(benchmark, name, batch, repeat, observe):
     task = speed._task(name, batch, observe, repeat)
     for _ in range(10):  # builds the models that the way needs
         task.step(drive(task))
@@ -35,7 +33,7 @@ def test_env_steps(benchmark: Any, name: str, batch: int, repeat: int, observe: 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_images(benchmark: Any, name: str) -> None:
+def test_images(benchmark, name):
     task = speed._task(name, 16, ("pixels",), 4)
     camera, scene = Camera(task.appearance()), task.scene(np.arange(16))
     benchmark(camera.render, scene)
@@ -44,13 +42,13 @@ def test_images(benchmark: Any, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_reset(benchmark: Any, name: str) -> None:
+def test_reset(benchmark, name):
     task = speed._task(name, 1, (), 1)
     seeds = iter(range(10**9))
     benchmark(lambda: task.reset([next(seeds)]))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_snapshot_and_restore(benchmark: Any, name: str) -> None:
+def test_snapshot_and_restore(benchmark, name):
     task = speed._task(name, 1, (), 1)
     benchmark(lambda: task.restore(task.snapshot()))

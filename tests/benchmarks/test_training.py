@@ -4,14 +4,11 @@
 compare.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,7 +19,7 @@ OTHERS = {"WASP_BASE": "wasp", "WASP_DREAMER": "dreamer"}
 
 
 @pytest.mark.parametrize("variable", OTHERS)
-def test_world_model_update(benchmark: Any, variable: str) -> None:
+def test_world_model_update(benchmark, variable):
     """CPU time of one update, ours and theirs by turns: the median of the ratios, and the ratio of the minima."""
     checkout = os.environ.get(variable)
     if not checkout:
@@ -30,7 +27,7 @@ def test_world_model_update(benchmark: Any, variable: str) -> None:
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     commands = [[sys.executable, str(SCRIPT), kind, str(place)] for kind, place in (("wasp", HERE), (OTHERS[variable], checkout))]
     both = [subprocess.Popen(each, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) for each in commands]
-    ours, theirs = times = ([], [])  # type: tuple[list[float], list[float]]
+    ours, theirs = times = ([], [])
     try:
         for process in both:
             answer(process)  # what comes first warms up
@@ -52,11 +49,9 @@ def test_world_model_update(benchmark: Any, variable: str) -> None:
 
 
 def ask(process: subprocess.Popen[str]) -> None:
-    assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
 
 
 def answer(process: subprocess.Popen[str]) -> float:
-    assert process.stdout is not None
     return float(process.stdout.readline())

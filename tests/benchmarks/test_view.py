@@ -1,7 +1,5 @@
 """How long a person waits in `wasp view`, in a real Chromium: 5,000 cells in 2 s, a step explained in 0.1 s, a first frame in 3 s."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator
@@ -24,13 +22,13 @@ CELLS = 5037
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory) -> Iterator[Browser]:
     with chromium(tmp_path_factory.mktemp("chromium")) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
-def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def grid(tmp_path_factory) -> Path:
     """The grid of `tests.benchmarks.many` as a results folder with the run that planned it; 30 episodes a cell would do, it has 200."""
     folder, results = tmp_path_factory.mktemp("many"), tmp_path_factory.mktemp("view") / "results"
     many.write(folder)
@@ -52,11 +50,11 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def published(tmp_path_factory) -> Path:
     return brought(tmp_path_factory.mktemp("view") / "published", LABEL)
 
 
-def test_five_thousand_cells_appear(benchmark: Any, browser: Browser, grid: Path) -> None:
+def test_five_thousand_cells_appear(benchmark, browser, grid):
     """From asking for the page until the rows are laid out (the first of them; the others are there to be filtered and sorted), of a server
     that was started just then; and until the last number is there."""
     with viewed(grid) as server:
@@ -86,7 +84,7 @@ def test_five_thousand_cells_appear(benchmark: Any, browser: Browser, grid: Path
     assert filtered < 0.5
 
 
-def test_the_explanation_of_a_step_comes_at_once(benchmark: Any, browser: Browser, published: Path) -> None:
+def test_the_explanation_of_a_step_comes_at_once(benchmark, browser, published):
     """From the key until the words stand on the page, over 40 decisions that nobody has asked for before; while the film is drawn."""
     with viewed(published) as server:
         tab = browser.tab()
@@ -106,7 +104,7 @@ def test_the_explanation_of_a_step_comes_at_once(benchmark: Any, browser: Browse
     assert np.percentile(taken, 95) < 100.0
 
 
-def test_the_first_frame_of_a_film_comes_soon(benchmark: Any, browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_first_frame_of_a_film_comes_soon(benchmark, browser, tmp_path_factory):
     """From asking for the page of an episode, of which nothing was drawn before, until a frame of its film is shown."""
 
     def fresh() -> tuple[tuple[Any], dict[str, Any]]:

@@ -5,8 +5,6 @@ python -m tests.benchmarks.times --published specs/edition2.yaml   of what is pu
                                                                    since other work ran beside most of them
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,7 +22,6 @@ from wasp_cli.store.layout import Layout
 
 
 def times(folders: Sequence[Path]) -> Any:
-    """Return the figures of what was computed in results folders."""
     found = {}
     for folder in folders:
         layout = results_of(folder)

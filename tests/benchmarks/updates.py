@@ -3,8 +3,6 @@
 `python updates.py wasp|dreamer CHECKOUT`: for every line that it reads it trains UPDATES times and writes the CPU time of one, in ms.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time
@@ -32,7 +30,6 @@ def wasp(report: Any) -> None:
     learning.SHOWN = UPDATES
     random = np.random.default_rng(0)
     turned = privileged_mirror("goal1")
-    assert turned is not None
     flags = np.arange(ROWS) % 200
     columns: dict[str, Any] = dict.fromkeys(Recording._fields, np.zeros(ROWS, np.float32)) | {
         "pixels": random.integers(0, 256, (ROWS, 6, 64, 64), np.uint8),
@@ -59,7 +56,7 @@ def wasp(report: Any) -> None:
 def dreamer(report: Any) -> None:
     """The update of dreamerv3-torch's world model with the sizes of ours; it decodes every step and imagines nothing."""
     # What its tools import beside the update.
-    sys.modules["torch.utils.tensorboard"] = types.SimpleNamespace(SummaryWriter=None)  # type: ignore[assignment]
+    sys.modules["torch.utils.tensorboard"] = types.SimpleNamespace(SummaryWriter=None)
     import models
     import numpy as np
     from gymnasium import spaces

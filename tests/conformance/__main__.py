@@ -4,8 +4,6 @@ Every `.npz` in the folder is checked; one line per file and quantity tells the 
 quantity is out of tolerance, a file cannot be read or nothing could be checked, 2 on wrong usage. Recordings of other tasks are skipped.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

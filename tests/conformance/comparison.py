@@ -1,7 +1,5 @@
 """How a quantity is compared with a recording of the reference package."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Motion is compared one env step at a time from recorded states ("teacher-forced"
 implementations drift apart within some 50 steps. T = steps of the recording, S = recorded states.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -104,7 +102,6 @@ def _observations(r: Recording) -> list[Check]:
     forced["goal"][: len(at)] = r["goal_after"][before]
     forced["control"][: len(at)] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
     state = task.restore(forced).state
-    assert state is not None
     ours, theirs = state[: len(at)], r["obs"][which]
     meta = json.loads(str(r["meta"]))
     checks, start = [], 0

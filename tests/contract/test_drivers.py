@@ -1,7 +1,5 @@
 """Every cost source of every task can be reached by a scripted driver, from an ordinary start and through actions alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +16,6 @@ BATCH = 6
 
 
 def nearest(points: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Of points [B, K, 2] those nearest to [B, 2]."""
     apart = np.linalg.norm(points - xy[:, None], axis=2)
     return points[np.arange(len(points)), apart.argmin(axis=1)]
 

@@ -1,7 +1,5 @@
 """Our Diffusion and our IDA for an external world: what they learn from is the expert's flights that reached the goal."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +40,6 @@ def fly_demonstrations(kind: Kind, model: SAC, path: Path, report: Callable[[str
     while count < ROWS:
         worlds = [derive("external-demonstration", kind, number + i) for i in range(TOGETHER)]
         loop = alone(kind, "expert", actor(model), worlds, keep=True)
-        assert loop.h is not None
         for column in np.flatnonzero(loop.goals.any(0)):
             alive = loop.alive[:, column]
             states.append(loop.h[torch.from_numpy(alive), column].numpy())
@@ -120,7 +117,7 @@ def parts(folder: Path) -> Parts:
     """Return what assistants are built from. Nobody's policy is among it: without the goal there is none."""
     nobody = Skills((1.0,), SEEN, (1,), 2)
     inputs = {"denoiser": folder, "ida_q": folder}
-    return Parts(WORLD, nobody, inputs, {}, gamma_r=0.99, gamma_c=0.99, lam=0.95)  # type: ignore[arg-type]
+    return Parts(WORLD, nobody, inputs, {}, gamma_r=0.99, gamma_c=0.99, lam=0.95)
 
 
 def assistant(name: str, ratio: float, folder: Path) -> Assistant:

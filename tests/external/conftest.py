@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 
 # The physics of these worlds is in the environment of `nox -s external` alone.

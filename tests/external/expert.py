@@ -1,7 +1,5 @@
 """The expert of the external worlds: Stable-Baselines3's SAC on the observation with the goal."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable
@@ -79,4 +77,4 @@ def train_expert(kind: Kind, folder: Path, report: Callable[[str], None] = print
 
 def actor(model: SAC) -> Policy:
     """Return the expert's mean action: observations with the goal [B, P] to commands [B, 2] in [-1, 1]."""
-    return lambda observation: model.policy.actor(observation, deterministic=True)  # type: ignore[no-any-return]
+    return lambda observation: model.policy.actor(observation, deterministic=True)

@@ -1,7 +1,5 @@
 """Episodes of a pilot in an external world, alone or assisted, by the closed loop of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from tests.external.lander import SEEN, Kind
@@ -26,5 +24,4 @@ def fly(kind: Kind, pilot: str, expert: Policy, assistant: Assistant, worlds: Se
 
 
 def alone(kind: Kind, pilot: str, expert: Policy, worlds: Sequence[int], *, keep: bool = False) -> Loop:
-    """Return the same without assistance."""
     return fly(kind, pilot, expert, HumanOnly(), worlds, keep=keep)

@@ -4,8 +4,6 @@ Physics, terrain and shaping are gymnasium's continuous Lunar Lander. The goal, 
 theirs (github.com/ripl/diffusion-for-shared-autonomy, `lunar_lander.py`: tasks v5 "land" and v1 "reach").
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

@@ -4,8 +4,6 @@ FOLDER keeps the experts, the denoisers and every cell, so that a second run goe
 `WASP_YONEDA` names a checkout of the authors' repository, their own experts fly too, and first.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

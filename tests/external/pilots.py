@@ -1,7 +1,5 @@
 """The pilots of Yoneda et al. 2023: the expert, who sees the goal, noisy or late, and one who does nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch

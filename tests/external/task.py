@@ -1,7 +1,5 @@
 """The worlds as a batch for the closed loop (`wasp_cli.tasks.base.VectorTask`): the state is observed, the goal is privileged."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The worlds are those of the authors: where goals are, who sees them, what ends an episode."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -20,11 +18,11 @@ AHEAD, NOTHING = np.array([1.0, 0.0], np.float32), np.zeros(2, np.float32)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_is_an_environment(kind: Kind) -> None:
+def test_it_is_an_environment(kind):
     check_env(GoalLander(kind))
 
 
-def test_pads_have_nine_places_and_ground_that_is_flat() -> None:
+def test_pads_have_nine_places_and_ground_that_is_flat():
     world = GoalLander("lander")
     goals = {round(float(world.reset(seed=seed)[0][SEEN]), 3) for seed in range(120)}
     assert goals == {round(float(goal), 3) for goal in candidates("lander").flatten()}
@@ -33,7 +31,7 @@ def test_pads_have_nine_places_and_ground_that_is_flat() -> None:
     assert np.ptp(on_pad) < 0.1
 
 
-def test_targets_are_above_and_beside_the_middle() -> None:
+def test_targets_are_above_and_beside_the_middle():
     world = GoalLander("reacher")
     goals = np.array([world.reset(seed=seed)[0][SEEN:] for seed in range(200)])
     assert (np.abs(goals[:, 0]) >= 0.5 - 1e-6).all()
@@ -42,14 +40,14 @@ def test_targets_are_above_and_beside_the_middle() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_same_seed_is_the_same_world_and_the_assistant_does_not_see_its_goal(kind: Kind) -> None:
+def test_the_same_seed_is_the_same_world_and_the_assistant_does_not_see_its_goal(kind):
     first, again, other = (LanderTask(kind, 1).reset([seed]) for seed in (5, 5, 6))
     assert (first.privileged == again.privileged).all()
     assert (first.privileged != other.privileged).any()
     assert first.state.shape == (1, SEEN)
 
 
-def test_falling_is_a_crash_and_the_target_ends_the_other_world() -> None:
+def test_falling_is_a_crash_and_the_target_ends_the_other_world():
     for kind in KINDS:
         world = GoalLander(kind)
         world.reset(seed=0)
@@ -64,7 +62,7 @@ def test_falling_is_a_crash_and_the_target_ends_the_other_world() -> None:
     assert (reward, ended, info["reached"]) == (REACHED, True, True)
 
 
-def test_a_landing_counts_on_the_pad_alone() -> None:
+def test_a_landing_counts_on_the_pad_alone():
     for place, reached in ((0.0, True), (6.0, False)):
         world = GoalLander("lander")
         world.reset(seed=3)
@@ -77,7 +75,7 @@ def test_a_landing_counts_on_the_pad_alone() -> None:
         assert (ended, info["reached"], info["crashed"]) == (True, reached, False)
 
 
-def test_the_reward_without_a_goal_is_the_one_of_gymnasium() -> None:
+def test_the_reward_without_a_goal_is_the_one_of_gymnasium():
     """With the pad in the middle the shaping is the same, but for the height at which a lander stands."""
     world, original = GoalLander("lander"), gymnasium.make("LunarLanderContinuous-v3")
     world.reset(seed=0)
@@ -94,7 +92,7 @@ def test_the_reward_without_a_goal_is_the_one_of_gymnasium() -> None:
         assert reward == pytest.approx(float(wanted), abs=1e-3)
 
 
-def test_time_ends_an_episode_that_goes_nowhere() -> None:
+def test_time_ends_an_episode_that_goes_nowhere():
     loop = alone("lander", "zero", lambda observation: torch.zeros(len(observation), 2), range(4))
     assert loop.cost.any(0).all()
     world = GoalLander("reacher")
@@ -104,7 +102,7 @@ def test_time_ends_an_episode_that_goes_nowhere() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pilots_see_the_goal(kind: Kind) -> None:
+def test_pilots_see_the_goal(kind):
     task = LanderTask(kind, 3)
     seen = task.reset([0, 1, 2])
     expert = build(kind, "expert", lambda observation: observation[:, SEEN:].repeat(1, 2)[:, :2], [0, 1, 2])
@@ -113,7 +111,7 @@ def test_pilots_see_the_goal(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_members_of_the_vote_are_the_experts_critic_at_each_goal(kind: Kind) -> None:
+def test_members_of_the_vote_are_the_experts_critic_at_each_goal(kind):
     model = SAC("MlpPolicy", GoalLander(kind), policy_kwargs={"net_arch": [16, 16]}, seed=0, device="cpu", buffer_size=10)
     goals, seen, action = candidates(kind), torch.randn(5, SEEN), torch.rand(5, 2) * 2 - 1
     found = votes(model, goals)(seen, action)

@@ -1,7 +1,5 @@
 """The authors' experts and denoisers, from a checkout of their repository. Their weights have no licence and are not kept here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -10,7 +8,7 @@ __all__ = ["fakes"]
 
 
 @pytest.fixture
-def small_spec(tmp_path: Path) -> Path:
+def small_spec(tmp_path) -> Path:
     """One seed is enough where processes die."""
     path = tmp_path / "small.yaml"
     path.write_text(SMALL.replace("[0, 1]", "[0]"), encoding="utf-8")

@@ -1,7 +1,5 @@
 """A real dask scheduler and two worker processes on this machine."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -25,7 +23,7 @@ class Cluster:
 
 
 @contextmanager
-def dask_cluster(folder: Path, workers: int = 2, threads: int = 1, cwd: Path = ROOT) -> Iterator[Cluster]:
+def dask_cluster(folder: Path, workers: int = 2, cwd: Path = ROOT) -> Iterator[Cluster]:
     """Start it, and end it with all its processes. The workers' working directory is `cwd`."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     started: list[subprocess.Popen[str]] = []
@@ -40,14 +38,14 @@ def dask_cluster(folder: Path, workers: int = 2, threads: int = 1, cwd: Path = R
     folder.mkdir(parents=True, exist_ok=True)
     try:
         log = start("scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-        wait_until(lambda: "Scheduler at:" in log.read_text(encoding="utf-8"), 60)
+        wait_until(lambda: "Scheduler at:" in log.read_text(encoding="utf-8"))
         line = next(line for line in log.read_text(encoding="utf-8").splitlines() if "Scheduler at:" in line)
         address = line.partition("Scheduler at:")[2].strip()
         local = ("--local-directory", str(folder / "scratch"), "--no-dashboard", "--host", "127.0.0.1")
 
         def add(*names: str) -> None:
-            logs = [start(name, "worker", address, "--nthreads", str(threads), *local) for name in names]
-            wait_until(lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs), 60)
+            logs = [start(name, "worker", address, "--nthreads", "1", *local) for name in names]
+            wait_until(lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs))
 
         add(*(f"worker{number}" for number in range(workers)))
         yield Cluster(address, started, add)

@@ -1,7 +1,5 @@
 """The commands of the storm: what each begins with, what must hold after every kill, and what it leaves in the end."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -146,7 +144,7 @@ def start_run(folder: Path, number: int) -> None:
     def no_report(*arguments: object) -> object:
         return type("Shown", (), {"missing": ()})
 
-    wasp_cli.cli.run.show_report = no_report  # type: ignore[assignment]
+    wasp_cli.cli.run.show_report = no_report
     wasp("run", folder / "small.yaml", "--results", folder / "results", "-j", 2)
 
 
@@ -263,7 +261,6 @@ def check_drive(folder: Path) -> None:
     if kept.exists():
         with pa.ipc.open_file(kept) as file:
             before = file.read_all()
-        assert table is not None
         assert table.slice(0, len(before)).equals(before)
     if table is not None:
         with pa.OSFile(str(kept), "wb") as sink, pa.ipc.new_file(sink, table.schema) as file:
@@ -272,7 +269,6 @@ def check_drive(folder: Path) -> None:
 
 def compare_drive(folder: Path, calm: Path) -> None:
     table = driven(folder)
-    assert table is not None
     assert table["episode"].to_pylist() == list(range(EPISODES))
     assert not list((folder / "results" / "work").glob(f"*/{EPISODES_FILE}"))
 

@@ -6,8 +6,6 @@ leaves is what an undisturbed one leaves. Commands begin in forks of one process
 work and not their imports. This process computes nothing itself: a library whose threads run does not survive a fork.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random
@@ -160,7 +158,7 @@ class Storm:
         code = ended(child)
         if victim == "a worker":  # the command lives on without it
             assert code == 0, f"{command.name} did not survive a worker: {log.read_text(errors='replace')[-4000:]}"
-        wait_until(lambda: group_is_gone(child), 60.0)
+        wait_until(lambda: group_is_gone(child))
         self.kills[command.name] += 1
         self.victims[victim] += 1
         self.midway[command.name] += changed

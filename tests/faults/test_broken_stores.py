@@ -1,12 +1,9 @@
 """Disks that are full or read-only, files that are cut or flipped, clocks that jump: a clear state, which the next run repairs."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from safetensors.numpy import load_file
 
+from tests.commands import run_here
 from tests.report.invented import invent, write_rows
-from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
+from tests.run.harness import SMALL, as_undisturbed, prepared, run, wasp
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
 from wasp_cli.report.stats import read_frame
@@ -28,13 +26,8 @@ from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
 
-def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
-
-
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
+def small_disk(tmp_path) -> Iterator[Path]:
     """A file system of one megabyte; where none may be mounted, there is nothing to test with."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -48,12 +41,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("jobs", [2, pytest.param(0, marks=pytest.mark.slow)])
-def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
-    jobs: int, fakes: Fakes, small_spec: Path, small_disk: Path, tmp_path: Path
-) -> None:
+def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(jobs, fakes, small_spec, small_disk, tmp_path):
     results = small_disk / "results"
     fakes.set(bytes=150_000)
-    done = fake_wasp("run", small_spec, "--results", results, "-j", jobs)
+    done = wasp("run", small_spec, "--results", results, "-j", jobs)
     assert done.returncode == 1
     assert "No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
@@ -63,23 +54,22 @@ def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
         files = json.loads(manifest.read_text(encoding="utf-8"))["files"]
         assert all((manifest.parent / name).stat().st_size == known["size"] for name, known in files.items())
     subprocess.run(["mount", "-o", "remount,size=20m", str(small_disk)], check=True)
-    again = fake_wasp("run", small_spec, "--results", results, "-j", jobs)
+    again = wasp("run", small_spec, "--results", results, "-j", jobs)
     assert again.returncode == 0, again.stderr
     assert f"{len(whole)} computed before" in again.stderr
-    run(small_spec, tmp_path / "calm")
-    assert data_of(results) == data_of(tmp_path / "calm")
+    shutil.copytree(results, tmp_path / "results")
+    assert as_undisturbed(small_spec, tmp_path / "results")
 
 
-def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes: Fakes, small_spec: Path, small_disk: Path) -> None:
+def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes, small_spec, small_disk):
     results = small_disk / "results"
     run(small_spec, results)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    refused = fake_wasp("run", small_spec, "--results", results)
-    assert refused.returncode == 1
+    refused = run_here("run", small_spec, "--results", results, "-j", "0", columns=400)
+    assert refused.exit_code == 1
     assert refused.stderr.startswith(f"error: cannot write results to '{results}': read-only file system")
     for command in (("plan", small_spec, "--results", results), ("status", results), ("show", "goal1 s0 expert", "--results", results)):
-        done = fake_wasp(*command)
-        assert done.returncode == 0, done.stderr
+        assert run_here(*command, columns=80).exit_code == 0
     subprocess.run(["mount", "-o", "remount,rw", str(small_disk)], check=True)
     assert run(small_spec, results).complete
 
@@ -92,7 +82,7 @@ def flip(path: Path, at: int = -5) -> None:
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
 
 
-def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes, small_spec, tmp_path):
     """safetensors has no checksum: flipped weights load without a word."""
     results = tmp_path / "results"
     fakes.set(weights=True)
@@ -106,7 +96,7 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert not np.array_equal(load_file(weights)["w"], before)
     shutil.rmtree(layout.artifact("evaluate", reader.key))
     # A process of its own: this one has seen the whole file.
-    done = fake_wasp("run", small_spec, "--results", results, "-j", "1")
+    done = wasp("run", small_spec, "--results", results, "-j", "1")
     assert done.returncode == 1
     assert "goal1 s0 human noisy=0.2: an input is damaged: '" in done.stderr
     assert "weights.safetensors' has other bytes than were stored" in done.stderr
@@ -114,13 +104,12 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert {(step.node.label, step.state) for step in plan.steps if step.runs} == {
         (world_model.label, "damaged"), (reader.label, "failed"),
     }  # fmt: skip
-    assert fake_wasp("run", small_spec, "--results", results, "-j", "1").returncode == 0
+    assert run(small_spec, results).complete
     assert np.array_equal(load_file(weights)["w"], before)
-    run(small_spec, tmp_path / "calm")
-    assert data_of(results) == data_of(tmp_path / "calm")
+    assert as_undisturbed(small_spec, results)
 
 
-def test_a_cut_file_is_seen_by_the_plan(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_cut_file_is_seen_by_the_plan(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(weights=True)
     run(small_spec, results)
@@ -128,15 +117,13 @@ def test_a_cut_file_is_seen_by_the_plan(fakes: Fakes, small_spec: Path, tmp_path
     node = plan.steps[2].node
     path = layout.artifact(node.kind, node.key) / "weights.safetensors"
     path.write_bytes(path.read_bytes()[:-7])
-    done = fake_wasp("plan", small_spec, "--results", results)
+    done = run_here("plan", small_spec, "--results", results, columns=400)
     assert f"{node.label}: damaged, to be computed again: '{path}' has" in done.stdout
     again = run(small_spec, results)
     assert (again.done, again.complete) == (1, True)
 
 
-def test_a_wall_clock_that_jumps_back_changes_nothing(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wall_clock_that_jumps_back_changes_nothing(fakes, small_spec, tmp_path, monkeypatch):
     """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})
@@ -153,17 +140,16 @@ def test_a_wall_clock_that_jumps_back_changes_nothing(
 
     def jump(self: Runner, node: object, result: object) -> None:
         layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
-        real(self, node, result)  # type: ignore[arg-type]
+        real(self, node, result)
 
     monkeypatch.setattr(Runner, "_ended", jump)
     assert Runner(layout, run_id, InlinePool()).run(plan).complete
-    status = fake_wasp("status", results, "--json")
-    assert status.returncode == 0, status.stderr
+    assert run_here("status", results, "--json", columns=80).exit_code == 0
     _, _, again = prepared(small_spec, results)
     assert not again.to_run()
 
 
-def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeypatch):
     """A flipped bit in a cell keeps its size, so only who reads the numbers can see it."""
     spec = tmp_path / "small.yaml"
     spec.write_text(SMALL, encoding="utf-8")

@@ -1,7 +1,5 @@
 """kill -9 at random instants, of a worker, of the parent, or of everything: nothing finished is lost, nothing half is seen."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -14,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import ROOT, SMALL, Fakes, data_of, group_is_gone, run, start, wait_until
+from tests.run.harness import ROOT, as_undisturbed, group_is_gone, run, start, wait_until
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.tables import same_rows
 
@@ -93,35 +91,24 @@ def start_real(command: list[str | Path]) -> subprocess.Popen[str]:
     )
 
 
-def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) -> tuple[dict[str, bytes], dict[str, bytes]]:
-    """The payload of a store that was built over so many kills, and that of one which nobody disturbed."""
-    results, chance = tmp_path / "results", random.Random(seed)
+MANY = [pytest.param(50, 100 + number, "[goal1, race1, formula1]", marks=pytest.mark.slow) for number in range(5)]
+
+
+@pytest.mark.parametrize(("kills", "seed", "tasks"), [(6, 1, "[goal1]"), *MANY])
+def test_kills_at_random_instants(kills, seed, tasks, fakes, small_spec, tmp_path):
+    small_spec.write_text(small_spec.read_text(encoding="utf-8").replace("[goal1]", tasks), encoding="utf-8")
+    results = tmp_path / "results"
     fakes.set(seconds=0.15)
-    counts, runs = storm(["run", spec, "--results", results, "-j", "2"], results, kills, 1.2, chance)
+    counts, runs = storm(["run", small_spec, "--results", results, "-j", "2"], results, kills, 1.2, random.Random(seed))
     assert sum(counts.values()) == kills
     assert runs > 1
     before = artifacts(results).keys()
     fakes.set()
-    summary = run(spec, results)
+    summary = run(small_spec, results)
     assert summary.complete
     assert summary.done == len(artifacts(results)) - len(before)
     assert not list(results.glob("tmp/*")) or summary.done == 0
-    run(spec, tmp_path / "calm")
-    return data_of(results), data_of(tmp_path / "calm")
-
-
-def test_kills_at_random_instants(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    stormy, calm = fake_storm(6, 1, fakes, small_spec, tmp_path)
-    assert stormy == calm
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-def test_fifty_kills_over_fake_stages(seed: int, fakes: Fakes, tmp_path: Path) -> None:
-    spec = tmp_path / "small.yaml"
-    spec.write_text(SMALL.replace("tasks: [goal1]", "tasks: [goal1, race1, formula1]"), encoding="utf-8")
-    stormy, calm = fake_storm(50, 100 + seed, fakes, spec, tmp_path)
-    assert stormy == calm
+    assert as_undisturbed(small_spec, results)
 
 
 def payload(results: Path) -> dict[str, str]:
@@ -134,7 +121,7 @@ def payload(results: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_fifty_kills_over_the_smoke_grid(tmp_path: Path) -> None:
+def test_fifty_kills_over_the_smoke_grid(tmp_path):
     """The real stages: the resumed store has the bytes of an undisturbed run, timing and provenance aside."""
     spec, calm, stormy = ROOT / "specs" / "smoke.yaml", tmp_path / "calm", tmp_path / "stormy"
     arguments: list[str | Path] = ["run", spec, "-j", "2", "--real", "--results"]

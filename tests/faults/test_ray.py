@@ -1,16 +1,13 @@
 """The grid through a ray cluster on this machine; ray is large, so it is installed and run by the nox session `ray` alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from tests.run.harness import ROOT, Fakes, data_of, run, start
+from tests.run.harness import ROOT, data_of, run, start
 
 pytest.importorskip("ray")
 pytestmark = pytest.mark.slow
@@ -19,7 +16,7 @@ PORT = 6397
 
 
 @pytest.fixture
-def cluster(fakes: Fakes) -> Iterator[str]:
+def cluster(fakes) -> Iterator[str]:
     """A head with two CPUs, as `ray start` makes one."""
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "RAY_DISABLE_IMPORT_WARNING": "1"}
@@ -29,7 +26,7 @@ def cluster(fakes: Fakes) -> Iterator[str]:
     subprocess.run([*ray, "stop", "--force"], check=True, capture_output=True, timeout=600)
 
 
-def test_a_grid_through_ray_has_the_same_bytes(fakes: Fakes, small_spec: Path, cluster: str, tmp_path: Path) -> None:
+def test_a_grid_through_ray_has_the_same_bytes(fakes, small_spec, cluster, tmp_path):
     results = tmp_path / "results"
     process = start("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
     _, errors = process.communicate(timeout=600)
@@ -40,7 +37,7 @@ def test_a_grid_through_ray_has_the_same_bytes(fakes: Fakes, small_spec: Path, c
     assert not list(results.glob("runs/*/outcomes/*"))
 
 
-def test_a_node_that_fails_through_ray_is_named(fakes: Fakes, small_spec: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_node_that_fails_through_ray_is_named(fakes, small_spec, tmp_path, request):
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "refuse"})
     address = request.getfixturevalue("cluster")  # its workers take the behaviour with their environment
     process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "ray", "--scheduler", address)

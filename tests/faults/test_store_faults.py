@@ -1,14 +1,12 @@
 """Results folders that cannot be used, or hold rubbish."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, prepared, run
+from tests.run.harness import prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import report_run
@@ -17,13 +15,13 @@ from wasp_cli.store.layout import Layout
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_results_without_permission_are_refused(tmp_path: Path) -> None:
+def test_results_without_permission_are_refused(tmp_path):
     (tmp_path / "results").mkdir(mode=0o500)
     with pytest.raises(StoreError, match="permission denied"):
         Layout(tmp_path / "results").prepare()
 
 
-def test_an_emptied_artifact_place_is_filled_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_an_emptied_artifact_place_is_filled_again(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     _, layout, plan = prepared(small_spec, results)
@@ -34,7 +32,7 @@ def test_an_emptied_artifact_place_is_filled_again(fakes: Fakes, small_spec: Pat
     assert layout.manifest(node.kind, node.key).is_file()
 
 
-def test_damaged_records_are_named_not_obeyed(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_damaged_records_are_named_not_obeyed(fakes, small_spec, tmp_path):
     fakes.set(behave={"s0 ida_q": "refuse"})
     results = tmp_path / "results"
     run(small_spec, results)
@@ -52,7 +50,7 @@ def test_damaged_records_are_named_not_obeyed(fakes: Fakes, small_spec: Path, tm
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_ends_a_node_not_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_full_disk_ends_a_node_not_the_run(fakes, small_spec, tmp_path):
     from tests.run.harness import new_run
     from wasp_cli.run.pool import InlinePool
     from wasp_cli.run.runner import Runner
@@ -66,7 +64,7 @@ def test_a_full_disk_ends_a_node_not_the_run(fakes: Fakes, small_spec: Path, tmp
     assert "No space left" in summary.failed[0].result.message
 
 
-def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     layout = Layout(results)
@@ -89,9 +87,6 @@ def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes: Fake
     told = "\n".join(after.unknown)
     for name in ("`blend`", "`wasp.braveness`", "`wasp.operator_model`", "`methods: blend`", "`methods: mix`", "`operators.sleepy`"):
         assert name in told
-    assert after.absent == (
-        "blend: not installed here; its cell is left out.",
-        "sleepy: not installed here; its cell is left out.",
-    )
+    assert after.absent == ("blend: not installed here; its cell is left out.", "sleepy: not installed here; its cell is left out.")
     report = report_run(results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent)
     assert {*after.unknown, *after.absent} <= set(report.facts)

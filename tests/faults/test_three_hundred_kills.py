@@ -1,7 +1,5 @@
 """See `kill_storm`. WASP_KILLS says how many kills, WASP_KILLS_SEED which."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -20,7 +18,7 @@ def storm(kills: str, seed: str) -> str:
 
 
 @pytest.mark.slow
-def test_kills_at_random_instants_lose_nothing() -> None:
+def test_kills_at_random_instants_lose_nothing():
     told = storm(os.environ.get("WASP_KILLS", "300"), os.environ.get("WASP_KILLS_SEED", "1"))
     print(told)
     assert told.endswith("nothing was lost\n")

@@ -1,16 +1,16 @@
 """Nodes that take too long, sleep for ever, hang in native code, or eat memory until they are killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
+from tests.commands import run_here
+from tests.run.harness import as_undisturbed, prepared, run, start
 from wasp_cli.errors import TimeLimitExceeded
 from wasp_cli.run.job import interruptible, memory_mb, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
@@ -39,28 +39,22 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
         pytest.param(lambda: LokyPool(2), id="two workers"),
     ],
 )
-def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
-    pool: type[InlinePool], fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "sleep"})
-    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=3.0)
+    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=8.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
-    assert failure.result.message == "it took longer than the limit of 3.0 s"
-    assert failure.result.seconds < 55
+    assert failure.result.message == "it took longer than the limit of 8.0 s"
     assert not summary.blocked
     fakes.set()
     assert run(small_spec, tmp_path / "results").complete
-    run(small_spec, tmp_path / "calm")
-    assert data_of(tmp_path / "results") == data_of(tmp_path / "calm")
+    assert as_undisturbed(small_spec, tmp_path / "results")
 
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
-    jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "hang"})
-    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=3.0)
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
     assert failure.result.message == "it exceeded its time limit and did not stop, so its process was ended"
@@ -70,7 +64,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
     assert run(small_spec, tmp_path / "results").complete
 
 
-def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={NODE: "eat"})
     process = start("run", small_spec, "--results", results, "-j", "2")
@@ -102,7 +96,7 @@ def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(f
     assert (again.done, again.complete) == (1, True)
 
 
-def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "raise once", "goal1 s0 ida_q": "refuse"})
     summary = limited_run(small_spec, tmp_path / "results", InlinePool(), limit=None, retries=2)
     assert [failure.node.label for failure in summary.failed] == ["goal1 s0 ida_q"]
@@ -110,14 +104,14 @@ def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes: F
     assert sum("s0 ida_q" in line for line in fakes.executions()) == 1
 
 
-def test_attempts_end(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_attempts_end(fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "raise"})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(2), limit=None, retries=2)
     assert [failure.node.label for failure in summary.failed] == [LABEL]
     assert sum(NODE in line for line in fakes.executions()) == 3
 
 
-def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path: Path) -> None:
+def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
     """As in a dask worker, where no signal arrives."""
     caught: list[BaseException] = []
 
@@ -139,7 +133,7 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path: Path) -> None:
     assert not was_ended(tmp_path / "marker")
 
 
-def test_what_is_in_time_leaves_no_alarm_behind(tmp_path: Path) -> None:
+def test_what_is_in_time_leaves_no_alarm_behind(tmp_path):
     with interruptible(0.05, tmp_path / "cancel", tmp_path / "marker", own_process=False):
         pass
     time.sleep(0.1)
@@ -147,14 +141,11 @@ def test_what_is_in_time_leaves_no_alarm_behind(tmp_path: Path) -> None:
     assert memory_mb() > 1
 
 
-def test_the_time_is_typed_as_people_write_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monkeypatch):
     fakes.set(behave={NODE: "sleep"})
-    process = start("run", small_spec, "--results", tmp_path / "results", "-j", "2", "--timeout", "3s")
-    wait_until(lambda: process.poll() is not None)
-    _, errors = process.communicate()
-    assert process.returncode == 1
-    assert f"{LABEL}: it took longer than the limit of 3.0 s\n      allow more time with --timeout" in errors
-    refused = start("run", small_spec, "--timeout", "soon")
-    _, errors = refused.communicate(timeout=300)
-    assert refused.returncode == 2
-    assert "invalid duration 'soon'" in errors
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
+    done = run_here("run", small_spec, "--results", tmp_path / "results", "-j", "0", "--timeout", "8s", columns=200)
+    assert done.exit_code == 1
+    assert f"{LABEL}: it took longer than the limit of 8.0 s\n      allow more time with --timeout" in done.stderr
+    refused = run_here("run", small_spec, "--timeout", "soon", columns=80)
+    assert (refused.exit_code, "invalid duration 'soon'" in refused.stderr) == (2, True)

@@ -1,7 +1,5 @@
 """Small invented recordings and the sizes of a tiny world model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wasp_cli.learning.configs import WorldModelConfig

@@ -1,25 +1,21 @@
 """What the baselines learn from: their own objectives, on problems whose answer is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import DenoiserConfig, EnsembleConfig, ResidualConfig, ReturnsConfig
+from wasp_cli.learning.configs import DenoiserConfig, EnsembleConfig, ResidualConfig
 from wasp_cli.learning.critic_quality import pairs
 from wasp_cli.learning.denoiser import denoiser_quality, noise_loss, train_denoiser
 from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
 from wasp_cli.learning.lagrangian import ReturnRule
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.residual import AssistedTask, huber, train_residual
+from wasp_cli.learning.residual import AssistedTask, train_residual
 from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.models.base import Latent
@@ -31,11 +27,6 @@ EPISODES = (40,) * 30
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
-
-
-@pytest.fixture(scope="module")
 def data() -> tuple[Recording, Latents]:
     recorded = recording(EPISODES)
     recorded.cost_env[:] = 0
@@ -44,10 +35,7 @@ def data() -> tuple[Recording, Latents]:
     return recorded, Latents(torch.randn(rows, 4, generator=source), torch.zeros(rows, 1, dtype=torch.uint8), 2)
 
 
-# -- Diffusion
-
-
-def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_does_so_more(data: tuple[Recording, Latents]) -> None:
+def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_does_so_more(data):
     recorded, latents = data
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
     torch.manual_seed(0)
@@ -68,7 +56,7 @@ def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_d
     assert {kind: len(by_ratio) for kind, by_ratio in found.items()} == {"expert": 5, "recorded": 5, "uniform": 5}
 
 
-def test_the_weights_that_are_used_are_the_average_over_the_updates(data: tuple[Recording, Latents]) -> None:
+def test_the_weights_that_are_used_are_the_average_over_the_updates(data):
     recorded, latents = data
 
     def weights(updates: int, ema: float) -> torch.Tensor:
@@ -87,20 +75,17 @@ def test_the_weights_that_are_used_are_the_average_over_the_updates(data: tuple[
     assert not torch.allclose(weights(3, 0.15), last[-1])
 
 
-def test_predicting_no_noise_at_all_scores_one() -> None:
+def test_predicting_no_noise_at_all_scores_one():
     class Nothing(torch.nn.Module):
         def forward(self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
             return torch.zeros_like(noisy)
 
     source = torch.Generator().manual_seed(2)
-    loss = noise_loss(Nothing(), NoiseSchedule(50, 1e-4, 0.26), torch.zeros(20000, 1), torch.zeros(20000, 2), source)  # type: ignore[arg-type]
+    loss = noise_loss(Nothing(), NoiseSchedule(50, 1e-4, 0.26), torch.zeros(20000, 1), torch.zeros(20000, 2), source)
     assert loss == pytest.approx(1.0, abs=0.03)
 
 
-# -- IDA
-
-
-def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data: tuple[Recording, Latents]) -> None:
+def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data):
     """The reward of an action is 1 - (a_0 - x)^2 at a latent that begins with x; the expert does nothing."""
     recorded, latents = data
     x = latents.h[:, 0].clamp(-1, 1)
@@ -108,8 +93,8 @@ def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data: tuple
     reward[1:] = 1 - (recorded.action[1:, 0] - x.numpy()[:-1]) ** 2
     told = recorded._replace(reward=reward)
     skills = Skills([1.0], 6, [4], 2)
-    torch.nn.init.zeros_(skills.expert.net[-1].weight)  # type: ignore[arg-type]
-    torch.nn.init.zeros_(skills.expert.net[-1].bias)  # type: ignore[arg-type]
+    torch.nn.init.zeros_(skills.expert.net[-1].weight)
+    torch.nn.init.zeros_(skills.expert.net[-1].bias)
     torch.manual_seed(0)
     config = EnsembleConfig(members=3, hidden=(64, 64), updates=2500, batch=128, learning_rate=1e-3, target_rate=0.05)
     gamma = 0.5
@@ -126,7 +111,7 @@ def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data: tuple
     assert float(ensemble(features, good).mean()) == pytest.approx(1 + later, abs=0.2)
 
 
-def test_q_is_judged_by_what_really_followed() -> None:
+def test_q_is_judged_by_what_really_followed():
     rows = 60
     source = torch.Generator().manual_seed(5)
     reward, zeros = torch.rand(rows, generator=source), torch.zeros(rows)
@@ -138,14 +123,12 @@ def test_q_is_judged_by_what_really_followed() -> None:
         def forward(self, features: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
             return torch.stack([features.sum(-1), features.sum(-1) + 2.0])
 
-    found = heldout_pairs(Sum(), heldout, 0.8)  # type: ignore[arg-type]
+    found = heldout_pairs(Sum(), heldout, 0.8)
     q = (latent.features.sum(-1) + 1.0).double().numpy()
     wanted = pairs(q, reward.double().numpy(), episode.numpy(), zeros.numpy(), 0.8)
     np.testing.assert_allclose(found.predicted, wanted.predicted, rtol=1e-5)
     np.testing.assert_array_equal(found.real, wanted.real)
 
-
-# -- SafeRL-Res
 
 SMALL = ResidualConfig(
     interactions=4000, envs=4, rollout=64, batch=64, hidden=(16,), learning_rate=3e-3, gamma=0.5, log_std_init=-0.5, alpha=0.01,
@@ -156,14 +139,14 @@ SMALL = ResidualConfig(
 def pushes(parts: Parts, config: ResidualConfig, expert_return: float = math.nan) -> tuple[float, float, list[dict[str, float]]]:
     """Mean of the residual's components after training in a task that pays the first component of the action."""
     policy, curve = train_residual(
-        Staggered(4), parts.world_model, parts.skills, config, "t", 0, no_progress, expert_return=expert_return  # type: ignore[arg-type]
+        Staggered(4), parts.world_model, parts.skills, config, "t", 0, no_progress, expert_return=expert_return
     )  # fmt: skip
     with torch.inference_mode():
         mean = policy(torch.randn(500, parts.world_model.feature_size), torch.rand(500, 2) - 0.5).mean(0)
     return float(mean[0]), float(mean[1]), curve
 
 
-def test_the_lagrangian_residual_learns_what_pays(parts: Parts) -> None:
+def test_the_lagrangian_residual_learns_what_pays(parts):
     first, second, curve = pushes(parts, SMALL.model_copy(update={"cost_limit": 1e6}))
     assert first > 0.3
     assert abs(second) < first / 2
@@ -171,7 +154,7 @@ def test_the_lagrangian_residual_learns_what_pays(parts: Parts) -> None:
 
 
 @pytest.mark.slow
-def test_rsa_does_no_more_than_the_least_return_asks_for(parts: Parts) -> None:
+def test_rsa_does_no_more_than_the_least_return_asks_for(parts):
     rsa = SMALL.model_copy(update={"mode": "rsa", "multiplier_lr": 0.3, "multiplier_init": 2.0, "interactions": 3000})
     content, _, calm = pushes(parts, rsa, expert_return=1e-3)
     asked, _, eager = pushes(parts, rsa, expert_return=10.0)
@@ -181,18 +164,18 @@ def test_rsa_does_no_more_than_the_least_return_asks_for(parts: Parts) -> None:
 
 
 @pytest.mark.parametrize("expert_return", [math.nan, 0.0, -3.0])
-def test_rsa_asks_for_a_share_of_a_positive_return(parts: Parts, expert_return: float) -> None:
+def test_rsa_asks_for_a_share_of_a_positive_return(parts, expert_return):
     with pytest.raises(TrainingError, match="mode rsa asks for"):
         pushes(parts, SMALL.model_copy(update={"mode": "rsa"}), expert_return)
 
 
-def test_both_objectives_against_their_formulas(parts: Parts) -> None:
+def test_both_objectives_against_their_formulas(parts):
     commands = torch.tensor([[0.9, -0.5], [0.2, 0.1], [-1.0, 0.0]])
     action = np.array([[0.5, 0.1], [-1.6, 0.3], [-0.2, 0.0]], np.float32)
     delta = np.clip(commands.numpy() + action, -1, 1) - commands.numpy()  # what is penalised is what is executed
     for mode in ("lagrangian", "rsa"):
         config = SMALL.model_copy(update={"mode": mode, "alpha": 0.3})
-        env = AssistedTask(Staggered(3), parts.world_model, parts.skills, config, "t", 0)  # type: ignore[arg-type]
+        env = AssistedTask(Staggered(3), parts.world_model, parts.skills, config, "t", 0)
         env.normalise = True
         env.reset()
         env._command, env.multiplier = commands, 0.7
@@ -208,11 +191,7 @@ def test_both_objectives_against_their_formulas(parts: Parts) -> None:
         assert step.cost.any()
 
 
-def test_the_huber_norm_is_smooth_at_its_joint() -> None:
-    assert huber(np.array([0.0, 0.5, 1.0, 3.0])) == pytest.approx([0.0, 0.125, 0.5, 2.5])
-
-
-def test_the_multiplier_of_a_least_return_rises_below_it_and_falls_above() -> None:
+def test_the_multiplier_of_a_least_return_rises_below_it_and_falls_above():
     rule = ReturnRule(0.5, 0.2, 1.0, least=10.0)
     assert rule.next(0.5, 5.0) == pytest.approx(0.6)
     assert rule.next(0.5, 20.0) == pytest.approx(0.3)

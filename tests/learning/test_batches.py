@@ -1,10 +1,6 @@
 """Cells in batches of episodes: what a cell of fewer has is taken over, and nothing comes out differently."""
 
-from __future__ import annotations
-
 import shutil
-from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -12,11 +8,10 @@ import pytest
 
 from tests.cells import SETTINGS, Evaluated, evaluated
 from wasp_cli.learning.closed_loop import batches
-from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
-from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
@@ -25,21 +20,19 @@ EAGER = {"vote": 0.0}
 """IDA that intervenes at some decisions, and not at others, although nothing is trained."""
 
 
-def test_batches_have_one_size_but_for_the_last() -> None:
+def test_batches_have_one_size_but_for_the_last():
     assert batches(0, 7, 3) == [range(3), range(3, 6), range(6, 7)]
     assert batches(3, 6, 3) == [range(3, 6)]
     assert batches(0, 2, 10) == [range(2)]
 
 
 @pytest.fixture(scope="module")
-def whole(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+def whole(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
 
 
 @pytest.mark.parametrize(("episodes", "kept"), [(3, 2), (4, 4)])
-def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
-    episodes: int, kept: int, whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(episodes, kept, whole, inputs, tmp_path, monkeypatch):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=episodes, side_by_side=2)
     begun: list[int] = []
     monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
@@ -52,7 +45,7 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
 
-def test_rows_know_the_motors_of_their_task(whole: Evaluated) -> None:
+def test_rows_know_the_motors_of_their_task(whole):
     rows, steps = read_episodes([whole.path]), read_steps(whole.path)
     episode, a, a_h = (np.array(steps[name].to_pylist()) for name in ("episode", "a", "a_h"))
     apart = np.linalg.norm(np.clip(a, -0.02, 0.02) / 0.02 - np.clip(a_h, -0.02, 0.02) / 0.02, axis=1)
@@ -61,7 +54,7 @@ def test_rows_know_the_motors_of_their_task(whole: Evaluated) -> None:
     assert 0 < sum(rows["mag_eff"].to_pylist()) != pytest.approx(sum(rows["mag"].to_pylist()), rel=0.05)
 
 
-def test_rows_of_an_earlier_version_are_not_continued(inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, monkeypatch):
     """They lack columns, which would then be means over the other episodes alone."""
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)
     table = pq.read_table(fewer.path).drop_columns([*ADDED])
@@ -73,9 +66,7 @@ def test_rows_of_an_earlier_version_are_not_continued(inputs: Mapping[str, Path]
     assert read_episodes([again.path])["int_eff"].null_count == 0
 
 
-def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(
-    whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(whole, inputs, tmp_path):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=4, side_by_side=2)
     copy = shutil.copytree(whole.path.parent, tmp_path / "cut")
     summary = first_episodes(copy, 4)
@@ -94,16 +85,14 @@ def counted(begun: list[int]) -> object:
     return seed
 
 
-def test_the_branches_of_every_batch_come_back_in_it(whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_the_branches_of_every_batch_come_back_in_it(whole, inputs, tmp_path):
     """What the recorded action earns is what it earned: bit for bit, in all batches."""
     cell = whole
-    heldout, out = tmp_path / "heldout", tmp_path / "out"
-    for folder in (heldout, out):
-        folder.mkdir()
-    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, inputs, heldout, heldout))
+    out = tmp_path / "out"
+    out.mkdir()
     settings = {**SETTINGS, "side_by_side": 2}
     axes = {"method": "ida", "method_config": {}, "operator": cell.variant, "value": cell.value}
-    read = {**inputs, "evaluate": cell.path.parent, "heldout": heldout}
+    read = {**inputs, "evaluate": cell.path.parent}
     config = CounterfactualConfig(window=1)
     summary = CounterfactualStage().run(Job("counterfactual", "race1", 0, config, settings, axes, read, out, out))
     steps = {(step["episode"], step["t"]): step for step in read_steps(cell.path).to_pylist()}

@@ -1,7 +1,5 @@
 """Who drives which episode of a dataset, and what their commands are."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -13,7 +11,7 @@ from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.models.policy import PrivilegedPolicy
 
 
-def test_behaviours_follow_their_shares() -> None:
+def test_behaviours_follow_their_shares():
     chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
@@ -22,7 +20,7 @@ def test_behaviours_follow_their_shares() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_held_out_episodes_have_the_shares_of_all(seed: int) -> None:
+def test_held_out_episodes_have_the_shares_of_all(seed):
     chosen = behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(seed))
     held = chosen[9::10]
     for name, share in MixtureConfig().model_dump().items():
@@ -38,7 +36,7 @@ def commander(*rows: Behaviour) -> Commander:
     return Commander(skills, rows, 2, np.random.default_rng(0))
 
 
-def test_commands_do_what_their_behaviour_says() -> None:
+def test_commands_do_what_their_behaviour_says():
     rows = (
         Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0),
         Behaviour("delayed", delay=2),
@@ -57,7 +55,7 @@ def test_commands_do_what_their_behaviour_says() -> None:
     assert np.abs(issued).max() <= 1
 
 
-def test_bursts_are_held() -> None:
+def test_bursts_are_held():
     driver = commander(Behaviour("bursts", burst=1.0))
     issued = [tuple(driver.command(np.zeros((1, 5), np.float32))[0]) for _ in range(60)]
     runs = [len(list(group)) for _, group in itertools.groupby(issued)][:-1]

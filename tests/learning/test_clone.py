@@ -1,7 +1,5 @@
 """Clones of operators: densities, what is learned of a rule that is known, and where a plan has one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -50,13 +48,13 @@ def learned(seen: Issued, updates: int = 400) -> Clone:
 @pytest.mark.parametrize(
     ("variant", "value", "ways"), [("laggy", 0.7, [0.7, 0.3, 0.0]), ("noisy", 0.4, [0.0, 0.6, 0.4]), ("laggy", 0.0, [0.0, 1.0, 0.0])]
 )
-def test_it_learns_how_often_an_operator_repeats_and_slips(variant: str, value: float, ways: list[float]) -> None:
+def test_it_learns_how_often_an_operator_repeats_and_slips(variant, value, ways):
     clone = learned(driven(variant, value))
     assert clone.weight_logits.softmax(-1).tolist() == pytest.approx(ways, abs=0.05)
     assert clone.spread.max() < 0.1
 
 
-def test_it_learns_what_an_operator_intends_where_that_is_not_the_expert_s() -> None:
+def test_it_learns_what_an_operator_intends_where_that_is_not_the_expert_s():
     seen = driven("laggy", 0.0)
     own = (0.8 * seen.features[:, 1:] - 0.2).clamp(-1, 1)
     clone = learned(seen._replace(command=own), updates=1500)
@@ -64,7 +62,7 @@ def test_it_learns_what_an_operator_intends_where_that_is_not_the_expert_s() -> 
     assert error < 0.1 * (expert(seen.features) - own).square().mean()
 
 
-def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them() -> None:
+def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them():
     torch.manual_seed(0)
     clone = Clone(FEATURES, [4], 1)
     clone.log_spread.data.fill_(np.log(0.1))
@@ -81,7 +79,7 @@ def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them() ->
     assert float(clone.mean(*one)) == pytest.approx(float(drawn.mean()), abs=0.02)
 
 
-def test_before_the_first_command_nothing_is_repeated_and_nothing_is_undefined() -> None:
+def test_before_the_first_command_nothing_is_repeated_and_nothing_is_undefined():
     clone = Clone(FEATURES, [4], ACTIONS)
     clone.weight_logits.data[:] = torch.tensor([9.0, 0.0, 0.0])
     seen, last = torch.randn(50, FEATURES), torch.full((50, ACTIONS), torch.nan)
@@ -98,7 +96,7 @@ DOCUMENT: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_a_run_makes_no_clone_and_no_method_can_ask_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_makes_no_clone_and_no_method_can_ask_for_one(monkeypatch):
     with pytest.raises(Exception, match="'clone' is of a person"):
         validate({**DOCUMENT, "stages": ["clone"]})
     assert not [node for node in lay_out(validate(DOCUMENT)).nodes if node.kind == "clone"]
@@ -108,7 +106,7 @@ def test_a_run_makes_no_clone_and_no_method_can_ask_for_one(monkeypatch: pytest.
         lay_out(validate(DOCUMENT))
 
 
-def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key() -> None:
+def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key():
     grid = lay_out(validate({**DOCUMENT, "methods": ["human"], "operators": {"cloned": {"p7": 7}}}))
     ((_, evaluation),) = grid.cells
     node = evaluation.needs[OPERATOR_CLONE]

@@ -1,9 +1,6 @@
 """Branches of the real task against the episodes they begin in, and against slow loops."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +21,7 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.stages.base import no_progress
 from wasp_cli.store.recorded import read_recorded
 
 IDA = {"vote": 0.0}
@@ -38,7 +36,7 @@ def rerun_of(cell: Evaluated) -> Rerun:
 
 
 def branched(cell: Evaluated, chosen: Sequence[Sequence[int]], window: int = WINDOW) -> list[Branch]:
-    return branches(rerun_of(cell), chosen, window, lambda share, text: None)
+    return branches(rerun_of(cell), chosen, window, no_progress)
 
 
 def same(one: Branch, other: Branch) -> bool:
@@ -64,9 +62,7 @@ CELLS = {"noisy": ("ida", IDA, 0.4, "race1"), "reactive": ("diffusion", {}, 0.8,
 
 
 @pytest.mark.parametrize("variant", CELLS)
-def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(
-    inputs: Mapping[str, Path], tmp_path: Path, variant: str
-) -> None:
+def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(inputs, tmp_path, variant):
     method, config, value, task = CELLS[variant]
     cell = evaluated(inputs, tmp_path, method, config, variant, value, task=task)
     recorded = Recorded(**read_recorded(cell.path))
@@ -92,10 +88,9 @@ QUICK = ("noisy", "laggy", "reactive")
 
 
 @pytest.mark.parametrize(
-    "variant",
-    [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name, info in OPERATORS.items() if info.simulated],
+    "variant", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name, info in OPERATORS.items() if info.simulated]
 )
-def test_without_an_intervention_both_branches_are_the_real_continuation(inputs: Mapping[str, Path], tmp_path: Path, variant: str) -> None:
+def test_without_an_intervention_both_branches_are_the_real_continuation(inputs, tmp_path, variant):
     cell = evaluated(inputs, tmp_path, "human", {}, variant, VALUES.get(variant, 0.5))
     recorded = Recorded(**read_recorded(cell.path))
     chosen = [[0, 7, 23], [3], []]  # the episodes have 25 decisions
@@ -109,7 +104,7 @@ def test_without_an_intervention_both_branches_are_the_real_continuation(inputs:
         assert same(assisted._replace(name=ALONE), alone)
 
 
-def test_the_assisted_branch_is_the_episode_until_the_next_intervention(cell: Evaluated) -> None:
+def test_the_assisted_branch_is_the_episode_until_the_next_intervention(cell):
     recorded = Recorded(**read_recorded(cell.path))
     intervened = [(a != a_h).any(1) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
     found = [branch for branch in branched(cell, sampled(intervened, 2)) if branch.name == ASSISTED]
@@ -124,7 +119,7 @@ def test_the_assisted_branch_is_the_episode_until_the_next_intervention(cell: Ev
     assert max(compared) > 2  # otherwise little has been compared
 
 
-def test_a_branch_is_the_same_whatever_else_is_branched(cell: Evaluated) -> None:
+def test_a_branch_is_the_same_whatever_else_is_branched(cell):
     together = branched(cell, [[2, 5, 9], [4], [0, 5]])
     alone = [
         branch
@@ -135,18 +130,14 @@ def test_a_branch_is_the_same_whatever_else_is_branched(cell: Evaluated) -> None
     assert all(same(one, other) for one, other in zip(together, alone, strict=True))
 
 
-def test_nothing_chosen_is_nothing_branched(cell: Evaluated) -> None:
-    assert branched(cell, [[], [], []]) == []
-
-
 @given(st.lists(st.lists(st.booleans(), max_size=12), min_size=1, max_size=6), st.integers(1, 9))
-def test_the_interventions_of_a_cell_are_sampled_evenly(intervened: list[list[bool]], stride: int) -> None:
+def test_the_interventions_of_a_cell_are_sampled_evenly(intervened, stride):
     chosen = sampled([np.array(steps, bool) for steps in intervened], stride)
     everything = [(e, t) for e, steps in enumerate(intervened) for t, deviates in enumerate(steps) if deviates]
     assert [(e, t) for e, decisions in enumerate(chosen) for t in decisions] == everything[::stride]
 
 
-def test_the_least_gain_is_a_share_of_what_the_expert_earns_in_a_window() -> None:
+def test_the_least_gain_is_a_share_of_what_the_expert_earns_in_a_window():
     reward = np.random.default_rng(0).normal(1.0, 1.0, 12).astype(np.float32)
     episode = np.repeat([0, 1, 2], [5, 2, 5])
     rows = Heldout(

@@ -1,7 +1,5 @@
 """The stage from a cell to its table of branches."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,35 +8,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import SETTINGS, Evaluated, evaluated
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.learning.counterfactual import least_gain
 from wasp_cli.learning.heldout import load_heldout
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
-from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.tables import read_steps
 
 SMALL = CounterfactualConfig(window=5, stride=4)
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    root = tmp_path_factory.mktemp("artifacts")
-    found = tiny_artifacts(root)
-    found["heldout"] = root / "heldout"
-    found["heldout"].mkdir()
-    folder = found["heldout"]
-    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, found, folder, folder))
-    return found
-
-
-@pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
 
 
 def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, method: str = "ida", **inputs: Path) -> Mapping[str, Any]:
@@ -48,7 +28,7 @@ def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, m
     return CounterfactualStage().run(Job("counterfactual", cell.task, cell.seed, config, SETTINGS, axes, read, folder, folder))
 
 
-def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_them(cell: Evaluated, tmp_path: Path) -> None:
+def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_them(cell, tmp_path):
     summary = judge(cell, tmp_path)
     rows = pq.read_table(tmp_path / BRANCHES_FILE).to_pylist()
     assert [path.name for path in tmp_path.iterdir()] == [BRANCHES_FILE]
@@ -76,13 +56,13 @@ def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_the
     assert all(row.items() >= identity.items() for row in rows)
 
 
-def test_the_same_job_gives_the_same_bytes(cell: Evaluated, tmp_path: Path) -> None:
+def test_the_same_job_gives_the_same_bytes(cell, tmp_path):
     one, other = tmp_path / "a", tmp_path / "b"
     assert judge(cell, one) == judge(cell, other)
     assert (one / BRANCHES_FILE).read_bytes() == (other / BRANCHES_FILE).read_bytes()
 
 
-def test_a_limit_makes_the_stride_grow(cell: Evaluated, tmp_path: Path) -> None:
+def test_a_limit_makes_the_stride_grow(cell, tmp_path):
     interventions = judge(cell, tmp_path)["interventions"]
     summary = judge(cell, tmp_path, CounterfactualConfig(window=1, stride=2, most=4))
     stored = read_branches(tmp_path / BRANCHES_FILE)
@@ -90,7 +70,7 @@ def test_a_limit_makes_the_stride_grow(cell: Evaluated, tmp_path: Path) -> None:
     assert summary["branched"] == len(stored.t) == -(-interventions // stored.cell.stride) <= 4
 
 
-def test_without_interventions_nothing_is_judged_and_the_rate_is_undefined(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_without_interventions_nothing_is_judged_and_the_rate_is_undefined(inputs, tmp_path):
     cell = evaluated(inputs, tmp_path / "cell", "ida", {"vote": 1.0})
     summary = judge(cell, tmp_path / "out")
     assert (summary["interventions"], summary["branched"], summary["uir"]) == (0, 0, None)
@@ -99,6 +79,6 @@ def test_without_interventions_nothing_is_judged_and_the_rate_is_undefined(input
     assert (stored.cell.identity.method, stored.cell.episodes) == ("ida", 3)
 
 
-def test_an_expert_without_whole_windows_gives_no_threshold(cell: Evaluated, tmp_path: Path) -> None:
+def test_an_expert_without_whole_windows_gives_no_threshold(cell, tmp_path):
     with pytest.raises(TrainingError, match="no held-out episode of the expert has 26 decisions"):
         judge(cell, tmp_path, CounterfactualConfig(window=26))

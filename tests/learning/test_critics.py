@@ -1,8 +1,5 @@
 """Critics in worlds whose values are known, and their comparison with real returns by hand."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +22,7 @@ from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
+from wasp_cli.stages.base import no_progress
 
 KEEP = 0.9
 
@@ -75,11 +73,11 @@ def trained(
 ) -> tuple[LatentCritics, list[dict[str, float]]]:
     torch.manual_seed(0)
     where = still(len(data.first)) if latents is None else latents
-    return train_critics(world, SKILLS, data, where, config, RETURNS, 0, lambda share, text: None)
+    return train_critics(world, SKILLS, data, where, config, RETURNS, 0, no_progress)
 
 
 @pytest.mark.parametrize("keep", [KEEP, 1.0])
-def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep: float) -> None:
+def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep):
     critics, curve = trained(Plain(keep), recording(), SMALL.model_copy(update={"recorded": 0.0}))
     start = still(1).at(torch.zeros(1, dtype=torch.long))
     assert critics.value_r(start).item() == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
@@ -88,7 +86,7 @@ def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep: 
     assert curve[0]["target_r"] < curve[-1]["target_r"] == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
 
 
-def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows() -> None:
+def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows():
     """Endless where a time limit cuts, one decision before an episode's own end its last score, unknown behind it and where held out."""
     data = steady(2.0, 0.5, (6, 6, 6))
     data.terminal[11] = 1
@@ -97,7 +95,7 @@ def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows() -> None:
         data.action[1:] = skills.expert(latents.at(torch.arange(17)).features)  # so that nothing has to be guessed
     torch.manual_seed(0)
     config = SMALL.model_copy(update={"q_updates": 1000, "hidden": (32,)})
-    values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, lambda share, text: None)
+    values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, no_progress)
     ahead = np.arange(5, 0, -1)
     np.testing.assert_allclose(values[0, 6:11], 2.0 * (1 - 0.9**ahead) / 0.1, rtol=0.1)
     np.testing.assert_allclose(values[1, 6:11], 0.5 * (1 - 0.5**ahead) / 0.5, rtol=0.1)
@@ -105,7 +103,7 @@ def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows() -> None:
     assert curve[-1]["q_loss_r"] < curve[0]["q_loss_r"]
 
 
-def test_segments_end_with_the_episode_and_with_what_is_known() -> None:
+def test_segments_end_with_the_episode_and_with_what_is_known():
     data = recording((4, 3, 3))
     values = torch.arange(20.0).view(2, 10)
     values[:, [3, 7, 8, 9]] = torch.nan  # the first episode ended by itself, the third is held out
@@ -128,7 +126,7 @@ class Blind(Plain):
     cost = reward
 
 
-def test_what_was_recorded_mends_what_imagination_cannot_know() -> None:
+def test_what_was_recorded_mends_what_imagination_cannot_know():
     data = steady(1.0, 0.5)
     filtered, ahead = still(1).at(torch.zeros(1, dtype=torch.long)), Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]]))
     alone, _ = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 0.0}))
@@ -142,7 +140,7 @@ def test_what_was_recorded_mends_what_imagination_cannot_know() -> None:
 
 
 @pytest.mark.parametrize("recorded", [0.0, 1.0])
-def test_held_out_rows_move_nothing(recorded: float) -> None:
+def test_held_out_rows_move_nothing(recorded):
     config = SMALL.model_copy(update={"updates": 20, "q_updates": 20, "recorded": recorded})
     data = steady(1.0, 0.5)
     source = np.random.default_rng(1)
@@ -159,20 +157,20 @@ def test_held_out_rows_move_nothing(recorded: float) -> None:
     assert all(torch.equal(a, b) for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True))
 
 
-def test_steps_after_a_likely_end_count_little() -> None:
-    rollout = imagine(Plain(0.5), Skills([1.0], 3, [8], 1), still(2).at(torch.arange(2)), 4, generator(0))  # type: ignore[arg-type]
+def test_steps_after_a_likely_end_count_little():
+    rollout = imagine(Plain(0.5), Skills([1.0], 3, [8], 1), still(2).at(torch.arange(2)), 4, generator(0))
     assert rollout.weight().tolist() == [[1, 1], [0.5, 0.5], [0.25, 0.25], [0.125, 0.125]]
     assert rollout.features[:, 0, 0].tolist() == [0, 1, 2, 3]
     assert rollout.arrived.h[:, 0, 0].tolist() == [1, 2, 3, 4]
 
 
-def test_starts_leave_out_ends_and_held_out_episodes() -> None:
+def test_starts_leave_out_ends_and_held_out_episodes():
     data = recording((12, 9, 15, 4))  # the last one is held out
     data.terminal[[20, 5]] = 1
     assert starts_of(data).tolist() == [i for i in range(36) if i not in (5, 20)]
 
 
-def test_returns_ahead_by_hand() -> None:
+def test_returns_ahead_by_hand():
     signal = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
     episode, terminal = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 0, 0, 1])
     sums, beyond = returns_ahead(signal, episode, terminal, 0.5)
@@ -180,7 +178,7 @@ def test_returns_ahead_by_hand() -> None:
     assert beyond.tolist() == [0.125, 0.25, 0.5, 0.0, 0.0]  # the second episode ended by itself: nothing is missing
 
 
-def test_only_decisions_with_a_recorded_future_count() -> None:
+def test_only_decisions_with_a_recorded_future_count():
     random = np.random.default_rng(0)
     episode = np.repeat([0, 1], [100, 30])
     signal, predicted, terminal = random.random(130), random.random(130), np.zeros(130)
@@ -197,7 +195,7 @@ def test_only_decisions_with_a_recorded_future_count() -> None:
     assert pairs(predicted, signal, episode, np.zeros(130), 1.0).cut_off == 1.0
 
 
-def test_ranks_and_ratios_have_intervals_over_episodes() -> None:
+def test_ranks_and_ratios_have_intervals_over_episodes():
     random = np.random.default_rng(1)
     a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60) + 2
     found = quality(Pairs(a, a + b, np.repeat([0, 1, 2, 3], 15), 0.0))
@@ -205,8 +203,6 @@ def test_ranks_and_ratios_have_intervals_over_episodes() -> None:
     assert found["predicted_over_real"] == pytest.approx(a.mean() / (a + b).mean())
     for name in ("rank", "predicted_over_real"):
         low, value, high = (found[name + end] for end in ("_low", "", "_high"))
-        assert low is not None
-        assert value is not None
         assert high is not None
         assert low < value < high
     # One episode has all of the cost: a quarter of the resamples has more than twice as much of it as there is, many have none.
@@ -218,7 +214,7 @@ def test_ranks_and_ratios_have_intervals_over_episodes() -> None:
     assert (alone["rank"], alone["rank_low"], alone["predicted_over_real_high"]) == (found["rank"], None, None)
 
 
-def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: Path) -> None:
+def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path):
     random = torch.Generator().manual_seed(0)
     reward = torch.rand(200, generator=random)
     episode, terminal = torch.arange(200) // 50, (torch.arange(200) % 50 == 49).float()

@@ -1,7 +1,5 @@
 """The dataset stage on a real task: it goes on after a kill, and says what it collected."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -20,18 +18,18 @@ from tests.learning.test_behaviours import commander
 from wasp_cli.learning.configs import DatasetConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
 from wasp_cli.learning.dataset import Behaviour, record
-from wasp_cli.learning.shards import cost_sources, hand_over, read_shards, write_shard
+from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.tasks.make import make_task
 
 TASK = "race1"  # its episodes of 125 decisions are the shortest
 ENVS, SHARDS = 3, 2
 
 
-def job(root: Path, name: str, progress: Any = lambda share, text: None, work: str | None = None) -> Job:
+def job(root: Path, name: str, progress: Any = no_progress, work: str | None = None) -> Job:
     folders = [root / name, root / (work or f"{name}-work")]
     for folder in folders:
         folder.mkdir(exist_ok=True)
@@ -40,7 +38,7 @@ def job(root: Path, name: str, progress: Any = lambda share, text: None, work: s
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def root(tmp_path_factory) -> Path:
     """An untrained expert, and the dataset of an undisturbed run in `whole`."""
     folder = tmp_path_factory.mktemp("dataset")
     (folder / "expert").mkdir()
@@ -71,7 +69,7 @@ stage.DatasetStage().run(job(Path(sys.argv[1]), "killed", kill))
 """
 
 
-def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_bytes(root: Path) -> None:
+def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_bytes(root):
     done = subprocess.run([sys.executable, "-c", KILLED, str(root)], timeout=600, check=False)
     assert done.returncode == -signal.SIGKILL
     kept = root / "killed-work" / "shard-0000.parquet"
@@ -82,7 +80,7 @@ def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_by
     assert set(files(root / "whole")) == {"shard-0000.parquet", "shard-0001.parquet", "contents.json"}
 
 
-def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shards_are_linked_or_where_that_fails_copied(root, monkeypatch):
     assert (root / "whole" / "shard-0000.parquet").stat().st_nlink == 2
 
     def refused(*_: Any) -> None:
@@ -94,7 +92,7 @@ def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: p
     assert files(root / "copied") == files(root / "whole")
 
 
-def test_the_stage_says_what_it_collected(root: Path) -> None:
+def test_the_stage_says_what_it_collected(root):
     table = json.loads((root / "whole" / "contents.json").read_text())
     summary = json.loads((root / "summary.json").read_text())
     data = read_shards(root / "whole")
@@ -108,7 +106,7 @@ def test_the_stage_says_what_it_collected(root: Path) -> None:
     assert summary["sources_not_seen"] == len(unseen_sources(table))
 
 
-def test_the_table_is_what_can_be_counted_by_hand() -> None:
+def test_the_table_is_what_can_be_counted_by_hand():
     data = recording()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
     table = contents(data, SOURCES)
     assert table[ALL]["episodes"] == 3
@@ -129,7 +127,7 @@ def test_the_table_is_what_can_be_counted_by_hand() -> None:
     assert (table["expert"]["terminal"], table["noisy"]["terminal"]) == (0.5, 0.0)
 
 
-def test_sources_that_never_cost_are_named(tmp_path: Path) -> None:
+def test_sources_that_never_cost_are_named(tmp_path):
     data = recording()
     data.cost[:] = np.arange(36) % 12 == 5
     data.sources[:, 1] = 0
@@ -139,7 +137,7 @@ def test_sources_that_never_cost_are_named(tmp_path: Path) -> None:
     assert contents_of(tmp_path) == contents(data, SOURCES), "shard after shard as if all were one"
 
 
-def test_recording_counts_what_the_task_says(root: Path) -> None:
+def test_recording_counts_what_the_task_says(root):
     """Rows against the task's own steps, goals and sources included."""
     task, steps = make_task(TASK, 2, observe=("pixels", "privileged")), []
     stepped = task.step
@@ -148,7 +146,7 @@ def test_recording_counts_what_the_task_says(root: Path) -> None:
         steps.append(stepped(action))
         return steps[-1]
 
-    task.step = seen  # type: ignore[method-assign]
+    task.step = seen
     random = np.random.default_rng(3)
     data = record(task, [3, 4], lambda privileged: random.uniform(0.4, 1, (2, 2)).astype(np.float32), ["a", "b"], 0)
     for row in range(2):
@@ -161,7 +159,7 @@ def test_recording_counts_what_the_task_says(root: Path) -> None:
     assert data.sources.sum() > 0
 
 
-def test_drift_and_sticky_noise_add_what_they_say() -> None:
+def test_drift_and_sticky_noise_add_what_they_say():
     kinds = [Behaviour("sticky", sticky=0.2), Behaviour("sticky", sticky=0.2, correlation=0.6)]
     rows = (Behaviour("plain"), Behaviour("drift", drift=-0.3), *(kind for kind in kinds for _ in range(400)))
     driver = commander(*rows)
@@ -175,13 +173,3 @@ def test_drift_and_sticky_noise_add_what_they_say() -> None:
         np.testing.assert_allclose(noise.std((1, 2)), 0.2, rtol=0.1)
         lagged = [np.corrcoef(noise[t].ravel(), noise[t + 1].ravel())[0, 1] for t in range(5)]
         np.testing.assert_allclose(lagged, correlation, atol=0.07)
-
-
-def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any) -> None:
-        raise OSError("no links here")
-
-    monkeypatch.setattr(os, "link", refuse)
-    (tmp_path / "a").write_bytes(b"shard")
-    hand_over(tmp_path / "a", tmp_path / "b")
-    assert (tmp_path / "b").read_bytes() == b"shard"

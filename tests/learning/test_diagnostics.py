@@ -1,7 +1,5 @@
 """Diagnostics against models whose answers are known, and the stage on small real artifacts."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -29,6 +27,7 @@ from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import save_world_model
 from wasp_cli.report.trained.tables import open_loop_markdown
+from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
@@ -62,7 +61,7 @@ def forecast_of(model: Any, data: Recording, latents: Any, count: int = 1000, sa
     return judge.forecast(model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0)
 
 
-def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
+def test_windows_stay_within_their_episodes_and_are_spread_over_them():
     data = recording((60, 9, 5, 80, 3))
     starts = judge.spread_starts(data, HORIZON, 1000)
     assert len(starts) == 55 + 4 + 75
@@ -74,7 +73,7 @@ def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
     assert len(judge.spread_starts(data, 500, 20)) == 0
 
 
-def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
+def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
     """The steps before a terminal row count as far as they go; those before a time limit do not."""
     data = recording((12, 9, 4))
     data.terminal[[11, 24]] = 1
@@ -108,7 +107,7 @@ def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
     assert judge.judged_window(data, perfect, judge.Alarm(0.3, 0.95))["cost_correlation"] == pytest.approx(1.0)
 
 
-def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
+def test_a_model_that_knows_the_future_is_perfect_at_every_step():
     model, data, latents = corridor()
     seen = forecast_of(model, data, latents)
     np.testing.assert_array_equal(seen.cost, data.cost[seen.follow])
@@ -127,7 +126,7 @@ def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
     assert window["cost_correlation"] == pytest.approx(1.0)
 
 
-def test_a_model_that_knows_the_mean_has_the_base_rate() -> None:
+def test_a_model_that_knows_the_mean_has_the_base_rate():
     _, data, latents = corridor()
     seen = forecast_of(Corridor(LOW, HIGH), data, latents)
     for k in range(HORIZON):
@@ -140,7 +139,7 @@ def test_a_model_that_knows_the_mean_has_the_base_rate() -> None:
         assert row["reward_r2"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_numbers_are_what_loops_over_the_starts_count() -> None:
+def test_numbers_are_what_loops_over_the_starts_count():
     """A jittery corridor and random predictions: persistence, onsets, foreseen shares and sums against plain loops."""
     _, data, latents = corridor()
     seen = forecast_of(Corridor(LOW, HIGH, jitter=0.1), data, latents, count=70)
@@ -171,7 +170,7 @@ def test_numbers_are_what_loops_over_the_starts_count() -> None:
     assert window["false_alarms"] == pytest.approx(sum(expected[i] > threshold for i in quiet) / len(quiet))
 
 
-def test_samples_are_averaged_and_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_are_averaged_and_chunks_change_nothing(monkeypatch):
     _, data, latents = corridor()
     still = Corridor(LOW, HIGH)
     whole = forecast_of(still, data, latents)
@@ -200,25 +199,25 @@ class Film:
         return torch.from_numpy(self.data.pixels[rows].astype(np.float32) / 255)
 
 
-def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
+def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     data, rows = recording((12, 20)), Rows(np.arange(32))
     starts = judge.spread_starts(data, 4, 11)
-    perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)  # type: ignore[arg-type]
+    perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
     assert [row["image_explained"] for row in perfect] == pytest.approx([1] * 4)
-    late = judge.judged_images(Film(data, lag=1), data, rows, starts, 4, 1, 0)  # type: ignore[arg-type]
+    late = judge.judged_images(Film(data, lag=1), data, rows, starts, 4, 1, 0)
     assert late[0]["image_over_copy"] == pytest.approx(1.0), "one step late is a copy at the first step"
     for k, row in enumerate(late, 1):
         pairs = [(data.pixels[s + k] / 255.0, data.pixels[s + k - 1] / 255.0, data.pixels[s] / 255.0) for s in starts]
         assert row["image_error"] == pytest.approx(np.mean([(a - b) ** 2 for a, b, _ in pairs]), rel=1e-5)
         assert row["copy_error"] == pytest.approx(np.mean([(a - c) ** 2 for a, _, c in pairs]), rel=1e-5)
-    filtered = judge.judged_filter(Film(data), data, rows, 7)  # type: ignore[arg-type]
+    filtered = judge.judged_filter(Film(data), data, rows, 7)
     assert filtered["auprc"] == pytest.approx(1.0) == filtered["predicted_over_base"]
     assert filtered["image_error"] == pytest.approx(0.0)
     assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())
 
 
-def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path: Path) -> None:
+def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path):
     data = recording((40, 40))
     data.cost[:] = 0
     data.cost[[20, 60, 61]] = 1
@@ -231,12 +230,12 @@ def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(
     costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
     assert costly == [True] * COSTLY + [False] * CALM
     assert (data.cost[starts[windows]] == 0).all()
-    imagined = imagined_samples(film, data, rows, seen, windows, 0)  # type: ignore[arg-type]
+    imagined = imagined_samples(film, data, rows, seen, windows, 0)
     for sample, start in zip(imagined, starts[windows].tolist(), strict=True):
         np.testing.assert_array_equal(sample.rows, np.arange(start, start + 7))
         np.testing.assert_array_equal(sample.images, data.pixels[sample.rows])
         np.testing.assert_array_equal(sample.predicted, data.cost[sample.rows])
-    decoded = decoded_sample(film, data, rows)  # type: ignore[arg-type]
+    decoded = decoded_sample(film, data, rows)
     np.testing.assert_array_equal(decoded.images, data.pixels[decoded.rows])
     assert decoded.rows[:5].tolist() == [0, 8, 17, 26, 35]
     assert decoded.rows[5:].tolist() == [20, 20, 60, 60, 61], "the second half are costly frames"
@@ -252,7 +251,7 @@ def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(
         assert row["predicted"] == data.cost[place]
 
 
-def test_the_unseen_operators_are_not_in_the_mixture() -> None:
+def test_the_unseen_operators_are_not_in_the_mixture():
     known = {
         dataclasses.replace(b, name="")
         for b in behaviours(dict.fromkeys(MixtureConfig.model_fields, 1 / 8), 520, 4, np.random.default_rng(0))
@@ -266,22 +265,19 @@ def test_the_unseen_operators_are_not_in_the_mixture() -> None:
     assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
 
 
-# -- the stage --------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
-def inputs(root: Path) -> dict[str, Path]:  # noqa: F811
+def inputs(root) -> dict[str, Path]:  # noqa: F811
     torch.manual_seed(1)
     sizes = WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16)
     (root / "model").mkdir()
     model = build(sizes, 2)
     save_world_model(model, root / "model")
     (root / "latents").mkdir()
-    save_latents(encode(model, read_shards(root / "whole"), lambda share, text: None), root / "latents")
+    save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "latents")
     return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
 
 
-def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, inputs: dict[str, Path]) -> None:  # noqa: F811
+def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root, inputs):  # noqa: F811
     config = DiagnosticsConfig(episodes=3, starts=40, samples=2, image_starts=6)
     summaries = []
     for name in ("first", "again"):
@@ -312,7 +308,7 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, 
     assert images["window"].to_pylist().count(-1) == 10
 
 
-def test_rows_of_a_dataset_are_read_as_if_all_were(root: Path) -> None:  # noqa: F811
+def test_rows_of_a_dataset_are_read_as_if_all_were(root):  # noqa: F811
     whole = read_shards(root / "whole")
     mask = np.isin(whole.episode, [1, 4])
     for name, value in read_shards(root / "whole", mask=mask)._asdict().items():

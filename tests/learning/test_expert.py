@@ -1,7 +1,5 @@
 """The training of experts: episodes out of phase, a multiplier that follows whole episodes, and going on after an interruption."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -23,7 +21,7 @@ from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.seeds import derive
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.stages.expert import ExpertStage
 from wasp_cli.tasks.make import make_task
 
@@ -34,17 +32,13 @@ TINY = ExpertConfig(
 """Nobody reaches its bar: its one further training is always needed."""
 
 
-def silent(share: float, text: str) -> None:
-    pass
-
-
-def job(root: Path, progress: Any = silent, task: str = "race1") -> Job:
+def job(root: Path, progress: Any = no_progress, task: str = "race1") -> Job:
     for folder in (root / "out", root / "work"):
         folder.mkdir(parents=True, exist_ok=True)
     return Job("expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress)
 
 
-def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped() -> None:
+def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped():
     env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)  # every episode terminates after 5 of at most 6
     env.spread = True
     env.reset()
@@ -64,19 +58,11 @@ def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrappe
     assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)  # every episode costs in its second decision; cut ones count here
 
 
-def test_without_spreading_nothing_is_cut() -> None:
-    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
-    env.reset()
-    for t in range(1, 11):
-        env.step_async(np.ones((2, 2), np.float32))
-        assert (env.step_wait()[2] == (t % 5 == 0)).all()
-
-
-def test_the_multiplier_follows_the_cost_over_an_episodes_length() -> None:
+def test_the_multiplier_follows_the_cost_over_an_episodes_length():
     """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over three of them does not."""
     env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     rule = MultiplierRule(initial=0.5, rate=0.1, bound=10.0, limit=100.0)
-    callback = LagrangianCallback(env, rule, 24, silent)
+    callback = LagrangianCallback(env, rule, 24, no_progress)
     PPO("MlpPolicy", env, n_steps=2, batch_size=4, n_epochs=1, device="cpu", seed=0).learn(24, callback=callback)
     costs = [row["cost_per_1000"] for row in callback.curve]
     assert costs == [375.0, 0.0, 0.0, 375.0, 0.0, 375.0]
@@ -92,8 +78,7 @@ class Interrupted(Exception):
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
-    """Folder of a finished artifact, and its summary."""
+def trained(tmp_path_factory) -> tuple[Path, Any]:
     root = tmp_path_factory.mktemp("trained")
     summary = ExpertStage().run(job(root))
     return root / "out", summary
@@ -101,7 +86,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rollouts", [1, 4, 7, 8])
-def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
+def test_an_interrupted_training_ends_with_the_same_bytes(trained, tmp_path, rollouts):
     count = 0
 
     def interrupt(share: float, text: str) -> None:
@@ -130,14 +115,14 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
         assert (whole / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
-def test_a_damaged_state_is_named(tmp_path: Path) -> None:
+def test_a_damaged_state_is_named(tmp_path):
     root = job(tmp_path)
     (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
     with pytest.raises(ArtifactError, match=r"training\.safetensors"):
         ExpertStage().run(root)
 
 
-def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
+def test_a_task_without_snapshots_leaves_no_state(tmp_path):
     class Forgetful(Staggered):
         def snapshot(self) -> dict[str, Any]:
             raise TaskError("no snapshot")
@@ -151,7 +136,7 @@ def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
     assert state.restore() == []
 
 
-def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) -> None:
+def test_the_artifact_says_how_every_checkpoint_does(trained):
     out, summary = trained
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert list(evaluation) == ["0.25", "1"]
@@ -170,7 +155,7 @@ def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) 
     assert (summary["interactions"], summary["accepted"]) == (800, False)
 
 
-def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path: Path) -> None:
+def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path):
     easy = TINY.model_copy(update={"bars": {"race1": Bars(most_cost=1e6)}})
     summary = ExpertStage().run(dataclasses.replace(job(tmp_path), config=easy))
     assert (summary["interactions"], summary["accepted"]) == (600, True)
@@ -179,7 +164,7 @@ def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path: Path) -> No
     assert without["interactions"] == 600
 
 
-def test_statistics_of_episodes() -> None:
+def test_statistics_of_episodes():
     sums = EpisodeSums(*(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500])))
     assert sums.statistics(7) == {
         "return": 3.0, "return_sd": pytest.approx(np.sqrt(8)), "cost": 15.0, "cost_sd": pytest.approx(np.sqrt(450)),
@@ -189,7 +174,7 @@ def test_statistics_of_episodes() -> None:
     assert one.statistics(7)["return_sd"] is None
 
 
-def test_bars_are_asked_for_one_by_one() -> None:
+def test_bars_are_asked_for_one_by_one():
     bars = Bars(least_return=18.0, most_cost=10.0)
     assert bars.reached(18.0, 0.0, 10.0)
     assert not bars.reached(17.9, 1.0, 0.0)
@@ -198,7 +183,7 @@ def test_bars_are_asked_for_one_by_one() -> None:
     assert Bars().reached(-1.0, 0.0, 99.0)
 
 
-def test_streams_of_seeds_go_on_where_they_stood() -> None:
+def test_streams_of_seeds_go_on_where_they_stood():
     stream, other = SeedStream("a", 3), SeedStream("a", 3)
     first = [stream() for _ in range(4)]
     assert first == [derive("a", 3, i) for i in range(4)]

@@ -1,9 +1,6 @@
 """Stages on a task whose operators know more than assistants perceive, with tiny untrained models."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +21,7 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.plan.grid import lay_out, stage_class
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import load
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.make import make_task
@@ -34,7 +31,7 @@ TASK = "goal1-two"
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def inputs(tmp_path_factory) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("artifacts")
     size = make_task(TASK, 1, observe=()).privileged_size
     found = tiny_artifacts(root) | {"expert": tiny_expert(root / "expert", size), "heldout": root / "heldout"}
@@ -47,7 +44,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+def cell(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("cell"), "saferl", {}, "laggy", 0.5, task=TASK)
 
 
@@ -63,22 +60,22 @@ def again(cell: Evaluated, expert: Path | None) -> Rerun:
     return Rerun(world, load_world_model(source.world_model), source.operator_in(world), source.recorded)
 
 
-def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell: Evaluated) -> None:
+def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell):
     assert sum(1 for _ in again(cell, cell.inputs["expert"])) == 1000 // REPEAT
     with pytest.raises(ArtifactError, match="the command of the operator"):
         list(again(cell, None))
 
 
-def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell: Evaluated) -> None:
+def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell):
     rerun = again(cell, cell.inputs["expert"])
     for _ in rerun:
         pass
-    counts = rerun.task.tallies()["wrong_goals"]  # type: ignore[attr-defined]
+    counts = rerun.task.tallies()["wrong_goals"]
     assert cell.summary["wrong_goals"] == round(float(counts.mean()), 2)
 
 
-def test_the_expert_of_a_cell_is_the_privileged_one(inputs: Mapping[str, Path], tmp_path: Path) -> None:
-    done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)  # type: ignore[arg-type]
+def test_the_expert_of_a_cell_is_the_privileged_one(inputs, tmp_path):
+    done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)
     recorded, policy = Recorded(**read_recorded(done.path)), load_privileged(inputs["expert"], 1.0)
     world = make_task(TASK, 3, action_repeat=REPEAT, observe=("privileged",))
     seen = world.reset(recorded.layouts)
@@ -90,18 +87,18 @@ def test_the_expert_of_a_cell_is_the_privileged_one(inputs: Mapping[str, Path], 
         seen = world.step(wanted).observation
 
 
-def test_branches_without_an_assistant_are_the_episode_itself(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_branches_without_an_assistant_are_the_episode_itself(inputs, tmp_path):
     alone = evaluated(inputs, tmp_path, variant="laggy", value=0.5, task=TASK)
     rewards = Recorded(**read_recorded(alone.path)).reward
-    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, lambda share, text: None)
+    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, no_progress)
     assert len(found) == 6
     for branch in found:
         wanted = rewards[branch.episode][branch.t : branch.t + 4]
         np.testing.assert_array_equal(branch.reward.astype(np.float32), wanted)
 
 
-@pytest.mark.parametrize("method", ["ida", "diffusion", "wasp"])
-def test_cells_are_evaluated_and_branched(method: str, inputs: Mapping[str, Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])
+def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
     small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
     config = METHODS[method].config_model()(**small.get(method, {})).model_dump(mode="json")
     done = evaluated(inputs, tmp_path / "cell", method, config, "noisy", 0.4, task=TASK, episodes=2)
@@ -114,7 +111,7 @@ def test_cells_are_evaluated_and_branched(method: str, inputs: Mapping[str, Path
     assert summary["branched"] > 0 or summary["interventions"] == 0
 
 
-def test_held_out_decisions_are_those_of_the_operator_who_knows(inputs: Mapping[str, Path]) -> None:
+def test_held_out_decisions_are_those_of_the_operator_who_knows(inputs):
     heldout, policy = load_heldout(inputs["heldout"]), load_privileged(inputs["expert"], 1.0)
     world = make_task(TASK, 2, action_repeat=REPEAT, observe=("privileged",))
     seen = world.reset([derive("heldout-episode", TASK, 0, i) for i in range(2)])
@@ -126,7 +123,7 @@ def test_held_out_decisions_are_those_of_the_operator_who_knows(inputs: Mapping[
     assert not torch.allclose(assumed, heldout.a_h[first])
 
 
-def test_the_residual_is_trained_behind_operators_who_know(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_the_residual_is_trained_behind_operators_who_know(inputs, tmp_path):
     operators = {"laggy": (0.5,), "limited-skill": (0.25,)}
     config = ResidualConfig(interactions=64, envs=2, rollout=16, batch=16, hidden=(8,), operators=operators)
     job = Job("residual", TASK, 0, config, SETTINGS, {}, inputs, tmp_path, tmp_path)
@@ -135,7 +132,7 @@ def test_the_residual_is_trained_behind_operators_who_know(inputs: Mapping[str, 
     assert (tmp_path / "residual.safetensors").exists()
 
 
-def test_what_drives_there_reads_the_expert_and_elsewhere_does_not(tmp_path: Path) -> None:
+def test_what_drives_there_reads_the_expert_and_elsewhere_does_not(tmp_path):
     """And the keys of another task are those that it has without this one."""
     path = tmp_path / "both.yaml"
     text = (

@@ -1,7 +1,5 @@
 """What the world model infers at every recorded row: the same before and after it was stored, and whoever asks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,7 @@ from wasp_cli.stages.world_model import WorldModelStage
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def inputs(tmp_path_factory) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("chain")
     folders = {name: root / name for name in ("dataset", "world_model", "latents", "work")}
     for folder in folders.values():
@@ -36,9 +34,7 @@ def job(kind: str, config: Config, inputs: dict[str, Path]) -> Job:
     return Job(kind, "goal1", 0, config, {"action_repeat": 4}, {}, needed, inputs[kind], inputs["work"])
 
 
-def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(
-    inputs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(inputs, monkeypatch):
     met: list[Any] = []
 
     def refit(model: Any, rows: Any, latents: Any, *rest: Any) -> None:
@@ -59,7 +55,7 @@ def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_th
     assert after["h"].dtype == torch.float16
 
 
-def test_latents_come_back_row_for_row(tmp_path: Path) -> None:
+def test_latents_come_back_row_for_row(tmp_path):
     model, data = training.build(TINY, 2).requires_grad_(False), recording((7, 5))
     latents = encode(model, data, no_progress)
     save_latents(latents, tmp_path)

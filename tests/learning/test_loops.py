@@ -1,9 +1,6 @@
 """Vector environments and the closed loop over episodes that end at different times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +8,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.closed_loop import run_episodes
-from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
+from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
-from wasp_cli.methods.base import Decision, Parts
+from wasp_cli.methods.base import Decision
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
@@ -71,17 +66,12 @@ class Staggered:
         )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
-
-
 def counter(start: int = 0) -> Any:
     numbers = iter(range(start, 10_000))
     return lambda: next(numbers)
 
 
-def test_episodes_restart_row_by_row_with_their_terminal_observation() -> None:
+def test_episodes_restart_row_by_row_with_their_terminal_observation():
     env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, counter())
     env.multiplier = 0.5
     seen = env.reset()
@@ -105,21 +95,8 @@ def test_episodes_restart_row_by_row_with_their_terminal_observation() -> None:
                 assert seen[row].tolist() == [seed, step + 1, 0]
 
 
-def test_the_curve_counts_whole_episodes_and_every_env_step() -> None:
-    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, counter())
-    env.reset()
-    for _ in range(3):
-        env.step_async(np.ones((2, 2), np.float32))
-        env.step_wait()
-    row = env.curve.take()
-    assert row["return"] == pytest.approx(np.mean([2.0, 3.0]))  # seeds 0 and 1
-    assert row["cost"] == 3.0
-    assert row["cost_per_1000"] == pytest.approx(1000 * 6 / 24)
-    assert np.isnan(env.curve.take()["return"])
-
-
 @pytest.mark.parametrize("operators", [{"laggy": (0.5,)}, {"reactive": (0.5,)}], ids=list)
-def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts, operators: dict[str, tuple[float, ...]]) -> None:
+def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators):
     """Restarting some rows must leave the filter, the operators and their noise of the others where they were."""
 
     def drive(rows: Sequence[int], steps: int) -> np.ndarray:
@@ -131,14 +108,14 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts, ope
         def following() -> int:
             return next(lines[next(owner)])
 
-        env._next_seed = env._noise_seed = following  # type: ignore[method-assign]
+        env._next_seed = env._noise_seed = following
         seen = []
         owner = iter([*rows, *rows])
         seen.append(env.reset())
         for _ in range(steps):
             env.step_async(np.full((len(rows), 2), 0.1, np.float32))
-            t = env.task.t + 1  # type: ignore[attr-defined]
-            ending = [row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4]  # type: ignore[attr-defined]
+            t = env.task.t + 1
+            ending = [row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4]
             owner = iter([*ending, *ending])
             seen.append(env.step_wait()[0])
         return np.stack(seen)
@@ -156,10 +133,10 @@ class Changing(HumanOnly):
         return super().decide(latent, a_h, operator)
 
 
-def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts: Parts) -> None:
+def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts):
     operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1)
     with pytest.raises(WaspError, match="'Changing' changed the operator's command in place"):
-        run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])  # type: ignore[arg-type]
+        run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])
 
 
 class Opposite(HumanOnly):
@@ -170,23 +147,23 @@ class Opposite(HumanOnly):
 
 
 @pytest.mark.parametrize(("variant", "reacts"), [("reactive", True), ("laggy", False), ("delayed-noisy", False)])
-def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_overrides(parts: Parts, variant: str, reacts: bool) -> None:
+def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_overrides(parts, variant, reacts):
     seeds = [3, 7, 11]  # five decisions each
     found = []
     for assistant in (HumanOnly(), Opposite()):
         # It intends the same whatever it sees, so that all else that an assistant changes plays no part.
         context = OperatorContext(lambda fraction: lambda f: f[:, :2] * 0 + 0.7, 2, 0.08)
         operator = build_operator(variant, 0.5, context, EpisodeNoise(seeds), 3)
-        found.append(run_episodes(Staggered(3), parts.world_model, operator, assistant, seeds, seeds).a_h)  # type: ignore[arg-type]
+        found.append(run_episodes(Staggered(3), parts.world_model, operator, assistant, seeds, seeds).a_h)
     np.testing.assert_array_equal(found[0][0], found[1][0])
     assert np.array_equal(found[0], found[1]) != reacts
     assert (found[0][1:] != found[1][1:]).all() == reacts
 
 
-def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(parts: Parts) -> None:
+def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(parts):
     issued = []
     for residual in (0.0, 0.5):
-        env = AssistedTask(Staggered(2), parts.world_model, parts.skills, ResidualConfig(operators={"reactive": (0.5,)}), "t", 0)  # type: ignore[arg-type]
+        env = AssistedTask(Staggered(2), parts.world_model, parts.skills, ResidualConfig(operators={"reactive": (0.5,)}), "t", 0)
         env.reset()
         told = env._operator.operators[0].memory
         assert not told["pushed"].any()
@@ -197,11 +174,11 @@ def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(part
     assert (issued[1] < 0).all()
 
 
-def test_the_closed_loop_cuts_every_episode_at_its_end(parts: Parts, tmp_path: Path) -> None:
+def test_the_closed_loop_cuts_every_episode_at_its_end(parts, tmp_path):
     seeds = [0, 1, 2, 3]
     task = Staggered(4)
     operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(seeds), 4)
-    loop = run_episodes(task, parts.world_model, operator, HumanOnly(), seeds, seeds, keep_latents=True)  # type: ignore[arg-type]
+    loop = run_episodes(task, parts.world_model, operator, HumanOnly(), seeds, seeds, keep_latents=True)
     found, times = trajectories(loop)
     assert [t.steps for t in found] == [2, 3, 4, 5] == [len(t) for t in times]
     for trajectory in found:
@@ -211,18 +188,17 @@ def test_the_closed_loop_cuts_every_episode_at_its_end(parts: Parts, tmp_path: P
     save_heldout(heldout_rows(loop), tmp_path)
     rows = load_heldout(tmp_path)
     assert rows.episode.tolist() == [0] * 2 + [1] * 3 + [2] * 4 + [3] * 5
-    assert loop.h is not None
     torch.testing.assert_close(rows.latent.h[2:5], loop.h[:3, 1])
 
 
-def test_recorded_rows_arrive_with_what_led_to_them() -> None:
+def test_recorded_rows_arrive_with_what_led_to_them():
     actions: list[np.ndarray] = []
 
     def command(privileged: np.ndarray) -> np.ndarray:
         actions.append(np.random.default_rng(len(actions)).uniform(-1, 1, (3, 2)).astype(np.float32))
         return actions[-1]
 
-    data = record(Staggered(3), [0, 1, 3], command, ["expert", "noisy", "noisy"], number=7)  # type: ignore[arg-type]
+    data = record(Staggered(3), [0, 1, 3], command, ["expert", "noisy", "noisy"], number=7)
     assert data.episode.tolist() == [7] * 3 + [8] * 4 + [9] * 6
     assert np.flatnonzero(data.first).tolist() == [0, 3, 7]
     assert data.privileged[:, 1].tolist() == [*range(3), *range(4), *range(6)]

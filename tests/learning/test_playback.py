@@ -1,7 +1,5 @@
 """Recorded actions carried out again: every moment before its action, all episodes side by side, and nothing but what was recorded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -42,7 +40,7 @@ def played(actions: list[Any], rewards: list[Any], tolerance: float = 0.0) -> li
     return list(play(task, range(5, 5 + task.batch), actions, rewards, tolerance))
 
 
-def test_there_is_a_moment_before_every_decision_and_one_after_the_last(recorded: tuple[list[Any], list[Any]]) -> None:
+def test_there_is_a_moment_before_every_decision_and_one_after_the_last(recorded):
     moments = played(*recorded)
     assert [moment.t for moment in moments] == [0, 1, 2, 3, 4]
     assert [moment.alive.tolist() for moment in moments] == [[t < length for length in LENGTHS] for t in range(5)]
@@ -52,7 +50,7 @@ def test_there_is_a_moment_before_every_decision_and_one_after_the_last(recorded
     assert [moment.last.ended.sum() for moment in moments[1:]] == [0, 1, 2, 3]
 
 
-def test_rows_are_padded_with_zeros_after_their_ends(recorded: tuple[list[Any], list[Any]]) -> None:
+def test_rows_are_padded_with_zeros_after_their_ends(recorded):
     stacked = side_by_side(recorded[0])
     assert (stacked.shape, stacked.dtype) == ((4, 3, 2), np.float32)
     for e, length in enumerate(LENGTHS):
@@ -60,7 +58,7 @@ def test_rows_are_padded_with_zeros_after_their_ends(recorded: tuple[list[Any], 
         assert not stacked[length:, e].any()
 
 
-def test_a_reward_may_differ_by_the_tolerance_and_no_more(recorded: tuple[list[Any], list[Any]]) -> None:
+def test_a_reward_may_differ_by_the_tolerance_and_no_more(recorded):
     actions, rewards = recorded
     rewards[2][1] += 3e-5
     assert len(played(actions, rewards, 1e-4)) == 5
@@ -70,14 +68,14 @@ def test_a_reward_may_differ_by_the_tolerance_and_no_more(recorded: tuple[list[A
 
 
 @pytest.mark.parametrize(("by", "what", "at"), [(-1, "goes on", 0), (1, "ends", 1)])
-def test_an_episode_of_another_length_is_refused(by: int, what: str, at: int, recorded: tuple[list[Any], list[Any]]) -> None:
+def test_an_episode_of_another_length_is_refused(by, what, at, recorded):
     actions, rewards = recorded
     actions[1], rewards[1] = np.resize(actions[1], (2 + by, 2)), np.resize(rewards[1], 2 + by)
     with pytest.raises(ArtifactError, match=f"episode 1 is not the recorded one from decision {at} on: the episode {what} here"):
         played(actions, rewards)
 
 
-def test_no_number_is_no_reward(recorded: tuple[list[Any], list[Any]]) -> None:
+def test_no_number_is_no_reward(recorded):
     actions, rewards = recorded
     rewards[0][0] = np.nan
     with pytest.raises(ArtifactError, match="the reward is"):

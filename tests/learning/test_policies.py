@@ -1,33 +1,17 @@
 """Labelling of latents, on-policy rounds and the rule that keeps one of them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
+from wasp_cli.learning import policies
+from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.policies import (
-    Labelled,
-    agreement,
-    drivers,
-    explained,
-    fit,
-    imagine_arrivals,
-    label,
-    latent_episodes,
-    new_skills,
-    visit,
-)
+from wasp_cli.learning.policies import Labelled, explained, fit, label, new_skills
 from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
@@ -61,9 +45,9 @@ def walk(lengths: tuple[int, ...]) -> tuple[Latents, Tensor, Tensor]:
     return latents, torch.stack([torch.cat(action), torch.zeros_like(x)], 1), torch.cat(first)
 
 
-def test_imagined_arrivals_end_where_the_labels_are() -> None:
+def test_imagined_arrivals_end_where_the_labels_are():
     latents, action, first = walk((40, 1, 2, 57))
-    found = imagine_arrivals(Counter(), latents, action, first, depth=5, seed=3)  # type: ignore[arg-type]
+    found = policies.imagine_arrivals(Counter(), latents, action, first, depth=5, seed=3)
     # Under the recorded actions a perfect model arrives at the recorded state, whatever the depth and never from another episode.
     assert torch.equal(found.h[:, 0], latents.h[:, 0])
     assert torch.equal(found.z, latents.z)
@@ -71,8 +55,8 @@ def test_imagined_arrivals_end_where_the_labels_are() -> None:
     assert (steps[first > 0] == 0).all()
     assert steps[41 + 1] == 1  # the second row of an episode has one step behind it
     assert set(steps[5:40].tolist()) == {1, 2, 3, 4, 5}
-    assert torch.equal(imagine_arrivals(Counter(), latents, action, first, 5, 3).h, found.h)  # type: ignore[arg-type]
-    assert (imagine_arrivals(Counter(), latents, action, first, 1, 3).h[:, 1] == 1 - first).all()  # type: ignore[arg-type]
+    assert torch.equal(policies.imagine_arrivals(Counter(), latents, action, first, 5, 3).h, found.h)
+    assert (policies.imagine_arrivals(Counter(), latents, action, first, 1, 3).h[:, 1] == 1 - first).all()
 
 
 def states(rows: int, seed: int, shift: float) -> Labelled:
@@ -82,7 +66,7 @@ def states(rows: int, seed: int, shift: float) -> Labelled:
     return Labelled(Latents(h, z, 2), Latents(h + shift, z, 2), torch.stack([2 * h, -h]))
 
 
-def test_a_share_of_a_batch_is_imagined_under_the_labels_of_its_rows() -> None:
+def test_a_share_of_a_batch_is_imagined_under_the_labels_of_its_rows():
     known = states(500, 0, 10.0)
     features, labels = known.at(torch.arange(500), 0.3, torch.Generator().manual_seed(0))
     dreamt = features[:, 0] > 5
@@ -93,7 +77,7 @@ def test_a_share_of_a_batch_is_imagined_under_the_labels_of_its_rows() -> None:
         assert ((known.at(torch.arange(500), share, torch.Generator())[0][:, 0] > 5) == bool(share)).all()
 
 
-def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to() -> None:
+def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to():
     torch.manual_seed(0)
     experts = [PrivilegedPolicy(3, [4], 1), PrivilegedPolicy(3, [4], 1)]
     skills = new_skills(experts, [0.5, 1.0], 3, CONFIG)
@@ -110,11 +94,11 @@ def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to() -> None:
     assert min(shares["filtered"] for shares in explained(skills, near).values()) > 0.9
 
 
-def test_labels_are_the_checkpoints_answers() -> None:
+def test_labels_are_the_checkpoints_answers():
     torch.manual_seed(0)
     experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], recording()
     still = Latents(torch.zeros(36, 2), torch.zeros(36, 1, dtype=torch.uint8), 2)
-    found = label(Counter(), experts, data, still, 2, 0)  # type: ignore[arg-type]
+    found = label(Counter(), experts, data, still, 2, 0)
     for k, expert in enumerate(experts):
         torch.testing.assert_close(found.labels[k, 7], expert(torch.from_numpy(data.privileged[7:8]))[0].detach())
     part = found.rows((torch.arange(36) >= 10) & (torch.arange(36) < 30))
@@ -122,30 +106,19 @@ def test_labels_are_the_checkpoints_answers() -> None:
     assert torch.equal(part.imagined.h, found.imagined.h[10:30])
 
 
-def test_the_latent_expert_drives_most_episodes_and_others_the_rest() -> None:
-    rows = drivers(20, 4, 0.5)
+def test_the_latent_expert_drives_most_episodes_and_others_the_rest():
+    rows = policies.drivers(20, 4, 0.5)
     assert [row.name for row in rows[:10]] == ["expert"] * 10
-    assert [row.name for row in rows[10:]] == [
-        "gaussian",
-        "noisy",
-        "laggy",
-        "skill 2",
-        "skill 1",
-        "skill 0",
-        "gaussian",
-        "noisy",
-        "laggy",
-        "skill 2",
-    ]
+    others = ["gaussian", "noisy", "laggy", "skill 2", "skill 1", "skill 0"]
+    assert [row.name for row in rows[10:]] == [*others, *others[:4]]
     assert {row.skill for row in rows} == {-1, 0, 1, 2}
-    assert [row.name for row in drivers(3, 1, 0.0)] == ["expert"] * 3
+    assert [row.name for row in policies.drivers(3, 1, 0.0)] == ["expert"] * 3
 
 
-def test_visited_rows_are_what_the_filter_showed_at_each_decision(tmp_path: Path) -> None:
-    parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
+def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
     seeds = [0, 1, 3]
     rows = [Behaviour("expert")] * 2 + [Behaviour("early", skill=0)]
-    met, latents = visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)  # type: ignore[arg-type]
+    met, latents = policies.visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)
     assert met.privileged[:, 0].tolist() == [0] * 2 + [1] * 3 + [3] * 5
     assert met.privileged[:, 1].tolist() == [*range(2), *range(3), *range(5)]  # no state after an episode's end
     assert met.episode.tolist() == [0] * 2 + [1] * 3 + [2] * 5
@@ -165,13 +138,13 @@ def test_visited_rows_are_what_the_filter_showed_at_each_decision(tmp_path: Path
                 np.testing.assert_allclose(met.action[row + 1], driven[0], atol=1e-6)
             if not task.over[0]:
                 seen = task.step(driven.numpy()).observation
-    loop = latent_episodes(Staggered(2), model, parts.skills, 0.25, [1, 3])  # type: ignore[arg-type]
+    loop = policies.latent_episodes(Staggered(2), model, parts.skills, 0.25, [1, 3])
     assert loop.alive.sum(0).tolist() == [3, 5]
     assert loop.terminated.T.tolist() == [[False, False, True, False, False], [False] * 4 + [True]]
     np.testing.assert_allclose(loop.action[:4, 1], met.action[6:10], atol=1e-6)  # the episode of seed 3, driven by the same skill
 
 
-def test_a_verdict_by_hand() -> None:
+def test_a_verdict_by_hand():
     privileged = Drive(20.0, 10.0, 9.0, 1.0)
     good = compare(Drive(17.0, 13.0, 8.0, 1.0), privileged, CONFIG, 1000)
     assert good == Verdict(pytest.approx(0.85), pytest.approx(1.3), 0.0, 0.0, True)
@@ -186,7 +159,7 @@ def test_a_verdict_by_hand() -> None:
     assert compare(Drive(-11.5, 0.0, 0.0, 0.0), Drive(-10.0, 0.0, 0.0, 0.0), CONFIG, 1000).return_share == pytest.approx(0.85)
 
 
-def test_the_kept_round_reached_both_or_cost_least_then_earned_most() -> None:
+def test_the_kept_round_reached_both_or_cost_least_then_earned_most():
     wanted = Drive(20.0, 10.0, 9.0, 1.0)  # 17 of return are enough, 13 of cost allowed
 
     def best(*drives: tuple[float, float]) -> int:
@@ -202,13 +175,13 @@ def test_the_kept_round_reached_both_or_cost_least_then_earned_most() -> None:
     assert compare(Drive(20.0, 13.0 * 4 / 3, 0.0, 0.0), wanted, CONFIG, 1000).shortfall == pytest.approx(1 / 3)
 
 
-def test_drives_are_means_over_episodes() -> None:
+def test_drives_are_means_over_episodes():
     drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7, env_steps=np.array([400.0, 200.0]))
     shown = {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5, "return_sd": 1.0, "cost_sd": 2.5, "episodes": 2, "env_steps": 300.0}
     assert drive.shown() == shown
 
 
-def test_the_cost_limit_by_hand() -> None:
+def test_the_cost_limit_by_hand():
     config = PoliciesConfig(cost_allowance=2.0)
     taught = [Drive(20.0, 3.0, 9.0, 1.0, env_steps=150.0), Drive(20.0, 5.0, 9.0, 1.0, env_steps=250.0)]
     # 4 per episode, and half of 2 per 1000 of the 500 env steps that an episode may have: 4.5 in 200 env steps.
@@ -218,18 +191,18 @@ def test_the_cost_limit_by_hand() -> None:
     assert cost_limit([Drive(20.0, 0.0, 9.0, 1.0, env_steps=500.0)], 500.0, free, 500) == 1.0, "the excess is counted in its units"
 
 
-def test_policies_agree_where_imagined_latents_are_the_filtered_ones() -> None:
+def test_policies_agree_where_imagined_latents_are_the_filtered_ones():
     torch.manual_seed(0)
     skills = new_skills([PrivilegedPolicy(3, [4], 1)] * 2, [0.5, 1.0], 3, CONFIG)
     alike = states(300, 1, 0.0)
-    assert agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
-    shares = agreement(skills, states(300, 1, 2.0))
+    assert policies.agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
+    shares = policies.agreement(skills, states(300, 1, 2.0))
     mine, theirs = (skills.at(1.0)(latents.at(torch.arange(300)).features) for latents in states(300, 1, 2.0)[:2])
     assert shares["1"] == pytest.approx((1 - (mine - theirs).square().mean() / mine.var(correction=0)).item(), rel=1e-4)
     assert shares["1"] < 1
 
 
-def test_the_share_of_the_return_comes_with_its_standard_error() -> None:
+def test_the_share_of_the_return_comes_with_its_standard_error():
     """Against the spread of the share over many sets of episodes; a layout that is hard for both moves neither share nor error much."""
     random = np.random.default_rng(0)
     hard = random.normal(20, 6, (2000, 16))

@@ -1,7 +1,5 @@
 """What the privileged vector teaches: the encoder before Eq. 6, the latents along with it, and nobody who may not learn from it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +8,15 @@ import torch
 
 from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.learning.configs import WorldModelConfig
-from wasp_cli.learning.privileged_state import Mirror, Readout, new_readout, teach_encoder
+from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
 from wasp_cli.learning.readout import embeddings, fit_ridge
 from wasp_cli.learning.shards import Recording, write_shard
 from wasp_cli.learning.world_model import Report, build, mean_image, train
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.stages.base import Job
+from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.stages.world_model import WorldModelStage
 
 TAUGHT = TINY.model_copy(update={"taught": 150, "taught_batch": 32, "taught_head": 32, "privileged": 100.0, "depth": 4})
-
-
-def silent(share: float, text: str) -> None:
-    return None
 
 
 def blocks(rows: int = 400) -> Recording:
@@ -50,31 +44,31 @@ def told(model: SafetyWorldModel, data: Recording, learned: np.ndarray, rest: np
 
 
 @pytest.mark.parametrize("mirror", [None, (np.array([0, 1, 2]), np.array([-1, 1, 1], np.float32))], ids=["straight", "mirror"])
-def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror: Mirror | None) -> None:
+def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     data = blocks()
     learned, rest = np.arange(300), np.arange(300, 400)
     model = fresh(data)
     before = told(model, data, learned, rest)
-    curve = teach_encoder(model, data, learned, TAUGHT, 3, silent, mirror=mirror)
+    curve = teach_encoder(model, data, learned, TAUGHT, 3, no_progress, mirror=mirror)
     after = told(model, data, learned, rest)
     assert after > max(0.7, before + 0.1)
     assert curve[-1] < 0.5 * curve[0]
     again = fresh(data)
-    assert teach_encoder(again, data, learned, TAUGHT, 3, silent, mirror=mirror) == curve
+    assert teach_encoder(again, data, learned, TAUGHT, 3, no_progress, mirror=mirror) == curve
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)), "an interrupted one begins anew"
 
 
-def test_only_the_encoder_is_taught() -> None:
+def test_only_the_encoder_is_taught():
     data = blocks(80)
     model, untaught = fresh(data), fresh(data)
-    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, silent)
+    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, no_progress)
     moved = {
         name.split(".")[0] for (name, a), b in zip(model.named_parameters(), untaught.parameters(), strict=True) if not torch.equal(a, b)
     }
     assert moved == {"encoder"}
 
 
-def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path: Path) -> None:
+def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path):
     """Whatever the last episode holds, the same model comes out: images, vectors and their mean and deviation."""
     whole = recording()
     rows = np.flatnonzero(whole.episode < 2)
@@ -88,14 +82,14 @@ def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path: Path) -> None
         config = TAUGHT.model_copy(update={"taught": 5, "ahead_starts": 0})
         model = build(config, 2)
         readout = new_readout(model, data, rows, config)
-        teach_encoder(model, data, rows, config, 1, silent)
-        train(model, data, rows, config, 4, 2, tmp_path / name, silent, readout=readout)
+        teach_encoder(model, data, rows, config, 1, no_progress)
+        train(model, data, rows, config, 4, 2, tmp_path / name, no_progress, readout=readout)
         found.append({**model.state_dict(), **readout.state_dict()})
     assert all(torch.equal(found[0][name], found[1][name]) for name in found[0])
 
 
 @pytest.mark.parametrize("mirror", [None, (np.array([1, 0, 2]), np.array([-1, 1, 0], np.float32))], ids=["unknown", "but the third"])
-def test_the_loss_counts_what_is_known(mirror: Mirror | None) -> None:
+def test_the_loss_counts_what_is_known(mirror):
     """Against loops: in a mirror the first two entries change places, one its sign, and the third is not known."""
     random = np.random.default_rng(0)
     torch.manual_seed(0)
@@ -117,7 +111,7 @@ def test_the_loss_counts_what_is_known(mirror: Mirror | None) -> None:
         assert float(readout.loss(features, privileged, torch.ones(3, dtype=torch.bool), None).detach()) == 0.0
 
 
-def test_without_weight_training_is_that_of_eq_6_alone(tmp_path: Path) -> None:
+def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
     """The head's loss is a term of its own: its weight 0 leaves the others' numbers, and all draws, as they are."""
     data, found = recording(), []
     for weight in (0.0, 1e-12):
@@ -126,7 +120,7 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path: Path) -> None:
         model = build(config, 2)
         readout = new_readout(model, data, ROWS, config) if weight else None
         (tmp_path / str(weight)).mkdir()
-        curves, _ = train(model, data, ROWS, config, 8, 5, tmp_path / str(weight), silent, readout=readout, mirror=MIRROR)
+        curves, _ = train(model, data, ROWS, config, 8, 5, tmp_path / str(weight), no_progress, readout=readout, mirror=MIRROR)
         found.append((curves, model.state_dict()))
     (plain, weights), (along, others) = found
     assert set(along) - set(plain) == {"privileged"}
@@ -135,12 +129,12 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path: Path) -> None:
     assert all(torch.allclose(weights[name], others[name], atol=1e-4) for name in weights)
 
 
-def test_latents_learn_to_tell_the_vector(tmp_path: Path) -> None:
+def test_latents_learn_to_tell_the_vector(tmp_path):
     data = blocks(120)
     config = TAUGHT.model_copy(update={"updates": 60, "batch": 8, "learning_rate": 3e-3, "privileged": 100.0})
     model = fresh(data, config)
     readout = new_readout(model, data, np.arange(120), config)
-    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, silent, readout=readout)
+    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, no_progress, readout=readout)
     assert curves["privileged"][-1] < 0.8 * curves["privileged"][0]
 
 
@@ -148,7 +142,7 @@ class Interrupted(Exception):
     """Somebody presses Ctrl-C."""
 
 
-def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = silent) -> Job:
+def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = no_progress) -> Job:
     out, work = root / name, root / f"{name}-work"
     out.mkdir(exist_ok=True)
     work.mkdir(exist_ok=True)
@@ -157,7 +151,7 @@ def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report =
 
 
 @pytest.mark.parametrize("at", ["teaching the encoder, update 21/40", "update 8/8"])
-def test_an_interrupted_stage_ends_with_the_same_bytes(tmp_path: Path, at: str) -> None:
+def test_an_interrupted_stage_ends_with_the_same_bytes(tmp_path, at):
     """Interrupted while the encoder is taught, which begins anew, or behind a checkpoint of Eq. 6, which keeps what was taught."""
     (tmp_path / "dataset").mkdir()
     random, data = np.random.default_rng(2), recording()

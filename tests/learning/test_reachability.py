@@ -1,7 +1,5 @@
 """The safety value: its Bellman target against brute force, and what is learned of it in a world that can be searched."""
 
-from __future__ import annotations
-
 import json
 from itertools import product
 from types import SimpleNamespace
@@ -33,7 +31,7 @@ def fixed_point(arrive: Tensor, cost: Tensor, gamma: float) -> Tensor:
     return danger
 
 
-def test_a_failure_that_cannot_be_avoided_is_worth_less_the_further_it_is() -> None:
+def test_a_failure_that_cannot_be_avoided_is_worth_less_the_further_it_is():
     """On a slope every action leads one state down, and state 0 fails: its danger k decisions away is gamma^(k - 1)."""
     states = 8
     arrive = (torch.arange(states) - 1).clamp(min=0).unsqueeze(1)
@@ -42,7 +40,7 @@ def test_a_failure_that_cannot_be_avoided_is_worth_less_the_further_it_is() -> N
     assert found.tolist() == pytest.approx([1.0, *(GAMMA**k for k in range(states - 1))])
 
 
-def test_the_fixed_point_is_when_the_best_plan_fails_first() -> None:
+def test_the_fixed_point_is_when_the_best_plan_fails_first():
     """Brute force over all plans in a random world: gamma^(k - 1) where the plan that fails last fails in its k-th decision."""
     source = torch.Generator().manual_seed(1)
     states, actions, length, gamma = 12, 2, 12, 0.5  # what lies beyond twelve decisions weighs 1 / 4096
@@ -62,26 +60,14 @@ def test_the_fixed_point_is_when_the_best_plan_fails_first() -> None:
     assert len(different) >= 5, "a world in which everything or nothing fails shows nothing"
 
 
-def test_a_discount_grades_what_a_saturated_margin_alone_does_not() -> None:
-    """LatentCBF's point: with its discount of 0.9999 a margin of +-1 makes a value of +-1, flat up to the edge of what cannot be avoided.
-
-    Its answer is a gradient penalty on the margin; here the discount grades the value by the time that is left.
-    """
-    arrive, cost = (torch.arange(11) - 1).clamp(min=0).unsqueeze(1), (torch.arange(11) == 0).double()
-    flat, graded = (1 - 2 * fixed_point(arrive, cost, gamma)[1:, 0] for gamma in (0.9999, 0.95))
-    assert float(flat.max() - flat.min()) < 0.002
-    assert float(graded.max() - graded.min()) > 0.7
-    assert (graded.diff() > 0.05).all()
-
-
-def test_extreme_actions_are_all_or_nothing() -> None:
+def test_extreme_actions_are_all_or_nothing():
     assert sorted(map(tuple, extreme_actions(2).tolist())) == sorted(product((-1.0, 0.0, 1.0), repeat=2))
     many = extreme_actions(6)
     assert many.shape == (MOST, 6)
     assert set(many.unique().tolist()) == {-1.0, 0.0, 1.0}
 
 
-def test_a_value_is_the_lower_of_two_and_never_outside_of_what_margins_can_be() -> None:
+def test_a_value_is_the_lower_of_two_and_never_outside_of_what_margins_can_be():
     torch.manual_seed(0)
     value = SafetyValue(5, 2, 8, (1.0, 0.1))
     features, actions = torch.randn(6, 5), 2 * torch.rand(6, 4, 2) - 1
@@ -134,12 +120,12 @@ def braked(x: float, v: float) -> float:
     return 0.0
 
 
-def test_training_finds_from_where_braking_comes_too_late() -> None:
+def test_training_finds_from_where_braking_comes_too_late():
     latents, action, cost = driven()
     told = recording(LENGTHS)._replace(action=action, cost=cost)
     torch.manual_seed(0)
     config = ReachabilityConfig(hidden=32, updates=500, batch=64, gamma=GAMMA, slow=0.1, learning_rate=3e-3)
-    value, curve = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, 1, no_progress)  # type: ignore[arg-type]
+    value, curve = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, 1, no_progress)
     assert curve[-1]["loss"] < 0.7 * curve[0]["loss"]
     grid = [(x, v) for x in np.linspace(-0.5, 0.9, 12) for v in np.linspace(-0.2, 0.4, 8)]
     features = torch.tensor([(x, v, 1.0, 0.0) for x, v in grid], dtype=torch.float32)
@@ -154,7 +140,7 @@ def test_training_finds_from_where_braking_comes_too_late() -> None:
     assert (value.fallback(edge)[0][:, 0] < 0).float().mean() > 0.8
 
 
-def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not() -> None:
+def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not():
     source = np.random.default_rng(0)
     episode = np.repeat(np.arange(20), 60)
     cost = np.zeros(1200)
@@ -172,7 +158,7 @@ def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not() -> None:
     assert constant["ap"] == pytest.approx(constant["costly"])
 
 
-def test_quality_reads_the_action_that_was_executed_at_a_state() -> None:
+def test_quality_reads_the_action_that_was_executed_at_a_state():
     """Q is the negative of the first component: the cost follows those actions, and no others."""
     told = recording((30,) * 20)
     cost = np.zeros_like(told.cost)
@@ -188,20 +174,20 @@ def test_quality_reads_the_action_that_was_executed_at_a_state() -> None:
         def __call__(self, features: Tensor, actions: Tensor) -> Tensor:
             return -actions[..., 0]
 
-    found = safety_quality(First(), told._replace(cost=cost), latents, heldout)  # type: ignore[arg-type]
+    found = safety_quality(First(), told._replace(cost=cost), latents, heldout)
     assert found["expert"]["auc"] is None
     assert found["recorded"]["decisions"] == 2 * (29 - 14)  # episodes 9 and 19 are held out
     assert json.loads(json.dumps(found)) == found
 
 
-def test_the_same_seed_gives_the_same_value() -> None:
+def test_the_same_seed_gives_the_same_value():
     latents, action, cost = driven()
     told = recording(LENGTHS)._replace(action=action, cost=cost)
 
     def weights(seed: int) -> Tensor:
         torch.manual_seed(0)
         config = ReachabilityConfig(hidden=8, updates=5, batch=16)
-        value, _ = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, seed, no_progress)  # type: ignore[arg-type]
+        value, _ = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, seed, no_progress)
         return torch.cat([parameter.flatten() for parameter in value.parameters()])
 
     assert torch.equal(weights(1), weights(1))

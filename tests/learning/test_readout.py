@@ -1,7 +1,5 @@
 """The readout of the privileged vector against plain numpy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -12,9 +10,10 @@ from tests.learning.recordings import TINY, recording
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.readout import StateReadout, embeddings, fit_ridge, imagined_features
 from wasp_cli.learning.world_model import build
+from wasp_cli.stages.base import no_progress
 
 
-def test_a_ridge_regression_is_the_textbook_one() -> None:
+def test_a_ridge_regression_is_the_textbook_one():
     random = np.random.default_rng(0)
     x, fresh = random.normal(size=(80, 6)), random.normal(size=(50, 6))
     mixing = random.normal(size=(6, 4))
@@ -36,12 +35,12 @@ def test_a_ridge_regression_is_the_textbook_one() -> None:
     assert np.isnan(found["constant"]), "an entry that never varies is asked of nobody"
 
 
-def test_what_the_features_hold_is_read_and_the_rest_is_not() -> None:
+def test_what_the_features_hold_is_read_and_the_rest_is_not():
     """The latent of an untrained model knows nothing of a vector of noise, and all of one that is made of it."""
     data = recording((60, 60, 30))
     torch.manual_seed(0)
     model = build(TINY, 2)
-    latents = encode(model, data, lambda share, text: None)
+    latents = encode(model, data, no_progress)
     learned, held = data.episode < 2, data.episode == 2
     h = latents.h.numpy()
     data = data._replace(privileged=np.concatenate([h[:, :2] * [1.0, 50.0], data.privileged[:, :2]], 1).astype(np.float32))
@@ -60,11 +59,11 @@ def test_what_the_features_hold_is_read_and_the_rest_is_not() -> None:
     assert all(np.isnan(share) for share in readout.imagined(fresh, rest, np.arange(0), 3, 2, 0).values())
 
 
-def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch):
     data = recording((40,))
     torch.manual_seed(0)
     model = build(TINY, 2)
-    latents = encode(model, data, lambda share, text: None)
+    latents = encode(model, data, no_progress)
     starts = np.arange(30)
     exact = imagined_features(model, data, latents, starts, 4, 3, 5)
     asked: list[Any] = []
@@ -74,7 +73,7 @@ def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch: p
             asked.append((features, privileged))
             return {}
 
-    StateReadout(model, {}, Told(), Told()).imagined(data, latents, starts, 4, 3, 5)  # type: ignore[arg-type]
+    StateReadout(model, {}, Told(), Told()).imagined(data, latents, starts, 4, 3, 5)
     features, privileged = asked[0]
     assert torch.equal(features, exact)
     np.testing.assert_array_equal(privileged, data.privileged[4:34])

@@ -1,20 +1,14 @@
 """Reinforcement of a distilled actor, and the task behind the filter."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.learning.test_loops import Staggered
-from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import ReinforceConfig, ReturnsConfig
+from wasp_cli.learning.configs import ReinforceConfig
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.methods.base import Parts
@@ -23,22 +17,17 @@ from wasp_cli.stages.base import no_progress
 CONFIG = ReinforceConfig(interactions=3000, envs=4, rollout=64, batch=64, learning_rate=2e-3, value_warmup=0.05, gamma=0.5)
 
 
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
-
-
-def test_every_row_is_filtered_as_if_it_were_alone(parts: Parts) -> None:
+def test_every_row_is_filtered_as_if_it_were_alone(parts):
     def drive(rows: Sequence[int]) -> np.ndarray:
         lines = {row: iter(range(row, 1000, 4)) for row in rows}
-        env = FilteredTask(Staggered(len(rows)), parts.world_model, lambda: 0)  # type: ignore[arg-type]
+        env = FilteredTask(Staggered(len(rows)), parts.world_model, lambda: 0)
         owner = iter(rows)
         env._next_seed = lambda: next(lines[next(owner)])
         seen = [env.reset()]
         for _ in range(9):
             env.step_async(np.full((len(rows), 2), 0.1, np.float32))
-            t = env.task.t + 1  # type: ignore[attr-defined]
-            owner = iter([row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4])  # type: ignore[attr-defined]
+            t = env.task.t + 1
+            owner = iter([row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4])
             seen.append(env.step_wait()[0])
         return np.stack(seen)
 
@@ -48,8 +37,8 @@ def test_every_row_is_filtered_as_if_it_were_alone(parts: Parts) -> None:
         np.testing.assert_allclose(drive([row])[:, 0], together[:, row], atol=1e-5)
 
 
-def test_actions_beyond_the_bounds_are_executed_at_the_bounds(parts: Parts) -> None:
-    env = FilteredTask(Staggered(2), parts.world_model, iter(range(100)).__next__)  # type: ignore[arg-type]
+def test_actions_beyond_the_bounds_are_executed_at_the_bounds(parts):
+    env = FilteredTask(Staggered(2), parts.world_model, iter(range(100)).__next__)
     executed, penalty = env.execute(np.array([[-3.0, 0.5], [1.5, -0.2]], np.float32))
     np.testing.assert_array_equal(executed, np.array([[-1.0, 0.5], [1.0, -0.2]], np.float32))
     assert not penalty.any()
@@ -57,7 +46,7 @@ def test_actions_beyond_the_bounds_are_executed_at_the_bounds(parts: Parts) -> N
 
 def reward_of(parts: Parts, actor: torch.nn.Module) -> float:
     """Mean reward per step of the deterministic actor: the staggered task pays the first component of the action."""
-    env = FilteredTask(Staggered(8), parts.world_model, iter(range(100_000)).__next__)  # type: ignore[arg-type]
+    env = FilteredTask(Staggered(8), parts.world_model, iter(range(100_000)).__next__)
     seen, total = env.reset(), 0.0
     for _ in range(20):
         with torch.inference_mode():
@@ -67,32 +56,32 @@ def reward_of(parts: Parts, actor: torch.nn.Module) -> float:
     return total
 
 
-def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts: Parts) -> None:
+def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts):
     actor = copy.deepcopy(parts.skills.expert)
     with torch.no_grad():
-        actor.net[-1].weight.mul_(0.1)  # type: ignore[operator, union-attr]
+        actor.net[-1].weight.mul_(0.1)
     before = copy.deepcopy(actor.state_dict())
-    better, curve = reinforce(actor, Staggered(4), parts.world_model, CONFIG, 1e9, "t", 0, no_progress)  # type: ignore[arg-type]
+    better, curve = reinforce(actor, Staggered(4), parts.world_model, CONFIG, 1e9, "t", 0, no_progress)
     assert all(torch.equal(value, before[name]) for name, value in actor.state_dict().items())
     assert reward_of(parts, better) > reward_of(parts, actor) + 0.3
     assert not any(parameter.requires_grad for parameter in better.parameters())
     assert curve[-1]["interactions"] >= 3000
 
 
-def test_the_same_seed_gives_the_same_actor(parts: Parts) -> None:
+def test_the_same_seed_gives_the_same_actor(parts):
     short = CONFIG.model_copy(update={"interactions": 512, "value_warmup": 0.0})
     task, actor = Staggered(4), parts.skills.expert
-    one, two = (reinforce(actor, task, parts.world_model, short, 1e9, "t", 0, no_progress)[0] for _ in range(2))  # type: ignore[arg-type]
+    one, two = (reinforce(actor, task, parts.world_model, short, 1e9, "t", 0, no_progress)[0] for _ in range(2))
     assert all(torch.equal(value, two.state_dict()[name]) for name, value in one.state_dict().items())
     assert not all(torch.equal(value, actor.state_dict()[name]) for name, value in one.state_dict().items())
 
 
-def test_only_the_value_function_learns_at_first() -> None:
+def test_only_the_value_function_learns_at_first():
     actor, value = torch.nn.Linear(2, 2), torch.nn.Linear(2, 1)
     extractor = SimpleNamespace(policy_net=actor, value_net=value)
     policy = SimpleNamespace(mlp_extractor=extractor, action_net=torch.nn.Linear(2, 2), log_std=torch.nn.Parameter(torch.zeros(2)))
     warmup = ValueWarmup(until=100)
-    warmup.model = SimpleNamespace(policy=policy)  # type: ignore[assignment]
+    warmup.model = SimpleNamespace(policy=policy)
 
     def learning() -> list[bool]:
         return [p.requires_grad for p in (actor.weight, policy.action_net.weight, policy.log_std, value.weight)]
@@ -107,16 +96,16 @@ def test_only_the_value_function_learns_at_first() -> None:
     assert learning() == [True, True, True, True]
 
 
-def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts: Parts) -> None:
+def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts):
     short = CONFIG.model_copy(update={"interactions": 512, "value_warmup": 0.0})
     task, actor = Staggered(4), parts.skills.expert
-    run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]  # type: ignore[arg-type]
+    run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]
     assert run[0][-1]["multiplier"] > short.multiplier_init > run[1][-1]["multiplier"]
 
 
-def test_a_folder_of_the_default_logger_is_never_left(parts: Parts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_the_default_logger_is_never_left(parts, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     short = CONFIG.model_copy(update={"interactions": 256})
-    reinforce(parts.skills.expert, Staggered(4), parts.world_model, short, 25.0, "t", 0, no_progress)  # type: ignore[arg-type]
+    reinforce(parts.skills.expert, Staggered(4), parts.world_model, short, 25.0, "t", 0, no_progress)
     assert not list(tmp_path.iterdir())

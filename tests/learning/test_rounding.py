@@ -1,9 +1,5 @@
 """Weights as they ship: rounded once, by the stage that trained them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -13,7 +9,7 @@ from wasp_cli.models.weights import load_weights, save_weights
 from wasp_cli.store.slim import Slimming, slim
 
 
-def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp_path: Path) -> None:
+def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp_path):
     trained = torch.nn.Sequential(torch.nn.Linear(7, 5), torch.nn.BatchNorm1d(5))
     before = {name: value.clone() for name, value in trained.state_dict().items()}
     save_weights(rounded(trained), tmp_path / "m.safetensors")
@@ -29,7 +25,7 @@ def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp
 
 
 @pytest.mark.parametrize("value", [1e6, float("nan")])
-def test_a_weight_that_16_bits_cannot_hold_ends_the_training(value: float) -> None:
+def test_a_weight_that_16_bits_cannot_hold_ends_the_training(value):
     module = torch.nn.Linear(2, 2)
     torch.nn.init.constant_(module.bias, value)
     with pytest.raises(TrainingError, match="weight 'bias' does not fit into 16 bits"):

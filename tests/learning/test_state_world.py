@@ -1,7 +1,5 @@
 """Worlds without a world model: the loop, Diffusion and IDA run where the state is the latent and only the operator sees the goal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.state import StateWorld
 from wasp_cli.models.weights import save_weights
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
+from wasp_cli.stages.base import no_progress
 from wasp_cli.tasks.base import Bools, Observation, Step
 
 ROWS = 6
@@ -75,7 +74,7 @@ def flown(assistant: Assistant) -> Loop:
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+def parts(tmp_path_factory) -> Parts:
     """A denoiser of commands that are always 1, and critics of which three of four like larger commands."""
     folder: Path = tmp_path_factory.mktemp("parts")
     config = DenoiserConfig(steps=20, hidden=(32,), updates=400, batch=64)
@@ -83,7 +82,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
     recording = Recording(**dict.fromkeys(Recording._fields, np.zeros(0)) | {"episode": np.arange(200) // 20})
     latents = Latents(state, torch.zeros(200, 0, dtype=torch.uint8), 1)
     torch.manual_seed(0)
-    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 0, lambda share, text: None)
+    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 0, no_progress)
     levels = {"steps": schedule.steps, "beta_min": config.beta_min, "beta_max": config.beta_max}
     save_weights(denoiser, folder / "denoiser.safetensors", features=1, action=1, hidden=[32], steps=schedule.steps, schedule=levels)
     critics = QEnsemble(4, 1, 1, [])
@@ -91,10 +90,10 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
         critics.weights[0].copy_(torch.tensor([[0.0, 1.0], [0.0, 2.0], [0.0, 1.0], [0.0, -1.0]]).unsqueeze(-1))
     save_weights(critics, folder / "ensemble.safetensors", members=4, features=1, action=1, hidden=[])
     inputs = {"denoiser": folder, "ida_q": folder}
-    return Parts(WORLD, Skills((1.0,), 1, (1,), 1), inputs, {}, gamma_r=0.99, gamma_c=0.99, lam=0.95)  # type: ignore[arg-type]
+    return Parts(WORLD, Skills((1.0,), 1, (1,), 1), inputs, {}, gamma_r=0.99, gamma_c=0.99, lam=0.95)
 
 
-def test_the_latent_is_the_state_and_nothing_else() -> None:
+def test_the_latent_is_the_state_and_nothing_else():
     line = Line(2)
     filter_ = Filter(WORLD, 2)
     seen = line.reset([0, 1])
@@ -105,23 +104,21 @@ def test_the_latent_is_the_state_and_nothing_else() -> None:
     assert moved.z.shape == (2, 0)
 
 
-def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have() -> None:
+def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have():
     loop = flown(HumanOnly())
     assert loop.goals.sum(0).tolist() == [1] * ROWS
-    assert loop.h is not None
-    assert loop.z is not None
     assert loop.h.shape == (len(loop.reward), ROWS, 1)
     assert loop.z.shape[-1] == 0
     assert (np.sign(loop.a_h[0, :, 0]) == [-1, 1, -1, 1, -1, 1]).all()
 
 
-def test_diffusion_knows_what_was_demonstrated_and_keeps_commands_at_zero(parts: Parts) -> None:
+def test_diffusion_knows_what_was_demonstrated_and_keeps_commands_at_zero(parts):
     kept, changed = (flown(Diffusion(DiffusionConfig(ratio=ratio), parts)) for ratio in (0.0, 1.0))
     assert (kept.action == kept.a_h).all()
     assert changed.action[0].mean() > 0.5, "all was demonstrated to go one way"
 
 
-def test_ida_takes_over_where_all_of_its_critics_agree(parts: Parts) -> None:
+def test_ida_takes_over_where_all_of_its_critics_agree(parts):
     for vote, intervenes in ((0.99, False), (0.4, True)):
         loop = flown(IDA(IDAConfig(copilot="diffusion", ratio=1.0, vote=vote), parts))
         towards_one = loop.a_h[0, :, 0] < 0

@@ -1,9 +1,5 @@
 """Shards, the training of the world model and its checkpoints, encoding."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -19,9 +15,10 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.learning.world_model import Report, build, train
 from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.stages.base import no_progress
 
 
-def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
+def test_shards_come_back_as_they_were(tmp_path):
     whole = recording()
     for number in (0, 1):
         write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2), SOURCES)
@@ -32,14 +29,14 @@ def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
     assert cost_sources(tmp_path) == SOURCES
 
 
-def test_a_task_without_cost_sources_has_shards_too(tmp_path: Path) -> None:
+def test_a_task_without_cost_sources_has_shards_too(tmp_path):
     whole = recording()
     write_shard(tmp_path / "shard-0000.parquet", whole._replace(sources=whole.sources[:, :0]), ())
     assert read_shards(tmp_path).sources.shape == (36, 0)
     assert cost_sources(tmp_path) == ()
 
 
-def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended() -> None:
+def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended():
     data = recording((2,) * 37)
     chosen = data.held_out(0.1)
     assert set(data.episode[chosen]) == {9, 19, 29}
@@ -52,7 +49,7 @@ def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended()
     assert len(light.reward) == 6
 
 
-def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+def test_a_damaged_shard_is_named(tmp_path):
     with pytest.raises(ArtifactError, match="no shards"):
         read_shards(tmp_path)
     (tmp_path / "shard-0000.parquet").write_bytes(b"PAR1 not really")
@@ -63,7 +60,7 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mirror", "weight"), [(None, 0.0), (MIRROR, 0.0), (MIRROR, 100.0)], ids=["straight", "mirror", "with the privileged vector"]
 )
-def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None, weight: float) -> None:
+def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
     data, config = recording(), TINY.model_copy(update={"privileged": weight})
 
     def fresh() -> SafetyWorldModel:
@@ -76,11 +73,10 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None,
         train(model, data, ROWS, config, config.updates, 5, tmp_path / name, report, readout=readout, mirror=mirror)
         return readout
 
-    silent: Report = lambda share, text: None  # noqa: E731
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     whole = fresh()
-    head = go_on(whole, "a", silent)
+    head = go_on(whole, "a", no_progress)
 
     class Interrupted(Exception):
         pass
@@ -92,7 +88,7 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None,
     with pytest.raises(Interrupted):
         go_on(fresh(), "b", interrupt)
     again = fresh()
-    head_again = go_on(again, "b", silent)
+    head_again = go_on(again, "b", no_progress)
     for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
     if head is not None and head_again is not None:
@@ -100,37 +96,15 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None,
     assert (head is None) == (weight == 0)
 
 
-def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:
-    module, source = torch.nn.Linear(3, 2), generator(1)
-    optimizer = torch.optim.Adam(module.parameters(), lr=0.1)
-    module(torch.ones(1, 3)).sum().backward()
-    optimizer.step()
-    save_training(tmp_path, module, optimizer, source, {"update": 7})
-    wanted = torch.rand(3, generator=source)
-    other, again = torch.nn.Linear(3, 2), generator(9)
-    fresh = torch.optim.Adam(other.parameters(), lr=0.1)
-    assert restore_training(tmp_path, other, fresh, again) == {"update": 7}
-    assert torch.equal(torch.rand(3, generator=again), wanted)
-    for a, b in zip(optimizer.state_dict()["state"].values(), fresh.state_dict()["state"].values(), strict=True):
-        assert all(torch.equal(torch.as_tensor(a[k]), torch.as_tensor(b[k])) for k in a)
-
-
-def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path: Path) -> None:
+def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path):
     data = recording()
+    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, no_progress)
     data.reward[:] = np.nan
-    with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
-        train(build(TINY, 2), data, ROWS, TINY, TINY.updates, 0, tmp_path, lambda share, text: None)
-
-
-def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path: Path) -> None:
-    data = recording()
-    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
-    data.reward[:] = np.nan
-    _, skipped = train(build(TINY, 2), data, ROWS, TINY, 7, 5, tmp_path, lambda share, text: None)
+    _, skipped = train(build(TINY, 2), data, ROWS, TINY, 7, 5, tmp_path, no_progress)
     assert skipped == 3
 
 
-def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path):
     module, source = torch.nn.Linear(3, 2), generator(1)
     optimizer = torch.optim.Adam(module.parameters())
     save_training(tmp_path, module, optimizer, source, {"update": 1})
@@ -141,32 +115,32 @@ def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path: Pat
         restore_training(tmp_path, module, optimizer, source)
 
 
-def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_a_bad_update_is_left_out_and_counted(tmp_path):
     data = recording((60, 60))
     data.reward[30] = np.inf
     torch.manual_seed(0)
     model = build(TINY, 2)
-    curves, skipped = train(model, data, np.arange(120), TINY, 24, 3, tmp_path, lambda share, text: None)
+    curves, skipped = train(model, data, np.arange(120), TINY, 24, 3, tmp_path, no_progress)
     assert 1 <= skipped <= 5
     assert all(len(curve) <= 2 for curve in curves.values())
     assert all(torch.isfinite(value).all() for value in model.state_dict().values())
 
 
-def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) -> None:
+def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path):
     data = recording()
-    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
+    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, no_progress)
     good = (tmp_path / "training.safetensors").read_bytes()
     data.reward[:] = np.nan
-    with pytest.raises(TrainingError, match="6 updates had a non-finite loss"):
-        train(build(TINY, 2), data, ROWS, TINY, 40, 5, tmp_path, lambda share, text: None)
+    with pytest.raises(TrainingError, match=r"6 updates had a non-finite loss.*beta_r nan"):
+        train(build(TINY, 2), data, ROWS, TINY, 40, 5, tmp_path, no_progress)
     assert (tmp_path / "training.safetensors").read_bytes() == good
 
 
-def test_encoding_is_what_the_closed_loop_filters() -> None:
+def test_encoding_is_what_the_closed_loop_filters():
     torch.manual_seed(0)
     model, data = build(TINY, 2), recording()
     with torch.inference_mode():
-        latents = encode(model, data, lambda share, text: None)
+        latents = encode(model, data, no_progress)
         latent = model.initial(1)
         for row in np.flatnonzero(data.episode == 1):
             one = [torch.from_numpy(field[row : row + 1]) for field in (data.action, data.pixels, data.first)]
@@ -174,7 +148,7 @@ def test_encoding_is_what_the_closed_loop_filters() -> None:
             torch.testing.assert_close(latents.at(torch.tensor([row])).h, latent.h)
 
 
-def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
+def test_the_multiplier_rises_above_the_limit_and_falls_below_it():
     rule = MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0)
     assert rule.next(0.3, 50.0) == pytest.approx(0.4)
     assert rule.next(0.3, 0.0) == pytest.approx(0.2)

@@ -1,7 +1,5 @@
 """Training sequences, what followed them, and the latents from which they go on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -15,14 +13,14 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import Ahead
 
 
-def test_windows_that_must_stay_in_an_episode_do() -> None:
+def test_windows_that_must_stay_in_an_episode_do():
     data = recording()
     for start in data.window_starts(7):
         assert len(set(data.episode[start : start + 7])) == 1
     assert len(data.window_starts(7)) == (12 - 6) + (9 - 6) + (15 - 6)
 
 
-def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
+def test_sampled_sequences_begin_without_a_past_and_hold_costs():
     data = recording((200, 200))
     data.cost[:] = 0
     data.cost[137] = 1
@@ -33,7 +31,7 @@ def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
     assert np.array_equal(window.batch.first.numpy(), data.first[window.rows.numpy()])
 
 
-def test_sequences_keep_out_of_rows_that_may_not_be_learned_from() -> None:
+def test_sequences_keep_out_of_rows_that_may_not_be_learned_from():
     data = recording((200, 50, 200))
     allowed = np.flatnonzero(data.episode != 1)
     rows = torch.cat([Windows(data, allowed, 10, 0.5).sample(8, generator(seed)).rows.flatten() for seed in range(40)])
@@ -44,7 +42,7 @@ def test_sequences_keep_out_of_rows_that_may_not_be_learned_from() -> None:
     assert batch.batch.first[0, batch.rows[0] == 250] == 1
 
 
-def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
+def test_a_sequence_goes_on_from_what_was_inferred_before_it():
     data = recording((30, 30))
     context, windows = Context(60, 4, 3), Windows(data, np.arange(60), 5, 0.0)
     window = windows.sample(1, generator(0))
@@ -60,7 +58,7 @@ def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
     assert torch.equal(before.z, z[:, 0])
 
 
-def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
+def test_what_followed_is_looked_up_to_the_end_of_the_episode():
     data, source = recording((7, 30)), generator(0)
     windows = Windows(data, np.arange(37), 6, 0.0)
     window = windows.sample(40, source)
@@ -81,7 +79,7 @@ def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
     assert int((window.rows[ahead.row, ahead.step] + 5 > window.rows[ahead.row, -1]).sum()) > 0, "some lie behind their window"
 
 
-def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them() -> None:
+def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them():
     data, source = recording((40, 30)), generator(0)
     windows = Windows(data, np.arange(70), 5, 0.0, mirror=MIRROR)
     window = windows.sample(60, source)
@@ -105,7 +103,7 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them() -> 
     assert torch.equal(straight.memory, straight.rows)
 
 
-def test_a_row_and_its_mirror_image_are_remembered_apart() -> None:
+def test_a_row_and_its_mirror_image_are_remembered_apart():
     data = recording((30, 30))
     context, windows = Context(120, 4, 3), Windows(data, np.arange(60), 5, 0.0, mirror=MIRROR)
     window = windows.sample(1, generator(0))
@@ -121,7 +119,7 @@ def test_a_row_and_its_mirror_image_are_remembered_apart() -> None:
     assert torch.equal(context.enter(window._replace(memory=window.rows), 2)[1].h, torch.arange(4.0).reshape(1, 4))
 
 
-def test_imagined_steps_after_a_reset_do_not_count() -> None:
+def test_imagined_steps_after_a_reset_do_not_count():
     torch.manual_seed(0)
     model, source = build(TINY, 2), generator(0)
     windows = Windows(recording((7, 30)), np.arange(37), 6, 0.0)
@@ -145,7 +143,7 @@ def test_imagined_steps_after_a_reset_do_not_count() -> None:
     assert terms(ahead._replace(pixels=seen))[2] != terms(ahead)[2]
 
 
-def test_an_imagined_rollout_is_scored_as_its_steps_are() -> None:
+def test_an_imagined_rollout_is_scored_as_its_steps_are():
     """The terms against the heads and the decoder, called step by step."""
     torch.manual_seed(0)
     model, source = build(TINY, 2), generator(3)
@@ -170,6 +168,6 @@ def test_an_imagined_rollout_is_scored_as_its_steps_are() -> None:
     assert losses["ahead_o"].item() == pytest.approx(sum(images) / max(1, len(images)), rel=1e-4)
 
 
-def test_a_dataset_that_is_too_small_says_so() -> None:
+def test_a_dataset_that_is_too_small_says_so():
     with pytest.raises(TrainingError, match="fewer than one sequence"):
         Windows(recording((3,)), np.arange(3), 10, 0.0)

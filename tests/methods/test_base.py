@@ -1,7 +1,5 @@
 """What the closed loop asks of every decision."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -17,12 +15,12 @@ class Mine:
     """The assistant that is named in messages."""
 
 
-def test_commands_may_stand_without_a_record() -> None:
+def test_commands_may_stand_without_a_record():
     decision = Decision(COMMANDS.clone())
     assert checked(decision, Mine(), COMMANDS, COMMANDS.clone()) is decision
 
 
-def test_a_command_may_change_where_a_gate_fired() -> None:
+def test_a_command_may_change_where_a_gate_fired():
     record = blank_record(2)
     record.gate[1] = 3
     decision = Decision(CHANGED, record)
@@ -39,19 +37,19 @@ def test_a_command_may_change_where_a_gate_fired() -> None:
         (Decision(CHANGED[0]), r"shape \[2\] for commands of shape \[2, 2\]"),
     ],
 )
-def test_what_breaks_the_contract_is_said(decision: object, message: str) -> None:
+def test_what_breaks_the_contract_is_said(decision, message):
     with pytest.raises(WaspError, match=message):
         checked(decision, Mine(), COMMANDS, COMMANDS.clone())
 
 
-def test_an_undefined_command_is_the_tasks_to_refuse() -> None:
+def test_an_undefined_command_is_the_tasks_to_refuse():
     commands = torch.full((1, 2), torch.nan)
     decision = Decision(commands.clone())
     assert checked(decision, Mine(), commands, commands.clone()) is decision
 
 
 @pytest.mark.parametrize("to", [0.0, torch.nan])
-def test_a_command_that_was_changed_in_place_is_refused(to: float) -> None:
+def test_a_command_that_was_changed_in_place_is_refused(to):
     """What is recorded as the command would be what the assistant made of it, without any intervention."""
     commands = COMMANDS.clone()
     given = commands.clone()

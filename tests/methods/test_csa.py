@@ -1,15 +1,10 @@
 """Consistency shared autonomy: one step, no draws, and a level at which nothing happens."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
-from wasp_cli.methods.base import Parts
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.configs import CSAConfig
 from wasp_cli.methods.csa import CSA
 from wasp_cli.metrics.episode import GATE_METHOD
@@ -18,11 +13,6 @@ from wasp_cli.models.consistency import sigma_at
 from wasp_cli.operators.base import EpisodeNoise, Operator
 
 ROWS = 5
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
 
 
 @pytest.fixture
@@ -43,23 +33,23 @@ def executed(made: CSA, latent: Latent, commands: Tensor, seed: int = 0) -> tupl
     return decision.action, [] if decision.record is None else decision.record.gate.tolist()
 
 
-def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts: Parts, latent: Latent, commands: Tensor) -> None:
-    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), latent, commands)  # type: ignore[arg-type]
+def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts, latent, commands):
+    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), latent, commands)
     assert torch.equal(action, commands)
     assert gates == []
 
 
-def test_the_same_command_gives_the_same_action_whatever_the_episode_and_the_draws(parts: Parts, latent: Latent, commands: Tensor) -> None:
+def test_the_same_command_gives_the_same_action_whatever_the_episode_and_the_draws(parts, latent, commands):
     made = build_assistant("csa", {"ratio": 0.4}, parts)
-    first, gates = executed(made, latent, commands)  # type: ignore[arg-type]
+    first, gates = executed(made, latent, commands)
     torch.manual_seed(99)
-    again, _ = executed(made, latent, commands, seed=7)  # type: ignore[arg-type]
+    again, _ = executed(made, latent, commands, seed=7)
     assert torch.equal(first, again)
     assert not torch.equal(first, commands)
     assert gates == [GATE_METHOD] * ROWS
 
 
-def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(latent: Latent, commands: Tensor) -> None:
+def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(latent, commands):
     asked: list[tuple[Tensor, Tensor]] = []
 
     def network(features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
@@ -67,7 +57,7 @@ def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_
         return 3 * noisy
 
     made = object.__new__(CSA)
-    made.ratio, made.model = 0.4, network  # type: ignore[assignment]
+    made.ratio, made.model = 0.4, network
     action, _ = executed(made, latent, commands)
     ((noisy, sigma),) = asked
     assert torch.equal(noisy, commands)
@@ -75,9 +65,9 @@ def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_
     assert torch.equal(action, (3 * commands).clamp(-1, 1))
 
 
-def test_it_acts_by_what_the_latent_holds(parts: Parts, latent: Latent, commands: Tensor) -> None:
+def test_it_acts_by_what_the_latent_holds(parts, latent, commands):
     made = build_assistant("csa", {}, parts)
-    here, _ = executed(made, latent, commands)  # type: ignore[arg-type]
-    there, _ = executed(made, Latent(latent.h + 1, latent.z), commands)  # type: ignore[arg-type]
+    here, _ = executed(made, latent, commands)
+    there, _ = executed(made, Latent(latent.h + 1, latent.z), commands)
     assert not torch.equal(here, there)
     assert CSAConfig().ratio == pytest.approx(20 / 29, abs=1e-3)  # level 9 of 30, counted from the top

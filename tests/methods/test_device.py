@@ -1,9 +1,6 @@
 """Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods import filter as safety_filter
@@ -37,16 +33,6 @@ CASES = [
 NOWHERE = [*((method, changes, "laggy") for method, changes in CASES), ("printed", {}, "noisy"), ("printed", {}, "reaction-time")]
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("device"))
-
-
-@pytest.fixture
-def parts(folders: dict[str, Path]) -> Parts:
-    return load_parts(folders, ReturnsConfig())
-
-
 def filtered(parts: Parts) -> Latent:
     source = torch.Generator().manual_seed(0)
     rssm = parts.world_model.rssm
@@ -67,7 +53,7 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
     """Three decisions in a row; `tau` = thresholds of WASP and the filter, chosen so that some rows fire."""
     assistant, operator = made(parts, method, changes)
     if tau is not None:
-        assistant.tau_c, assistant.tau_r = tau  # type: ignore[attr-defined]
+        assistant.tau_c, assistant.tau_r = tau
     latent, found = filtered(parts).to(parts.device), []
     with torch.inference_mode():
         for _ in range(3):
@@ -77,15 +63,13 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
 
 
 @pytest.mark.parametrize(("method", "changes", "operator"), NOWHERE)
-def test_no_assistant_looks_at_a_number_on_another_device(
-    folders: dict[str, Path], method: str, changes: dict[str, Any], operator: str
-) -> None:
+def test_no_assistant_looks_at_a_number_on_another_device(artifacts, method, changes, operator):
     """Tensors that have shapes and no values: what asks for one raises, and so does a tensor of the CPU among them."""
     nowhere = torch.device("meta")
     for look in (lambda x: bool(x.sum() > 0), lambda x: x.numpy(), lambda x: x.nonzero(), lambda x: x + torch.zeros(2)):
         with pytest.raises((RuntimeError, NotImplementedError, TypeError)):
             look(torch.zeros(2, device=nowhere))
-    parts = load_parts(folders, ReturnsConfig(), nowhere)
+    parts = load_parts(artifacts, ReturnsConfig(), nowhere)
     assistant, issuing = made(parts, method, changes, operator)
     latent = filtered(parts).to(nowhere)
     with torch.inference_mode():
@@ -111,9 +95,7 @@ def thresholds(parts: Parts, method: str, changes: dict[str, Any]) -> tuple[floa
 
 
 @pytest.mark.parametrize(("method", "changes"), [case for case in CASES if case[0] in ("wasp", "printed")])
-def test_masks_over_all_rows_decide_what_gathered_rows_do(
-    parts: Parts, method: str, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_masks_over_all_rows_decide_what_gathered_rows_do(parts, method, changes, monkeypatch):
     tau = thresholds(parts, method, changes)
     gathered = decide(parts, method, changes, tau)
     monkeypatch.setattr(wasp if method == "wasp" else printed, "chosen", everything)
@@ -123,7 +105,7 @@ def test_masks_over_all_rows_decide_what_gathered_rows_do(
     assert (gates > 0).any()
 
 
-def test_the_filter_s_masks_decide_what_gathered_rows_do(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_filter_s_masks_decide_what_gathered_rows_do(parts, monkeypatch):
     signal = torch.cat([d.record.signal for d in decide(parts, "filter", {}, (1e9, 0.0)) if d.record is not None])
     tau = float(signal.median()), 0.0
     gathered = decide(parts, "filter", {}, tau)
@@ -137,8 +119,6 @@ def test_the_filter_s_masks_decide_what_gathered_rows_do(parts: Parts, monkeypat
 def same(found: list[Decision], wanted: list[Decision]) -> None:
     """Every field of every decision, up to the rounding of products of other sizes."""
     for one, other in zip(found, wanted, strict=True):
-        assert one.record is not None
-        assert other.record is not None
         assert torch.equal(one.record.gate, other.record.gate)
         fields = zip(
             (one.action, *one.record, *(one.planned or ())), (other.action, *other.record, *(other.planned or ())), strict=True
@@ -147,13 +127,13 @@ def same(found: list[Decision], wanted: list[Decision]) -> None:
             torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4, equal_nan=True)
 
 
-def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts: Parts) -> None:
+def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts):
     tau = thresholds(parts, "wasp", {})
     assistant, operator = made(parts, "wasp", {})
-    assistant.tau_c, assistant.tau_r = tau  # type: ignore[attr-defined]
+    assistant.tau_c, assistant.tau_r = tau
     latent = filtered(parts)
     seen: list[int] = []
-    imagination = assistant.imagination  # type: ignore[attr-defined]
+    imagination = assistant.imagination
     roll = type(imagination).roll
 
     def counted(self: Any, start: Any, *arguments: Any, **named: Any) -> Any:
@@ -169,22 +149,22 @@ def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts: Part
             decision = assistant.decide(latent, a_h, operator)
             if t == 0:
                 assert set(seen) == set(range(B))
-                assistant.rest(over)  # type: ignore[attr-defined]
+                assistant.rest(over)
             else:
                 assert torch.equal(decision.action[over], a_h[over])
             torch.testing.assert_close(decision.action[~over], whole[t].action[~over], atol=1e-5, rtol=1e-4)
             seen.clear() if t == 0 else None
     assert set(seen) == {0, 2, 4}
     assistant.reset(over, [20 + b for b in range(B)])
-    assert not assistant.resting.any()  # type: ignore[attr-defined]
+    assert not assistant.resting.any()
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
 @pytest.mark.parametrize(("method", "changes"), CASES)
-def test_a_gpu_decides_what_the_cpu_does(folders: dict[str, Path], parts: Parts, method: str, changes: dict[str, Any]) -> None:
+def test_a_gpu_decides_what_the_cpu_does(artifacts, parts, method, changes):
     """The same draws and weights; only sums are in another order: 1e-4 of every number that leads to a decision."""
     tau = thresholds(parts, method, changes) if method in ("wasp", "printed") else None
-    there = load_parts(folders, ReturnsConfig(), torch.device("cuda"))
+    there = load_parts(artifacts, ReturnsConfig(), torch.device("cuda"))
     found = decide(there, method, changes, tau)
     wanted = decide(parts, method, changes, tau)
     if wanted[0].record is not None:
@@ -207,7 +187,7 @@ def blocks() -> Iterator[tuple[str, Callable[[Any], list[Tensor]]]]:
     yield "normal", lambda streams: [streams.normal(3, 2, purpose=1)]
 
 
-def test_draws_made_ahead_are_those_of_each_decision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_draws_made_ahead_are_those_of_each_decision(monkeypatch):
     """On another device the draws of many decisions are made at once; which those are must not change them."""
     seeds, everyone = [3, 4, 5], torch.ones(3, dtype=torch.bool)
     monkeypatch.setattr("wasp_cli.methods.noise.AHEAD", 4)
@@ -231,7 +211,7 @@ def test_draws_made_ahead_are_those_of_each_decision(monkeypatch: pytest.MonkeyP
             assert torch.equal(mine, theirs)
 
 
-def test_what_one_purpose_draws_changes_nothing_for_another() -> None:
+def test_what_one_purpose_draws_changes_nothing_for_another():
     noise = DecisionNoise()
     noise.reset(torch.ones(2, dtype=torch.bool), [1, 2])
     first = noise.streams()

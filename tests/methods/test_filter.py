@@ -1,7 +1,5 @@
 """The safety filter against a world in which the danger of an action is known."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,8 +39,8 @@ def made(value: float = 0.0, shake: float = 0.0, **settings: Any) -> SafetyFilte
     """A filter on that world, with V_c the same everywhere."""
     made = object.__new__(SafetyFilter)
     made.config = FilterConfig(**settings)
-    made.model, made.gamma_c = Slope(shake), GAMMA  # type: ignore[assignment]
-    made.critics = SimpleNamespace(value_c=lambda latent: torch.full((len(latent.h),), value))  # type: ignore[assignment]
+    made.model, made.gamma_c = Slope(shake), GAMMA
+    made.critics = SimpleNamespace(value_c=lambda latent: torch.full((len(latent.h),), value))
     made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
     made.noise = DecisionNoise()
     return made
@@ -56,26 +54,26 @@ def decide(filter_: SafetyFilter, h: Tensor, a_h: Tensor) -> tuple[Tensor, Any]:
     return decision.action, decision.record
 
 
-def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_behind_it() -> None:
+def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_behind_it():
     _, record = decide(made(value=2.0), torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
     assert record.signal.item() == pytest.approx(0.3 + 0.4 * 0.5 + GAMMA * 2.0)
 
 
-def test_nothing_costs_behind_the_end_of_an_episode() -> None:
+def test_nothing_costs_behind_the_end_of_an_episode():
     filter_ = made(value=2.0)
-    filter_.model.continues = lambda latent: torch.zeros(len(latent.h))  # type: ignore[method-assign]
+    filter_.model.continues = lambda latent: torch.zeros(len(latent.h))
     _, record = decide(filter_, torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
     assert record.signal.item() == pytest.approx(0.5)
 
 
-def test_a_safe_command_stands_bit_for_bit() -> None:
+def test_a_safe_command_stands_bit_for_bit():
     a_h = torch.tensor([[0.123, -0.456], [-1.0, 1.0]])
     action, record = decide(made(tau_c=0.9), torch.tensor([0.3, 0.5]), a_h)
     assert torch.equal(action, a_h)
     assert record.gate.tolist() == [0, 0]
 
 
-def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for() -> None:
+def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for():
     h, a_h = torch.tensor([0.5, 0.3, 0.6]), torch.tensor([[1.0, 0.3], [0.9, -0.2], [0.5, 0.0]])
     action, record = decide(made(tau_c=0.6, segment=400), h, a_h)
     assert record.gate.tolist() == [3, 3, 3]
@@ -89,19 +87,19 @@ def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for() -> 
     assert torch.all(corner.abs() <= 1 + 1e-4)
 
 
-def test_where_no_action_is_safe_the_safest_is_executed() -> None:
+def test_where_no_action_is_safe_the_safest_is_executed():
     action, _ = decide(made(tau_c=0.1), torch.tensor([0.9]), torch.tensor([[1.0, 0.0]]))
     assert action[0, 0] == -1
 
 
-def test_many_actions_have_too_many_corners_to_try_them_all() -> None:
+def test_many_actions_have_too_many_corners_to_try_them_all():
     a_h = torch.full((2, 24), 0.9)  # 2^24 corners
     action, _ = decide(made(tau_c=0.6, candidates=32, segment=8), torch.tensor([0.5, 0.1]), a_h)
     assert action[0, 0] < 0.9
     assert torch.equal(action[1], a_h[1])
 
 
-def test_every_action_of_a_decision_meets_the_same_noise() -> None:
+def test_every_action_of_a_decision_meets_the_same_noise():
     filter_ = made(shake=0.2, rollouts=4)
     filter_.reset(torch.ones(1, dtype=torch.bool), [5])
     draws = filter_._draws(filter_.noise.streams())
@@ -115,7 +113,7 @@ def test_every_action_of_a_decision_meets_the_same_noise() -> None:
     torch.testing.assert_close(q[0], torch.stack(wanted))
 
 
-def test_the_threshold_is_a_quantile_over_what_was_harmless() -> None:
+def test_the_threshold_is_a_quantile_over_what_was_harmless():
     rows = 200
     h = torch.linspace(0, 0.8, rows)
     harmless = torch.arange(rows) % 2 == 0

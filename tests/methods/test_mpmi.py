@@ -1,17 +1,12 @@
 """MPMI against a world in which the danger of holding an input is known."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Heldout
 from wasp_cli.methods.configs import MPMIConfig
 from wasp_cli.methods.mpmi import MPMI, nearest_safe
@@ -52,10 +47,9 @@ def expected(h: Tensor, a: Tensor) -> Tensor:
 
 
 def made(shake: float = 0.0, **settings: Any) -> MPMI:
-    """MPMI on that world."""
     made = object.__new__(MPMI)
     made.config = MPMIConfig(**{"horizon": H, "rollouts": 2, **settings})
-    made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)  # type: ignore[arg-type]
+    made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)
     made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
     made.noise = DecisionNoise()
     made.inputs = 2 * torch.quasirandom.SobolEngine(2).draw(made.config.candidates) - 1
@@ -76,12 +70,12 @@ def situations(rows: int = 40) -> tuple[Tensor, Tensor]:
     return torch.rand(rows, generator=source), 2 * torch.rand(rows, 2, generator=source) - 1
 
 
-def test_the_signal_is_the_cost_of_holding_the_command() -> None:
+def test_the_signal_is_the_cost_of_holding_the_command():
     h, a_h = situations()
     torch.testing.assert_close(decide(made(), h, a_h)[1].signal, expected(h, a_h))
 
 
-def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands() -> None:
+def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands():
     h, a_h = situations()
     mpmi = made(tau_c=1.4)
     action, record = decide(mpmi, h, a_h)
@@ -99,7 +93,7 @@ def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands() -> None:
     assert fates == {(False, False), (True, True), (True, False)}  # safe; replaced; unsafe, and nothing safe
 
 
-def test_where_nothing_is_safe_the_command_stands() -> None:
+def test_where_nothing_is_safe_the_command_stands():
     h, a_h = torch.tensor([0.9]), torch.tensor([[1.0, 0.3]])
     action, record = decide(made(tau_c=0.1), h, a_h)
     assert torch.equal(action, a_h)
@@ -107,7 +101,7 @@ def test_where_nothing_is_safe_the_command_stands() -> None:
     assert record.signal.item() > 0.1
 
 
-def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs() -> None:
+def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs():
     inputs = torch.tensor([[[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]]]).expand(2, -1, -1)
     a_h = torch.tensor([[0.9, 0.9], [0.9, 0.9]])
     found, safe = nearest_safe(a_h, inputs, torch.tensor([[0.0, 0.3, 0.4], [0.5, 0.6, 0.7]]), 0.3)
@@ -115,17 +109,17 @@ def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs() -> None:
     assert safe.tolist() == [True, False]
 
 
-def test_a_quiet_decision_imagines_the_command_alone() -> None:
+def test_a_quiet_decision_imagines_the_command_alone():
     mpmi, looked = made(tau_c=1.4), []
     real = mpmi.g_c
-    mpmi.g_c = lambda latent, inputs, draws: looked.append(tuple(inputs.shape[:2])) or real(latent, inputs, draws)  # type: ignore[method-assign,func-returns-value]
+    mpmi.g_c = lambda latent, inputs, draws: looked.append(tuple(inputs.shape[:2])) or real(latent, inputs, draws)
     decide(mpmi, torch.tensor([0.0, 0.1]), torch.tensor([[0.1, 0.0], [-0.5, 0.0]]))
     assert looked == [(2, 1)]
     decide(mpmi, torch.tensor([0.0, 0.5]), torch.tensor([[0.1, 0.0], [0.9, 0.0]]))
     assert looked[1:] == [(2, 1), (1, mpmi.config.candidates)]
 
 
-def test_every_input_meets_the_same_draws() -> None:
+def test_every_input_meets_the_same_draws():
     mpmi = made(shake=0.2, tau_c=1e-6)
     mpmi.reset(torch.ones(1, dtype=torch.bool), [5])
     draws = mpmi._draws(mpmi.noise.streams())
@@ -135,8 +129,8 @@ def test_every_input_meets_the_same_draws() -> None:
     assert cost[0, 0] != expected(torch.tensor(0.5), twice[0, 0])
 
 
-def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path: Path) -> None:
-    mpmi = build_assistant("mpmi", {"candidates": 64}, load_parts(tiny_artifacts(tmp_path), ReturnsConfig()))
+def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(parts):
+    mpmi = build_assistant("mpmi", {"candidates": 64}, parts)
     assert isinstance(mpmi, MPMI)
     assert mpmi.inputs.abs().max() <= 1
     assert (mpmi.inputs == 0).all(-1).any()
@@ -144,7 +138,7 @@ def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(tmp_path: Path
     assert len({tuple(cell) for cell in cells.tolist()}) == 64  # one in each cell of eight by eight
 
 
-def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost() -> None:
+def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost():
     h, a_h = situations(200)
     latent, nothing = Latent(h.unsqueeze(-1), torch.zeros(200, 1)), torch.zeros(200)
     ahead = (h > 0.5).float()

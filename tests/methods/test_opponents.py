@@ -1,8 +1,5 @@
 """The opponents that are built of others: with the least correction, and IDA behind WASP's safety gate."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
@@ -25,14 +21,9 @@ SMALL: dict[str, Any] = {"candidates": 12, "elites": 4, "feasible": 4, "iteratio
 VOTE: dict[str, Any] = {"vote": 0.0}
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("opponents"))
-
-
 @pytest.fixture
-def parts(folders: dict[str, Path]) -> Parts:
-    return load_parts(folders, ReturnsConfig(), motors=COARSE)
+def parts(artifacts) -> Parts:
+    return load_parts(artifacts, ReturnsConfig(), motors=COARSE)
 
 
 def situation(parts: Parts) -> tuple[Latent, Tensor, Operator]:
@@ -52,7 +43,7 @@ def decided(assistant: Assistant, parts: Parts, command: Tensor | None = None) -
         return assistant.decide(latent, a_h if command is None else command, operator)
 
 
-def test_the_least_correction_has_the_force_of_the_copilot_and_the_rest_of_the_command(parts: Parts) -> None:
+def test_the_least_correction_has_the_force_of_the_copilot_and_the_rest_of_the_command(parts):
     a_h = situation(parts)[1]
     whole = decided(build_assistant("ida", VOTE, parts), parts)
     least = decided(build_assistant("ida-least", VOTE, parts), parts)
@@ -65,30 +56,27 @@ def test_the_least_correction_has_the_force_of_the_copilot_and_the_rest_of_the_c
     assert (least.action - a_h).norm() < (whole.action - a_h).norm()
 
 
-def test_ida_acts_alone_where_what_it_does_is_safe(parts: Parts) -> None:
+def test_ida_acts_alone_where_what_it_does_is_safe(parts):
     a_h = situation(parts)[1]
     ida = decided(build_assistant("ida", VOTE, parts), parts)
     guarded = decided(build_assistant("ida-guarded", SMALL | VOTE | {"tau_c": 1e6}, parts), parts)
     assert torch.equal(guarded.action, COARSE.least(a_h, ida.action))
-    assert ida.record is not None
-    assert guarded.record is not None
     assert torch.equal(guarded.record.gate, ida.record.gate)
     assert set(guarded.record.gate.tolist()) == {GATE_NONE, GATE_METHOD}
     assert torch.equal(guarded.record.signal, ida.record.signal)
 
 
-def test_the_safety_gate_looks_at_what_ida_decided(parts: Parts) -> None:
+def test_the_safety_gate_looks_at_what_ida_decided(parts):
     a_h = situation(parts)[1]
     ida = decided(build_assistant("ida", VOTE, parts), parts)
     guarded = decided(build_assistant("ida-guarded", SMALL | VOTE | {"tau_c": 1e-9}, parts), parts)
     alone = build_assistant("wasp", SMALL | {"tau_c": 1e-9, "variant": "safety-only"}, parts)
     behind = decided(alone, parts, COARSE.least(a_h, ida.action))
     assert torch.equal(guarded.action, COARSE.least(a_h, behind.action))
-    assert guarded.record is not None
     assert (guarded.record.gate == GATE_SAFETY).all()
 
 
-def test_ida_behind_the_gate_has_idas_threshold(parts: Parts) -> None:
+def test_ida_behind_the_gate_has_idas_threshold(parts):
     latent, a_h, operator = situation(parts)
     nothing = torch.zeros(B)
     heldout = Heldout(latent, a_h, nothing, nothing, nothing, nothing)
@@ -104,7 +92,7 @@ def test_ida_behind_the_gate_has_idas_threshold(parts: Parts) -> None:
     assert guarded == ida | {"tau_c": 2.0}
 
 
-def test_ended_episodes_rest_behind_the_gate(parts: Parts) -> None:
+def test_ended_episodes_rest_behind_the_gate(parts):
     assistant = build_assistant("ida-guarded", SMALL | {"vote": 0.99, "tau_c": 1e-9}, parts)
     assert isinstance(assistant, GuardedIDA)
     latent, a_h, operator = situation(parts)
@@ -113,5 +101,4 @@ def test_ended_episodes_rest_behind_the_gate(parts: Parts) -> None:
     assistant.rest(resting)
     with torch.inference_mode():
         record = assistant.decide(latent, a_h, operator).record
-    assert record is not None
     assert ((record.gate == GATE_SAFETY) == ~resting).all()

@@ -1,19 +1,13 @@
 """The planner alone: nobody's command is read, and its plans are no worse than the expert on what it imagines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import pytest
 import torch
 from torch import Tensor
 
-from tests.artifacts import tiny_artifacts
 from tests.report.invented import invent, write, write_grid
-from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Decision, Parts, checked
 from wasp_cli.methods.planner import Planner
 from wasp_cli.methods.registry import METHODS
@@ -31,11 +25,6 @@ SMALL: dict[str, Any] = {
     "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3,
     "tau_c": 3.0, "tau_r": 0.0,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
-    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("planner")), ReturnsConfig())
 
 
 def latents(step: int) -> Latent:
@@ -58,7 +47,7 @@ def planner(parts: Parts, **changes: Any) -> Planner:
     return made
 
 
-def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts: Parts) -> None:
+def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts):
     source = torch.Generator().manual_seed(9)
     first, second = (2 * torch.rand(T, B, 2, generator=source) - 1 for _ in range(2))
     one = drive(planner(parts), parts, first)
@@ -67,18 +56,16 @@ def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts: Parts
     assert any((a.action - parts.skills.expert(latents(t).features)).abs().max() > 0.01 for t, a in enumerate(one))
 
 
-def test_the_gate_is_set_where_the_action_is_not_the_command(parts: Parts) -> None:
+def test_the_gate_is_set_where_the_action_is_not_the_command(parts):
     free = drive(planner(parts), parts, torch.zeros(T, B, 2))
     same = drive(planner(parts), parts, torch.stack([each.action for each in free]))
     for a, b in zip(free, same, strict=True):
-        assert a.record is not None
-        assert b.record is not None
         assert (a.record.gate == GATE_METHOD).all()
         assert (b.record.gate == 0).all()
         assert torch.equal(a.action, b.action)
 
 
-def test_plans_gain_over_the_expert_and_keep_to_the_bound(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plans_gain_over_the_expert_and_keep_to_the_bound(parts, monkeypatch):
     made, chosen, alone = planner(parts, alpha=0.0), [], []
     real = made._search
 
@@ -99,20 +86,20 @@ def test_plans_gain_over_the_expert_and_keep_to_the_bound(parts: Parts, monkeypa
     assert (cost <= 3.0)[fine].all()
 
 
-def test_where_everything_costs_too_much_the_plan_costs_less_than_the_expert(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_everything_costs_too_much_the_plan_costs_less_than_the_expert(parts, monkeypatch):
     made, found = planner(parts, tau_c=1e-6, alpha=0.0), []
     real = made._search
-    monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])  # type: ignore[func-returns-value]
+    monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])
     drive(made, parts, torch.zeros(T, B, 2))
     assert all((plan.cost <= plan.alone_cost).all() for plan in found)
     assert any((plan.cost < plan.alone_cost).any() for plan in found)
 
 
-def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(parts, monkeypatch):
     def plans(tau_r: float) -> list[Any]:
         made, found = planner(parts, alpha=0.0, tau_r=tau_r, tau_c=1e6), []
         real = made._search
-        monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])  # type: ignore[func-returns-value]
+        monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])
         drive(made, parts, torch.zeros(T, B, 2))
         return found
 
@@ -127,14 +114,14 @@ def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(part
     assert 0 < changed < T * B
 
 
-def test_the_expert_drives_where_no_plan_gains(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_expert_drives_where_no_plan_gains(parts, monkeypatch):
     made = planner(parts, tau_r=1e6, tau_c=1e6)
     decisions = drive(made, parts, torch.zeros(T, B, 2))
     for t, each in enumerate(decisions):
         assert torch.equal(each.action, parts.skills.expert(latents(t).features).clamp(-1, 1))
 
 
-def test_ended_episodes_cost_no_search(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ended_episodes_cost_no_search(parts, monkeypatch):
     made, sizes = planner(parts), []
     real = made._scored
 
@@ -150,13 +137,13 @@ def test_ended_episodes_cost_no_search(parts: Parts, monkeypatch: pytest.MonkeyP
     assert set(sizes) == {2}
 
 
-def test_it_is_a_reference_row_without_a_calibrated_threshold(parts: Parts) -> None:
+def test_it_is_a_reference_row_without_a_calibrated_threshold(parts):
     info = METHODS["planner"]
     assert (info.impaired, info.intervenes, info.attended, info.calibrated) == (False, False, False, False)
     assert Planner(planner(parts).config, replace(parts, thresholds={"tau_c": 9.0})).tau_c == 3.0
 
 
-def test_its_row_has_no_numbers_that_compare_with_commands(tmp_path: Path) -> None:
+def test_its_row_has_no_numbers_that_compare_with_commands(tmp_path):
     wanted = write_grid(tmp_path, seeds=(0,))
     wanted.append(write(tmp_path, CellIdentity("goal1", "planner", "full", "none", None, 0), [invent(0, 12, 0.5, 0.02)]))
     frame = read_frame(wanted)

@@ -1,7 +1,5 @@
 """The reachability filter against a safety value whose constraint can be searched on a fine grid."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
@@ -34,10 +32,9 @@ class Bowl:
 
 
 def made(gamma: float | str = 0.9, motors: Motors = UNKNOWN, **settings: Any) -> ReachabilityFilter:
-    """A filter with that value."""
     made = object.__new__(ReachabilityFilter)
     made.config = ReachConfig.model_validate({"gamma": gamma, "candidates": SPREAD, **settings})
-    made.value, made.motors = Bowl(), motors  # type: ignore[assignment]
+    made.value, made.motors = Bowl(), motors
     made.gamma = 0.9 if gamma == "calibrated" else float(gamma)
     made.candidates = torch.cat([2 * torch.quasirandom.SobolEngine(2).draw(made.config.candidates) - 1, Bowl.extremes])
     return made
@@ -54,7 +51,7 @@ def states(rows: int = 60) -> tuple[Tensor, Tensor]:
     return 0.2 + 0.8 * torch.rand(rows, generator=source), 2 * torch.rand(rows, 2, generator=source) - 1
 
 
-def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_grid() -> None:
+def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_grid():
     h, a_h = states()
     action, record = decide(made(0.9), h, a_h)
     axis = torch.linspace(-1, 1, 801)
@@ -75,7 +72,7 @@ def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_
     assert 10 < moved < 55
 
 
-def test_a_larger_gamma_allows_less() -> None:
+def test_a_larger_gamma_allows_less():
     h, a_h = states()
     shares = (0.0, 0.5, 0.8, 0.9, 0.97, 1.0)
     found = [decide(made(gamma), h, a_h) for gamma in shares]
@@ -87,13 +84,13 @@ def test_a_larger_gamma_allows_less() -> None:
     assert [int(each.sum()) for each in fired] == sorted({int(each.sum()) for each in fired}), "every share should change something"
 
 
-def test_where_failure_cannot_be_avoided_the_fallback_acts() -> None:
+def test_where_failure_cannot_be_avoided_the_fallback_acts():
     action, record = decide(made(0.9), torch.tensor([-0.3, -0.01]), torch.tensor([[0.9, -0.9], [0.0, 0.0]]))
     assert torch.equal(action, Bowl.safest.expand(2, 2))
     assert record.gate.tolist() == [3, 3]
 
 
-def test_the_signal_is_what_the_command_lacks_of_its_share() -> None:
+def test_the_signal_is_what_the_command_lacks_of_its_share():
     h, a_h = states()
     _, record = decide(made(0.9), h, a_h)
     wanted = 0.9 * h - Bowl()(h.unsqueeze(-1), a_h.unsqueeze(1))[:, 0]
@@ -101,7 +98,7 @@ def test_the_signal_is_what_the_command_lacks_of_its_share() -> None:
     assert torch.equal(record.signal > 0, record.gate > 0)
 
 
-def test_of_all_actions_with_one_force_the_nearest_is_executed() -> None:
+def test_of_all_actions_with_one_force_the_nearest_is_executed():
     """A throttle that saturates at 0.05: to reverse it, a little is enough."""
     filter_ = made(0.95, Motors((0.05, 1.0)))
 
@@ -112,13 +109,13 @@ def test_of_all_actions_with_one_force_the_nearest_is_executed() -> None:
         def fallback(self, features: Tensor) -> tuple[Tensor, Tensor]:
             return torch.tensor([1.0, 0.0]).expand(len(features), 2), features[:, 0]
 
-    filter_.value = Throttle()  # type: ignore[assignment]
+    filter_.value = Throttle()
     action, _ = decide(filter_, torch.tensor([0.2]), torch.tensor([[-0.8, 0.3]]))
     assert action[0, 0] == pytest.approx(0.05, abs=0.005)
     assert action[0, 1] == pytest.approx(0.3, abs=0.05)
 
 
-def test_gamma_is_a_quantile_of_what_the_expert_keeps_where_it_was_harmless() -> None:
+def test_gamma_is_a_quantile_of_what_the_expert_keeps_where_it_was_harmless():
     rows = 200
     h, a_h = states(rows)
     harmless = torch.arange(rows) % 2 == 0

@@ -1,7 +1,5 @@
 """What registry entries say of assistants, and what readers are told where they say nothing."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import pytest
@@ -16,7 +14,7 @@ from wasp_cli.store.tables import Thresholds
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_an_entry_says_how_its_method_decides(name: str) -> None:
+def test_an_entry_says_how_its_method_decides(name):
     info = METHODS[name]
     assert info.rule.endswith(".")
     config = info.config_model()
@@ -27,17 +25,17 @@ def test_an_entry_says_how_its_method_decides(name: str) -> None:
         assert "variant" in config.model_fields
 
 
-def test_the_variants_of_wasp_are_those_of_its_configuration() -> None:
+def test_the_variants_of_wasp_are_those_of_its_configuration():
     assert tuple(METHODS["printed"].variants) == tuple(METHODS["wasp"].variants) == get_args(WASPVariant)
 
 
-def test_titles_of_variants() -> None:
+def test_titles_of_variants():
     assert who_title("wasp", "full") == "WASP"
     assert who_title("wasp", "no-case2") == "WASP, no Case II recovery"
     assert variant_title("wasp", "of a later version") == "of a later version"
 
 
-def test_a_method_that_no_registry_knows_keeps_its_name() -> None:
+def test_a_method_that_no_registry_knows_keeps_its_name():
     assert who_title("gone", "fast") == "gone, fast"
     assert variant_title("gone", "fast") == "fast"
     assert signal_of("gone").name == "signal"
@@ -52,6 +50,6 @@ def test_a_method_that_no_registry_knows_keeps_its_name() -> None:
         ("wasp_cli.methods.nowhere:Config", "does not load"),
     ],
 )
-def test_what_is_no_configuration_is_said(config: str, message: str) -> None:
+def test_what_is_no_configuration_is_said(config, message):
     with pytest.raises(WaspError, match=message):
         MethodInfo("mine", "Mine", "wasp_cli.methods.human:HumanOnly", config).config_model()

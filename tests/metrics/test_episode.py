@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,21 +12,11 @@ from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episod
 
 def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
     """Four quiet steps unless told otherwise."""
-    undefined = np.full(steps, np.nan)
     fields: dict[str, Any] = {
-        "reward": np.zeros(steps),
-        "cost": np.zeros(steps, bool),
-        "cost_env": np.zeros(steps, int),
-        "env_steps": np.full(steps, 4),
-        "goals": np.zeros(steps, int),
-        "a_h": np.zeros((steps, 2)),
-        "a": np.zeros((steps, 2)),
-        "gate": np.zeros(steps, np.int8),
-        "g_cost": undefined,
-        "g_return": undefined,
-        "delta_g": undefined,
-        "signal": undefined,
-    }
+        "reward": np.zeros(steps), "cost": np.zeros(steps, bool), "cost_env": np.zeros(steps, int), "env_steps": np.full(steps, 4),
+        "goals": np.zeros(steps, int), "a_h": np.zeros((steps, 2)), "a": np.zeros((steps, 2)), "gate": np.zeros(steps, np.int8),
+        **dict.fromkeys(("g_cost", "g_return", "delta_g", "signal"), np.full(steps, np.nan)),
+    }  # fmt: skip
     plans = changes.pop("plans", None)
     return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}), plans=plans)
 
@@ -38,7 +26,7 @@ def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:
     return {name: np.array([getattr(row, "return_" if name == "return" else name) for row in rows], np.float64) for name in names}
 
 
-def test_by_hand() -> None:
+def test_by_hand():
     episode = trajectory(
         reward=[1.0, 0.5, -0.25, 2.0],
         cost=[False, True, True, False],
@@ -66,14 +54,14 @@ def test_by_hand() -> None:
     assert (row.safety_gate, row.task_gate, row.case2) == (0.25, 0.25, 0.25)
 
 
-def test_undefined_is_none_not_zero() -> None:
+def test_undefined_is_none_not_zero():
     row = episode_metrics(trajectory(), 1, 25.0)
     assert (row.mag_int, row.case2) == (None, None)
     assert (row.int_rate, row.mag) == (0.0, 0.0)
     assert episode_metrics(trajectory(steps=1), 1, 25.0).smoothness is None
 
 
-def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one() -> None:
+def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one():
     row = episode_metrics(trajectory(a=np.full((4, 2), 5e-7)), 1, 25.0)  # norm 7e-7
     assert (row.int_rate, row.mag, row.intervened) == (0.0, 0.0, 0)
     row = episode_metrics(trajectory(a=[[2e-6, 0], [0, 1e-5], [0, 0], [1e-4, 0]]), 1, 25.0)
@@ -81,14 +69,14 @@ def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one() -> None:
     assert row.mag == pytest.approx((2e-6 + 1e-5 + 1e-4) / 4)
 
 
-def test_safe_success_needs_both() -> None:
+def test_safe_success_needs_both():
     costly = {"cost": [True] * 4, "cost_env": [1] * 4}  # 4 of 16 env steps
     assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 250.0).safe_success
     assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 249.0).safe_success
     assert not episode_metrics(trajectory(), 1, 25.0).safe_success
 
 
-def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one() -> None:
+def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
     """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and too much in one of 500."""
 
     def row(steps: int) -> EpisodeMetrics:
@@ -101,7 +89,7 @@ def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one() -> None:
     assert (row(125).env_steps, row(125).safe_success) == (500, False)
 
 
-def test_timeouts_stay_in_every_denominator() -> None:
+def test_timeouts_stay_in_every_denominator():
     """An episode that reached its time limit without a goal counts in the success rate and with all of its steps."""
     short = trajectory(steps=2, goals=[0, 1], cost=[True, False], cost_env=[1, 0], a=[[1, 0], [0, 0]])
     timeout = trajectory(steps=8)
@@ -115,14 +103,14 @@ def test_timeouts_stay_in_every_denominator() -> None:
     assert pooled["cost"].tolist() == [0.5]
 
 
-def test_pools_groups_apart() -> None:
+def test_pools_groups_apart():
     rows = [episode_metrics(trajectory(reward=[float(i)] * 4), 1, 25.0) for i in range(4)]
     pooled = pool(columns(rows), np.array([1, 0, 1, 0]))
     assert pooled["return"].tolist() == [8.0, 4.0]
     assert np.isnan(pooled["mag_int"]).all()
 
 
-def test_pool_of_nothing() -> None:
+def test_pool_of_nothing():
     assert pool(columns([]))["return"].tolist() == []
 
 
@@ -130,7 +118,7 @@ ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elem
 
 
 @given(st.lists(st.tuples(ACTIONS, st.integers(0, 2**32 - 1)), min_size=1, max_size=5))
-def test_mag_is_int_times_mag_given_int(episodes: list[tuple[np.ndarray, int]]) -> None:
+def test_mag_is_int_times_mag_given_int(episodes):
     rows = []
     for a, seed in episodes:
         acts = np.random.default_rng(seed).random(len(a)) < 0.5
@@ -142,7 +130,7 @@ def test_mag_is_int_times_mag_given_int(episodes: list[tuple[np.ndarray, int]]) 
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))
-def test_pooling_is_the_metric_of_the_joined_steps(episodes: int, seed: int) -> None:
+def test_pooling_is_the_metric_of_the_joined_steps(episodes, seed):
     """Rates of a cell are those of one long episode made of all its steps."""
     rng = np.random.default_rng(seed)
 
@@ -170,16 +158,16 @@ def test_pooling_is_the_metric_of_the_joined_steps(episodes: int, seed: int) -> 
     [{"reward": [0.0, np.nan, 0, 0]}, {"a": np.zeros((4, 3))}, {"cost": np.zeros(3, bool)}, {"a": np.full((4, 2), np.inf)}],
     ids=["reward", "action-size", "length", "action"],
 )
-def test_refuses_what_cannot_be_measured(changes: dict[str, Any]) -> None:
+def test_refuses_what_cannot_be_measured(changes):
     with pytest.raises(ValueError, match=r"reward|shape|finite"):
         trajectory(**changes)
 
 
-def test_refuses_plans_of_other_steps() -> None:
+def test_refuses_plans_of_other_steps():
     with pytest.raises(ValueError, match=r"plans\.residuals has shape \(3, 3, 2\), not \(4, 3, 2\)"):
         trajectory(plans=plans_of([0.5, np.nan, 0.0]))
 
 
-def test_refuses_an_empty_episode() -> None:
+def test_refuses_an_empty_episode():
     with pytest.raises(ValueError, match="at least one step"):
         trajectory(steps=0)

@@ -1,7 +1,5 @@
 """What is measured of forces and of changes of hands, against loops over the steps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -46,7 +44,7 @@ def mean(values: list[float]) -> float:
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))
-def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(episodes: int, seed: int) -> None:
+def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(episodes, seed):
     rng = np.random.default_rng(seed)
     parts = [invent(rng, int(rng.integers(1, 12))) for _ in range(episodes)]
     rows = [episode_metrics(part, 1, 25.0, MOTORS.force) for part in parts]
@@ -62,7 +60,7 @@ def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(epi
     assert pooled["jump"][0] == pytest.approx(mean([each for jumps in changes for each in jumps]), nan_ok=True)
 
 
-def test_by_hand() -> None:
+def test_by_hand():
     episode = trajectory(
         5,
         a_h=[[0, 0], [0.5, 0], [0.5, 0], [-0.01, 0], [0, 0]],
@@ -74,7 +72,7 @@ def test_by_hand() -> None:
     assert row.jump == pytest.approx((1.0 + 0.5 + math.hypot(0.49, 0.25)) / 3)
 
 
-def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the_action_is_its_force() -> None:
+def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the_action_is_its_force():
     always = trajectory(a=np.full((4, 2), 0.3))
     row = episode_metrics(always, 1, 25.0, Motors().force)
     assert (row.jump, row.handovers) == (None, 0)
@@ -84,7 +82,7 @@ def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the
     assert (quiet.int_eff, quiet.mag_eff, quiet.jump) == (0.0, 0.0, None)
 
 
-def test_rows_that_do_not_define_a_column_take_no_part_in_its_mean() -> None:
+def test_rows_that_do_not_define_a_column_take_no_part_in_its_mean():
     old, new = trajectory(a=np.full((4, 2), 0.3)), trajectory(a=[[0, 0], [0.4, 0], [0.4, 0], [0.4, 0]])
     numbers = columns([episode_metrics(each, 1, 25.0) for each in (old, new)])
     for name in ("int_eff", "mag_eff", "jump", "handovers"):

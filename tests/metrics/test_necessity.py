@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,14 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
-from wasp_cli.store.branches import read_branches
-from wasp_cli.store.tables import CellIdentity
-
-ROOT = Path(__file__).parents[2]
+from wasp_cli.metrics.necessity import necessity
 
 
-def test_by_hand() -> None:
+def test_by_hand():
     cost_cf = np.array([[0.0, 1, 1], [0, 0, 0], [1, 0, 0], [0, 0, 0]])
     cost_asst = np.array([[0.0, 0, 1], [0, 0, 0], [1, 1, 0], [0, 0, 0]])
     reward_cf = np.array([[1.0, 1, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
@@ -33,7 +26,7 @@ def test_by_hand() -> None:
     assert found.uir_swapped == 0.5
 
 
-def test_rate_of_no_intervention_is_undefined() -> None:
+def test_rate_of_no_intervention_is_undefined():
     nothing = np.zeros((0, 15))
     found = necessity(nothing, nothing, nothing, nothing, 0.1)
     assert all(math.isnan(rate) for rate in (found.uir, found.uir_swapped, found.uir_eff))
@@ -43,7 +36,7 @@ BRANCHES = hnp.arrays(np.float64, (4, 9, 3), elements=st.sampled_from([0.0, 0.25
 
 
 @given(BRANCHES, st.sampled_from([0.0, 0.25, 0.6]))
-def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_out_twins(branches: np.ndarray, tau_R: float) -> None:
+def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_out_twins(branches, tau_R):
     cost_cf, cost_asst, reward_cf, reward_asst = branches
     cost_cf, cost_asst = cost_cf.round(), cost_asst.round()
     found = necessity(cost_cf, cost_asst, reward_cf, reward_asst, tau_R)
@@ -57,23 +50,6 @@ def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_o
     assert found.uir_eff == pytest.approx(np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True)
 
 
-def _place(identity: CellIdentity) -> tuple[str, str, int]:
-    return identity.task, identity.method, identity.seed
-
-
-def test_the_floor_of_the_published_branches_of_race1() -> None:
-    """Among interventions that changed anything the command would have been the necessary one in a quarter (WASP) and a seventh (IDA)."""
-    floor = {}
-    for method in ("wasp", "ida"):
-        paths = sorted((ROOT / "results" / "published" / "store" / "counterfactual").glob("*/branches.parquet"))
-        cells = [each for each in map(read_branches, paths) if _place(each.cell.identity) == ("race1", method, 1)]
-        found = [
-            necessity(each.cost[ALONE], each.cost[ASSISTED], each.reward[ALONE], each.reward[ASSISTED], each.cell.tau_R) for each in cells
-        ]
-        floor[method] = 1.0 - np.concatenate([worth.swapped[worth.effective] for worth in found]).mean()
-    assert floor == {"wasp": pytest.approx(0.25, abs=0.005), "ida": pytest.approx(0.15, abs=0.005)}
-
-
-def test_refuses_branches_of_different_length() -> None:
+def test_refuses_branches_of_different_length():
     with pytest.raises(ValueError, match="same shape"):
         necessity(np.zeros((2, 15)), np.zeros((2, 14)), np.zeros((2, 15)), np.zeros((2, 15)), 0.1)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,7 +19,7 @@ def brute_force(event: list[bool], score: list[int]) -> float:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)))
-def test_average_precision_is_the_step_sum(rows: list[tuple[bool, int]]) -> None:
+def test_average_precision_is_the_step_sum(rows):
     event, score = zip(*rows, strict=True)
     found = average_precision(np.array(event), np.array(score, float))
     assert found == pytest.approx(brute_force(list(event), list(score)))
@@ -31,7 +29,7 @@ def test_average_precision_is_the_step_sum(rows: list[tuple[bool, int]]) -> None
     st.lists(st.tuples(st.booleans(), st.integers(0, 6)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)),
     st.sampled_from([0.0, 0.1, 0.3]),
 )
-def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows: list[tuple[bool, int]], share: float) -> None:
+def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows, share):
     best, quiet = 0.0, [s for e, s in rows if not e]
     for threshold in range(8):
         if sum(s >= threshold for s in quiet) <= share * len(quiet):
@@ -40,17 +38,17 @@ def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows: lis
     assert recall_at(np.array(event), np.array(score, float), share) == pytest.approx(best)
 
 
-def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined() -> None:
+def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined():
     assert recall_at(np.array([True, False, False]), np.zeros(3)) == 0.0
     assert np.isnan(recall_at(np.zeros(3, bool), np.arange(3.0)))
 
 
-def test_a_constant_score_has_the_base_rate_and_no_event_has_none() -> None:
+def test_a_constant_score_has_the_base_rate_and_no_event_has_none():
     assert average_precision(np.array([True, False, False, False]), np.zeros(4)) == pytest.approx(0.25)
     assert np.isnan(average_precision(np.zeros(4, bool), np.arange(4.0)))
 
 
-def test_the_interval_is_that_of_explicitly_resampled_episodes() -> None:
+def test_the_interval_is_that_of_explicitly_resampled_episodes():
     random = np.random.default_rng(5)
     episode = np.repeat(np.arange(6), [30, 10, 25, 5, 40, 12])
     event = random.random(len(episode)) < 0.05 + 0.1 * episode
@@ -66,7 +64,7 @@ def test_the_interval_is_that_of_explicitly_resampled_episodes() -> None:
     assert found[0] < average_precision(event, score) < found[1]
 
 
-def test_an_interval_needs_two_episodes_and_an_event() -> None:
+def test_an_interval_needs_two_episodes_and_an_event():
     event, score = np.array([True, False, True]), np.arange(3.0)
     assert np.isnan(average_precision_interval(event, score, np.zeros(3))).all()
     assert np.isnan(average_precision_interval(np.zeros(3, bool), score, np.arange(3))).all()
@@ -75,7 +73,7 @@ def test_an_interval_needs_two_episodes_and_an_event() -> None:
     assert low == high == 1.0, "resamples without an event say nothing"
 
 
-def test_correlations_are_scipys_on_explicitly_resampled_episodes() -> None:
+def test_correlations_are_scipys_on_explicitly_resampled_episodes():
     random = np.random.default_rng(2)
     episode = np.repeat([3, 5, 6, 9], [10, 20, 5, 15])
     score, value = random.integers(0, 6, 50).astype(float), random.normal(size=50) + 0.2 * episode
@@ -89,7 +87,7 @@ def test_correlations_are_scipys_on_explicitly_resampled_episodes() -> None:
     assert np.isnan(correlations(np.ones(50), value, episode, resamples=2).resampled).all()
 
 
-def test_windows_do_not_cross_episodes() -> None:
+def test_windows_do_not_cross_episodes():
     values, episode = np.arange(6.0), np.array([0, 0, 0, 1, 1, 1])
     np.testing.assert_array_equal(sums_ahead(values, episode, 2), [1, 3, np.nan, 7, 9, np.nan])
     assert np.isnan(sums_ahead(values, episode, 4)).all()

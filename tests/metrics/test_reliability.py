@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from wasp_cli.metrics.reliability import BINS, calibration_error, reliability
 
 
-def test_bins_and_their_error_are_what_loops_count() -> None:
+def test_bins_and_their_error_are_what_loops_count():
     random = np.random.default_rng(0)
     probability = np.append(random.random(500) ** 3, [0.0, 1.0])
     event = random.random(502) < probability
@@ -22,7 +20,7 @@ def test_bins_and_their_error_are_what_loops_count() -> None:
     assert calibration_error(rows) == pytest.approx(error)
 
 
-def test_empty_bins_are_not_counted() -> None:
+def test_empty_bins_are_not_counted():
     rows = reliability(np.array([True, False]), np.array([0.95, 0.95]))
     assert [row.size for row in rows] == [0] * 9 + [2]
     assert np.isnan(rows[0].seen)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -14,7 +12,7 @@ def values() -> torch.Tensor:
 
 
 @pytest.mark.parametrize("bins", [3, 63, 255])
-def test_a_number_comes_back_from_its_two_bins(bins: int) -> None:
+def test_a_number_comes_back_from_its_two_bins(bins):
     scale = TwoHot(bins, 1000.0)
     weights = scale.encode(values())
     assert (weights >= 0).all()
@@ -24,7 +22,7 @@ def test_a_number_comes_back_from_its_two_bins(bins: int) -> None:
     torch.testing.assert_close(decoded, values(), rtol=1e-4, atol=1e-4)
 
 
-def test_bins_in_their_own_places_and_beyond_the_reach() -> None:
+def test_bins_in_their_own_places_and_beyond_the_reach():
     scale = TwoHot(5, 8.0)  # symlog 9 = ln 9; halfway lies ln 3
     torch.testing.assert_close(scale.bins, torch.tensor([-8.0, -2.0, 0.0, 2.0, 8.0]))
     weights = scale.encode(torch.tensor([[-8.0, 0.0, 3.5], [2.0, 8.0, 1e9]]))
@@ -35,7 +33,7 @@ def test_bins_in_their_own_places_and_beyond_the_reach() -> None:
     torch.testing.assert_close(scale.encode(torch.tensor(-1e9)), torch.tensor([1.0, 0, 0, 0, 0]))
 
 
-def test_opposite_logits_have_opposite_values_and_equal_ones_exactly_zero() -> None:
+def test_opposite_logits_have_opposite_values_and_equal_ones_exactly_zero():
     scale = TwoHot(63, 1000.0)
     logits = torch.randn(20, 63, generator=torch.Generator().manual_seed(1))
     assert torch.equal(scale.bins, -scale.bins.flip(0))
@@ -47,7 +45,7 @@ def test_opposite_logits_have_opposite_values_and_equal_ones_exactly_zero() -> N
     assert (critics.value_c(latent) == 0).all()
 
 
-def test_the_best_distribution_has_the_mean_of_its_targets() -> None:
+def test_the_best_distribution_has_the_mean_of_its_targets():
     """Unbiased in linear space: the loss is least at the mean encoding, whose expectation is the mean value, however skewed."""
     scale = TwoHot(31, 100.0)
     targets = torch.tensor([0.0] * 19 + [37.0])
@@ -61,6 +59,6 @@ def test_the_best_distribution_has_the_mean_of_its_targets() -> None:
 
 
 @pytest.mark.parametrize("bins", [1, 2, 64])
-def test_bins_without_a_middle_are_refused(bins: int) -> None:
+def test_bins_without_a_middle_are_refused(bins):
     with pytest.raises(ValueError, match="odd"):
         TwoHot(bins, 10.0)

@@ -1,7 +1,5 @@
 """The packed step and the networks that look rows up, against the model's own one-hot products."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch.nn import functional as F
@@ -44,7 +42,7 @@ def as_latent(coded: Coded, deter: int) -> Latent:
 
 @pytest.mark.parametrize("classes", [2, 5, 16])
 @torch.inference_mode()
-def test_a_packed_rollout_is_that_of_the_model(classes: int) -> None:
+def test_a_packed_rollout_is_that_of_the_model(classes):
     model = world(classes)
     packed = PackedModel(model)
     start = one_hot(model, B)
@@ -69,7 +67,7 @@ def test_a_packed_rollout_is_that_of_the_model(classes: int) -> None:
 
 
 @torch.inference_mode()
-def test_the_class_with_the_largest_score_is_drawn_by_its_probability() -> None:
+def test_the_class_with_the_largest_score_is_drawn_by_its_probability():
     """Frequencies of the classes over many draws are the probabilities of the prior, mixed with the uniform distribution."""
     model = world(3)
     packed, start = PackedModel(model), one_hot(model, 1)
@@ -82,7 +80,7 @@ def test_the_class_with_the_largest_score_is_drawn_by_its_probability() -> None:
 
 
 @torch.inference_mode()
-def test_a_policy_reads_joined_features_by_their_classes_and_copies_of_them_as_they_are() -> None:
+def test_a_policy_reads_joined_features_by_their_classes_and_copies_of_them_as_they_are():
     model = world()
     policy = LatentPolicy(model.feature_size, (16, 16), 2).requires_grad_(False)
     packed = PackedModel(model)
@@ -95,7 +93,7 @@ def test_a_policy_reads_joined_features_by_their_classes_and_copies_of_them_as_t
     torch.testing.assert_close(policy(features[3:5]), policy(features * 1.0)[3:5], atol=1e-6, rtol=1e-5)
 
 
-def test_weights_that_have_changed_are_laid_out_anew() -> None:
+def test_weights_that_have_changed_are_laid_out_anew():
     net = mlp(10, [8], 3)
     coded = Coded.of(torch.randn(4, 4), torch.tensor([[0, 3], [1, 5], [2, 4], [0, 5]], dtype=torch.int32), 6)
     with torch.no_grad():
@@ -107,7 +105,7 @@ def test_weights_that_have_changed_are_laid_out_anew() -> None:
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
 
 
-def test_where_a_gradient_is_wanted_the_features_are_read_as_they_are() -> None:
+def test_where_a_gradient_is_wanted_the_features_are_read_as_they_are():
     net = mlp(10, [8], 3)
     coded = Coded.of(torch.randn(2, 4), torch.tensor([[0, 3], [1, 5]], dtype=torch.int32), 6)
     coded.through(net).sum().backward()

@@ -1,7 +1,5 @@
 """A whole sequence and its hand-written way back are the steps that they stand for."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor
@@ -44,7 +42,7 @@ def mixed(rssm: RSSM, logits: Tensor) -> Tensor:
     return ((1 - rssm.unimix) * logits.unflatten(-1, (S, C)).softmax(-1) + rssm.unimix / C).log()
 
 
-def test_filtering_is_its_steps(rssm: RSSM) -> None:
+def test_filtering_is_its_steps(rssm):
     begin, projected, action = start(), draws(B, T, H).requires_grad_(True), draws(B, T, A)
     first, noise = (torch.rand(B, T) < 0.3).double(), draws(B, T, S, C)
     assert first[:, 1:].any()
@@ -65,7 +63,7 @@ def test_filtering_is_its_steps(rssm: RSSM) -> None:
     torch.testing.assert_close(gradients(whole, inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
 
 
-def test_imagining_is_its_steps(rssm: RSSM) -> None:
+def test_imagining_is_its_steps(rssm):
     begin, action, noise = start(), draws(B, T, A), draws(T, B, S * C)
     latent, hs, zs = begin, [], []
     for t in range(T):
@@ -80,13 +78,13 @@ def test_imagining_is_its_steps(rssm: RSSM) -> None:
     torch.testing.assert_close(gradients(tuple(whole), inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
 
 
-def test_samples_are_exactly_one_hot(rssm: RSSM) -> None:
+def test_samples_are_exactly_one_hot(rssm):
     z = rssm.imagine(start(), draws(B, T, A), draws(T, B, S * C)).z.unflatten(-1, (S, C))
     assert torch.equal(z.sum(-1), torch.ones(B, T, S, dtype=torch.double))
     assert torch.equal(z.amax(-1), torch.ones(B, T, S, dtype=torch.double))
 
 
-def test_half_precision_around_it_does_not_reach_it(rssm: RSSM) -> None:
+def test_half_precision_around_it_does_not_reach_it(rssm):
     single, begin = rssm.float(), Latent(*(value.detach().float() for value in start()))
     action, noise = draws(B, T, A).float(), draws(T, B, S * C).float()
     expected = single.imagine(begin, action, noise)

@@ -1,7 +1,3 @@
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -10,7 +6,7 @@ from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_weights, read_arguments, save_weights
 
 
-def test_weights_and_arguments_come_back(tmp_path: Path) -> None:
+def test_weights_and_arguments_come_back(tmp_path):
     path = tmp_path / "critics.safetensors"
     critics = LatentCritics(4, (8,))
     save_weights(critics, path, features=4, hidden=[8])
@@ -21,7 +17,7 @@ def test_weights_and_arguments_come_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["missing", "truncated", "other shape", "no arguments"])
-def test_a_damaged_artifact_is_named(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_artifact_is_named(tmp_path, damage):
     path = tmp_path / "critics.safetensors"
     save_weights(LatentCritics(4, (8,)), path, features=4, hidden=[8])
     if damage == "missing":

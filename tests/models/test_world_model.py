@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -25,7 +23,7 @@ def batch(rows: int = 2, steps: int = 3) -> Batch:
     return Batch(pixels, torch.randn(rows, steps, 2, generator=source), torch.randn(rows, steps, generator=source), flags + 0, flags, flags)
 
 
-def test_centring_by_linearity_is_centring() -> None:
+def test_centring_by_linearity_is_centring():
     torch.manual_seed(0)
     encoder, mean = Encoder(2), torch.rand(6, 64, 64)
     pixels = torch.randint(0, 256, (3, 6, 64, 64), dtype=torch.uint8)
@@ -35,7 +33,7 @@ def test_centring_by_linearity_is_centring() -> None:
     torch.testing.assert_close(encoder(pixels, mean), x.flatten(1), atol=1e-5, rtol=1e-5)
 
 
-def test_the_terms_of_equation_6_all_reach_the_encoder() -> None:
+def test_the_terms_of_equation_6_all_reach_the_encoder():
     world = model()
     losses, _ = world.losses(batch(), torch.randn(2, 3, 3, 4), torch.tensor([0, 2]), free_nats=0.0)
     assert set(losses) == {"alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n"}
@@ -48,7 +46,7 @@ def test_the_terms_of_equation_6_all_reach_the_encoder() -> None:
             assert gradient.abs().sum() > 0, name
 
 
-def test_the_cost_is_a_calibrated_probability_after_the_weight_is_removed() -> None:
+def test_the_cost_is_a_calibrated_probability_after_the_weight_is_removed():
     """A head trained with weight 5 on events of probability 0.1 answers 0.1."""
     world = model()
     features = torch.zeros(1, world.feature_size)
@@ -67,7 +65,7 @@ def test_the_cost_is_a_calibrated_probability_after_the_weight_is_removed() -> N
     assert world.cost_logit(latent).item() == pytest.approx(math.log(0.1 / 0.9), abs=0.06)
 
 
-def test_the_cost_is_calibrated_where_its_probability_varies() -> None:
+def test_the_cost_is_calibrated_where_its_probability_varies():
     """A head trained with weight 5 on events of probability sigmoid(2 x - 3) answers with that probability, bin by bin."""
     world = model()
     source = torch.Generator().manual_seed(5)
@@ -90,7 +88,7 @@ def test_the_cost_is_calibrated_where_its_probability_varies() -> None:
         assert predicted[group].mean().item() == pytest.approx(wanted[group].mean().item(), abs=0.05)
 
 
-def test_filtering_is_deterministic_and_forgets_at_an_episode_start() -> None:
+def test_filtering_is_deterministic_and_forgets_at_an_episode_start():
     world = model().eval()
     pixels = batch().pixels[:, 0]
     with torch.inference_mode():
@@ -101,7 +99,7 @@ def test_filtering_is_deterministic_and_forgets_at_an_episode_start() -> None:
     assert not torch.allclose(later.h[1], once.h[1])
 
 
-def test_an_event_one_step_after_a_reset_is_learned_and_imagined() -> None:
+def test_an_event_one_step_after_a_reset_is_learned_and_imagined():
     """The classic failure: a mask one step early makes heads see a blank context, and imagination never predicts the event.
 
     Sequences hold two episodes; in each, the action at the start decides whether the next step costs. Images show nothing.

@@ -1,7 +1,5 @@
 """Operators who know more than assistants perceive: what they intend in the task, and what is imagined of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +24,7 @@ SIMULATED = [name for name in OPERATORS if OPERATORS[name].simulated] + [UNIMPAI
 
 
 @pytest.fixture(scope="module")
-def expert(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def expert(tmp_path_factory) -> Path:
     return tiny_expert(tmp_path_factory.mktemp("expert"), TwoGoals(1, observe=()).privileged_size)
 
 
@@ -68,7 +66,7 @@ class Both:
 
 
 @pytest.mark.parametrize("variant", SIMULATED)
-def test_in_the_task_it_follows_the_privileged_policy_with_its_own_mistakes(variant: str, expert: Path) -> None:
+def test_in_the_task_it_follows_the_privileged_policy_with_its_own_mistakes(variant, expert):
     both = Both(variant, expert)
     for _ in range(STEPS):
         ours, theirs = both.command()
@@ -80,7 +78,7 @@ def test_in_the_task_it_follows_the_privileged_policy_with_its_own_mistakes(vari
 
 
 @pytest.mark.parametrize("variant", SIMULATED)
-def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(variant: str, expert: Path) -> None:
+def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(variant, expert):
     """As an operator would who followed the latent policy, and had the same memory."""
     both = Both(variant, expert)
     for _ in range(STEPS):
@@ -100,7 +98,7 @@ def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(varian
             fork.observe(issued * 0.5)
 
 
-def test_new_episodes_begin_without_memory(expert: Path) -> None:
+def test_new_episodes_begin_without_memory(expert):
     both = Both("reaction-time", expert)
     for _ in range(STEPS):
         both.command()
@@ -110,13 +108,13 @@ def test_new_episodes_begin_without_memory(expert: Path) -> None:
     assert (queue[1:] != 0).any()
 
 
-def test_operators_of_other_tasks_perceive_what_assistants_do(expert: Path) -> None:
+def test_operators_of_other_tasks_perceive_what_assistants_do(expert):
     assert informed_policies("goal1", {"expert": expert}) is None
     operator = build_operator("laggy", 0.5, OperatorContext(skill, 2, 0.08), EpisodeNoise(range(ROWS)), ROWS)
     assert told(operator, Observation(None, None, None)) is None
 
 
-def test_every_row_of_a_mixture_follows_its_own_skill(expert: Path) -> None:
+def test_every_row_of_a_mixture_follows_its_own_skill(expert):
     """As SafeRL-Res is trained: every row meets the command of its own operator, whatever the features are."""
     noise = EpisodeNoise(range(ROWS))
     operators: list[Operator] = [build_operator("limited-skill", value, informed(expert), noise, ROWS) for value in (0.25, 1.0)]

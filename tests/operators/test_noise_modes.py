@@ -1,7 +1,5 @@
 """Modes of the noisy operator: Gaussian noise, and bursts of random commands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -26,7 +24,7 @@ def issued(name: str, value: float) -> Tensor:
     return torch.stack([operator.command(INTENDED) for _ in range(STEPS)])
 
 
-def test_gaussian_noise_has_the_stated_spread_around_the_intended_command() -> None:
+def test_gaussian_noise_has_the_stated_spread_around_the_intended_command():
     error = issued("noisy-gaussian", 0.2) - INTENDED  # the bounds are 3.75 and 6 deviations away
     assert error.mean().abs() < 0.005
     assert error.std().item() == pytest.approx(0.2, rel=0.02)
@@ -34,13 +32,13 @@ def test_gaussian_noise_has_the_stated_spread_around_the_intended_command() -> N
     assert inside == pytest.approx(0.683, abs=0.01)  # of a normal distribution; a uniform one has 0.577
 
 
-def test_the_components_of_gaussian_noise_are_independent_of_each_other_and_of_time() -> None:
+def test_the_components_of_gaussian_noise_are_independent_of_each_other_and_of_time():
     error = (issued("noisy-gaussian", 0.2) - INTENDED).double()
     pairs = np.corrcoef(error.flatten(0, 1).T.numpy())[0, 1], np.corrcoef(error[1:].flatten(), error[:-1].flatten())[0, 1]
     assert np.abs(pairs).max() < 0.03
 
 
-def test_a_draw_of_zero_gives_a_finite_command() -> None:
+def test_a_draw_of_zero_gives_a_finite_command():
     operator = build_operator("noisy-gaussian", 0.5, context(), DrawnNoise(torch.zeros(1, 1, 2)), 1)
     assert torch.equal(operator.command(torch.zeros(1, 2)), torch.full((1, 2), -1.0))
 
@@ -51,14 +49,14 @@ def in_burst(name: str, value: float) -> Tensor:
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5])
-def test_bursts_have_the_stated_share_and_the_stated_length(share: float) -> None:
+def test_bursts_have_the_stated_share_and_the_stated_length(share):
     on = in_burst("noisy-burst", share)
     assert on.float().mean().item() == pytest.approx(share, abs=0.03)
     ends = (on[:-1] & ~on[1:]).sum().item()
     assert on[:-1].sum().item() / ends == pytest.approx(MEAN_BURST, rel=0.12)
 
 
-def test_bursts_are_as_likely_at_the_start_of_an_episode() -> None:
+def test_bursts_are_as_likely_at_the_start_of_an_episode():
     rows = 4000
     operator = build_operator("noisy-burst", 0.3, context(), EpisodeNoise(list(range(rows))), rows)
     intended = torch.full((rows, 2), 0.25)
@@ -67,30 +65,30 @@ def test_bursts_are_as_likely_at_the_start_of_an_episode() -> None:
         assert share == pytest.approx(0.3, abs=0.03)
 
 
-def test_uniform_noise_of_the_same_share_comes_in_no_bursts() -> None:
+def test_uniform_noise_of_the_same_share_comes_in_no_bursts():
     on = in_burst("noisy", 0.5)
     ends = (on[:-1] & ~on[1:]).sum().item()
     assert on[:-1].sum().item() / ends == pytest.approx(2.0, rel=0.1)
 
 
 @pytest.mark.parametrize(("share", "moved"), [(0.0, False), (1.0, True)])
-def test_no_burst_and_nothing_but_a_burst(share: float, moved: bool) -> None:
+def test_no_burst_and_nothing_but_a_burst(share, moved):
     assert bool(in_burst("noisy-burst", share).any()) == bool(in_burst("noisy-burst", share).all()) == moved
 
 
 @given(st.floats(0.0, 1.0))
-def test_rates_of_bursts_are_probabilities_with_the_stated_stationary_share(share: float) -> None:
+def test_rates_of_bursts_are_probabilities_with_the_stated_stationary_share(share):
     start, stop = burst_rates(share)
     assert 0.0 <= start <= 1.0 + 1e-12
     assert 0.0 <= stop <= 1.0 / MEAN_BURST
     assert start / (start + stop) == pytest.approx(share, abs=1e-9)
 
 
-def test_ida_s_own_rates_are_those_of_one_half() -> None:
+def test_ida_s_own_rates_are_those_of_one_half():
     assert burst_rates(0.5) == pytest.approx((0.1, 0.1))
 
 
-def test_an_operator_without_noise_is_the_expert() -> None:
+def test_an_operator_without_noise_is_the_expert():
     for name in ("noisy", "noisy-gaussian", "noisy-burst", "laggy", "reaction-time"):
         operator: Operator = build_operator(name, 0.0, context(), EpisodeNoise([1, 2]), 2)
         assert torch.equal(operator.command(INTENDED[:2]), INTENDED[:2]), name

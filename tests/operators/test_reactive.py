@@ -1,7 +1,5 @@
 """The operator who sees what was executed, and the one who is late and noisy at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -39,7 +37,7 @@ def held(alpha: float, executed: float, steps: int, lag: float = 0.5) -> Tensor:
     return torch.stack(issued)
 
 
-def test_the_equations_against_a_loop_over_single_numbers() -> None:
+def test_the_equations_against_a_loop_over_single_numbers():
     lag, intended, executed = 0.7, random(1), random(2)
     driver, noise = operator("reactive", lag), EpisodeNoise(SEEDS)
     alpha = noise.next(1)[:, 0].tolist()
@@ -57,7 +55,7 @@ def test_the_equations_against_a_loop_over_single_numbers() -> None:
         driver.observe(executed[t])
 
 
-def test_nobody_overrides_and_alone_the_lag_is_left() -> None:
+def test_nobody_overrides_and_alone_the_lag_is_left():
     driver, intended, stick = operator("reactive", 0.8), random(3), torch.zeros(ROWS, 2)
     for t in range(STEPS):
         stick = 0.8 * stick + 0.2 * intended[t]
@@ -67,11 +65,11 @@ def test_nobody_overrides_and_alone_the_lag_is_left() -> None:
     assert not driver.memory["pushed"].any()
 
 
-def test_one_who_never_lets_go_pushes_back_by_as_much_as_was_overridden() -> None:
+def test_one_who_never_lets_go_pushes_back_by_as_much_as_was_overridden():
     assert torch.allclose(held(0.0, -0.1, 400)[-1], torch.tensor(0.5), atol=1e-3)  # 0.2 intended, 0.3 above what was executed
 
 
-def test_one_who_lets_go_moves_towards_what_is_executed() -> None:
+def test_one_who_lets_go_moves_towards_what_is_executed():
     issued = held(1.0, -0.6, 50, lag=0.8)
     alone = 0.2 * (1 - 0.8 ** torch.arange(1, 51).unsqueeze(1))
     assert issued[1:].lt(alone[1:] - 0.1).all()  # an intention that stays pulls the stick back a fifth of the way
@@ -79,7 +77,7 @@ def test_one_who_lets_go_moves_towards_what_is_executed() -> None:
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0 - 1e-6])
-def test_commands_stay_bounded_and_the_integrator_cannot_wind_up(alpha: float) -> None:
+def test_commands_stay_bounded_and_the_integrator_cannot_wind_up(alpha):
     against = held(alpha, -1.0, 300)
     assert against.abs().max() <= 1
     driver = build_operator("reactive", 0.5, context(), DrawnNoise(torch.full((320, 1, 1), alpha)), 1)
@@ -93,7 +91,7 @@ def test_commands_stay_bounded_and_the_integrator_cannot_wind_up(alpha: float) -
     assert (issued - 0.2).abs().max() < 0.15  # left alone, the reaction fades
 
 
-def test_alpha_is_the_same_at_every_severity_and_is_kept_for_the_episode() -> None:
+def test_alpha_is_the_same_at_every_severity_and_is_kept_for_the_episode():
     seeds = [operator_seed("goal1", "reactive", 0, e) for e in range(2000)]
     drivers = [operator("reactive", value, seeds) for value in (0.3, 0.9)]
     for driver in drivers:
@@ -110,7 +108,7 @@ def test_alpha_is_the_same_at_every_severity_and_is_kept_for_the_episode() -> No
     assert not (drivers[0].memory["alpha"][:1000] == first[:1000]).any()
 
 
-def test_late_and_noisy_is_the_noise_of_the_one_on_the_commands_of_the_other() -> None:
+def test_late_and_noisy_is_the_noise_of_the_one_on_the_commands_of_the_other():
     both, late, noisy = operator("delayed-noisy", 0.4), operator("reaction-time", DELAY), operator("noisy", 0.4)
     intended = random(4)
     issued = torch.stack([both.command(seen) for seen in intended])
@@ -118,8 +116,3 @@ def test_late_and_noisy_is_the_noise_of_the_one_on_the_commands_of_the_other() -
     assert torch.equal(issued, torch.stack([noisy.command(seen) for seen in delayed]))
     assert torch.equal(delayed[2:], intended[:-2])  # 0.16 s are two decisions
     assert 0.2 < (issued != delayed).any(-1).float().mean() < 0.6
-
-
-def test_late_and_noisy_without_noise_is_late() -> None:
-    both, late = operator("delayed-noisy", 0.0), operator("reaction-time", DELAY)
-    assert all(torch.equal(both.command(seen), late.command(seen)) for seen in random(5))

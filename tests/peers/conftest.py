@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 
 # Their packages are in the environment of `nox -s peers` alone.

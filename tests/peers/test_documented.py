@@ -1,7 +1,5 @@
 """The lines of use in docs/tasks.md do what they say."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path
@@ -26,12 +24,12 @@ KNOWN: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_there_is_one_for_every_package() -> None:
+def test_there_is_one_for_every_package():
     assert [name for name, *_ in ROWS] == ["gymnasium", "stable-baselines3", "TorchRL", "Minari", "skrl", "OmniSafe"]
 
 
 @pytest.mark.parametrize(("name", "version", "line"), ROWS, ids=[name for name, *_ in ROWS])
-def test_a_line_of_use_works(name: str, version: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_of_use_works(name, version, line, tmp_path, monkeypatch):
     from importlib.metadata import version as installed
 
     assert installed(name) == version

@@ -1,7 +1,5 @@
 """gymnasium itself: its checker, its wrappers, its vectors in processes of their own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium
@@ -15,13 +13,13 @@ from tests.peers import IDS
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space (min|max)imum value is.*")
 @pytest.mark.parametrize("name", IDS)
-def test_the_checker_accepts_every_task(name: str) -> None:
+def test_the_checker_accepts_every_task(name):
     for observation in ("state", "vision"):
         check_env(gymnasium.make(name, observation=observation, render_mode="rgb_array").unwrapped)
 
 
 @pytest.mark.parametrize("mode", list(gymnasium.vector.AutoresetMode))
-def test_vectors_in_processes_give_the_same_to_the_bit(mode: gymnasium.vector.AutoresetMode) -> None:
+def test_vectors_in_processes_give_the_same_to_the_bit(mode):
     options: dict[str, Any] = {"action_repeat": 10, "max_episode_steps": 4}
     ours = gymnasium.make_vec(IDS[0], num_envs=2, autoreset_mode=mode, **options)
     theirs = gymnasium.make_vec(IDS[0], num_envs=2, vectorization_mode="async", vector_kwargs={"autoreset_mode": mode}, **options)
@@ -40,7 +38,7 @@ def test_vectors_in_processes_give_the_same_to_the_bit(mode: gymnasium.vector.Au
         theirs.close()
 
 
-def test_usual_wrappers_lie_around_it() -> None:
+def test_usual_wrappers_lie_around_it():
     wrappers = gymnasium.wrappers
     env: Any = gymnasium.make(IDS[0], action_repeat=100, render_mode="rgb_array", width=32, height=32)
     env = wrappers.RecordEpisodeStatistics(wrappers.TimeAwareObservation(wrappers.ClipAction(env), normalize_time=False))

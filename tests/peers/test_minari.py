@@ -1,9 +1,5 @@
 """Minari: episodes that its collector recorded, infos included, play again exactly in the environment that the dataset recovers."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import gymnasium
 import minari
 import numpy as np
@@ -18,7 +14,7 @@ from wasp_cli.notebook.minari import written
 
 @pytest.mark.filterwarnings("ignore:`eval_env` is set to None|.*is set to None. For .*:UserWarning")
 @pytest.mark.parametrize(("name", "observation"), [*((name, "state") for name in IDS), (IDS[0], "all"), (IDS[3], "vision")])
-def test_what_it_recorded_plays_again(name: str, observation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_it_recorded_plays_again(name, observation, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     made = gymnasium.make(name, observation=observation, action_repeat=100)
     env = minari.DataCollector(made, record_infos=True, jpeg_encoding=False)
@@ -55,7 +51,7 @@ def _pairs(recorded, seen):
 
 
 @pytest.mark.filterwarnings("ignore:`eval_env` is set to None|.*is set to None. For .*:UserWarning")
-def test_a_recorded_cell_becomes_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recorded_cell_becomes_a_dataset(tmp_path, monkeypatch):
     """Executed actions as they were, with the operator's commands beside them; another episode is refused."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     env = gymnasium.make(IDS[0], observation="vision", action_repeat=50)

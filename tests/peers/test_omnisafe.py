@@ -3,16 +3,11 @@
 OmniSafe makes its environments with `safety_gymnasium.make`. That package wants gymnasium 0.28.1 and MuJoCo 2.3.3: `upstream` stands in.
 """
 
-from __future__ import annotations
-
 import csv
 import importlib
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-
-import pytest
 
 from wasp_cli.tasks.gym import upstream
 
@@ -23,7 +18,7 @@ def make(id: str, autoreset: bool, **options: Any) -> Any:
     return upstream(id, **options)
 
 
-def test_ppo_lag_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ppo_lag_trains(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "safety_gymnasium", SimpleNamespace(make=make))
     omnisafe = importlib.import_module("omnisafe")
     settings = {

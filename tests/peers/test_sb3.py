@@ -1,7 +1,5 @@
 """stable-baselines3: its checker, and PPO on single environments and in processes."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -17,11 +15,11 @@ from tests.peers import IDS
 @pytest.mark.filterwarnings("ignore:.*We recommend you to use|.*action space has dtype float64:UserWarning")
 @pytest.mark.parametrize("observation", ["state", "pixels", "privileged", "all", "vision"])
 @pytest.mark.parametrize("name", IDS)
-def test_the_checker_accepts_it(name: str, observation: str) -> None:
+def test_the_checker_accepts_it(name, observation):
     check_env(gymnasium.make(name, observation=observation))
 
 
-def test_ppo_learns_on_it() -> None:
+def test_ppo_learns_on_it():
     env = Monitor(gymnasium.make(IDS[0], observation="privileged", action_repeat=10), info_keywords=("cost", "goals"))
     model = PPO("MlpPolicy", env, n_steps=200, batch_size=100, seed=0, device="cpu")
     before = {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
@@ -33,7 +31,7 @@ def test_ppo_learns_on_it() -> None:
     assert env.action_space.contains(action.astype(np.float64))
 
 
-def test_its_vectors_step_it() -> None:
+def test_its_vectors_step_it():
     envs = make_vec_env(IDS[0], n_envs=2, seed=0, env_kwargs={"action_repeat": 250})
     assert envs.reset().shape == (2, 60)
     for _ in range(4):

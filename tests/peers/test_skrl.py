@@ -1,7 +1,5 @@
 """skrl: its wrapper passes on what the environments give, single and batched."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from tests.peers import IDS
 
 
 @pytest.mark.parametrize("mode", [None, "sync", "vector_entry_point"])
-def test_its_wrapper_passes_everything_on(mode: str | None) -> None:
+def test_its_wrapper_passes_everything_on(mode):
     rows = 1 if mode is None else 2
 
     def made():

@@ -1,7 +1,5 @@
 """TorchRL: the specs that it reads from the environments, and their costs in its tensors."""
 
-from __future__ import annotations
-
 import gymnasium
 import pytest
 from torchrl import envs
@@ -12,12 +10,12 @@ from tests.peers import IDS
 
 @pytest.mark.parametrize("observation", ["state", "all", "vision"])
 @pytest.mark.parametrize("name", IDS)
-def test_its_wrapper_accepts_it(name: str, observation: str) -> None:
+def test_its_wrapper_accepts_it(name, observation):
     envs.check_env_specs(envs.GymWrapper(gymnasium.make(name, observation=observation)))
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_its_own_make_accepts_it(name: str) -> None:
+def test_its_own_make_accepts_it(name):
     envs.check_env_specs(envs.GymEnv(name))
     repeated = envs.GymEnv(f"wasp_cli.tasks.gym:{name}", frame_skip=2)  # refused as an option, so that it repeats actions itself
     assert repeated.wrapper_frame_skip == 2
@@ -25,7 +23,7 @@ def test_its_own_make_accepts_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_its_reader_finds_the_costs(name: str) -> None:
+def test_its_reader_finds_the_costs(name):
     env = envs.GymWrapper(gymnasium.make(name, action_repeat=10)).auto_register_info_dict()
     steps = env.rollout(20)
     sources = [key for key in steps["next"].keys() if key.startswith("cost_") and key != "cost_sum"]  # noqa: SIM118  # a TensorDict
@@ -37,7 +35,7 @@ def test_its_reader_finds_the_costs(name: str) -> None:
 
 
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])  # it refuses NextStep
-def test_it_wraps_the_vector(mode: str) -> None:
+def test_it_wraps_the_vector(mode):
     env = envs.GymWrapper(gymnasium.make_vec(IDS[0], num_envs=3, action_repeat=100, autoreset_mode=mode))
     envs.check_env_specs(env)
     steps = env.rollout(25, break_when_any_done=False)

@@ -1,14 +1,12 @@
-from __future__ import annotations
-
 import ast
 import sys
 from collections.abc import Callable, Iterator
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
-from pathlib import Path
 
 import pytest
 
+from tests.plugins import forget
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan import closure as module
@@ -19,7 +17,7 @@ Write = Callable[[str, str], None]
 
 
 @pytest.fixture
-def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
+def write(tmp_path, monkeypatch) -> Iterator[Write]:
     """Writes a module of a package `house` and forgets what was read before."""
     monkeypatch.syspath_prepend(str(tmp_path))
     forget()
@@ -35,12 +33,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
     forget()
 
 
-def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
-        cached.cache_clear()
-
-
-def test_imports_are_followed_wherever_they_stand(write: Write) -> None:
+def test_imports_are_followed_wherever_they_stand(write):
     write("house/a.py", "from house import b\nfrom .sub import c\nimport json, numpy\n")
     write("house/b.py", "def f():\n    if True:\n        from house.d import g\n        return g\n")
     write("house/sub/__init__.py", "")
@@ -50,7 +43,7 @@ def test_imports_are_followed_wherever_they_stand(write: Write) -> None:
     assert closure(["house.a"]) == {"house", "house.a", "house.b", "house.d", "house.sub", "house.sub.c", "house.e"}
 
 
-def test_imports_for_type_checking_do_not_count(write: Write) -> None:
+def test_imports_for_type_checking_do_not_count(write):
     write("house/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house import b\nelse:\n    from house import c\n")
     write("house/b.py", "")
     write("house/c.py", "")
@@ -58,20 +51,20 @@ def test_imports_for_type_checking_do_not_count(write: Write) -> None:
 
 
 @pytest.fixture
-def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
+def at_home(monkeypatch) -> None:
     """`house` stands for the package itself, whose registries and config models have rules of their own."""
     monkeypatch.setattr(module, "PACKAGE", "house")
 
 
 @pytest.mark.usefixtures("at_home")
-def test_registries_are_not_followed(write: Write) -> None:
+def test_registries_are_not_followed(write):
     write("house/a.py", "from house.registry import THINGS\n")
     write("house/registry.py", "from house import b\n")
     write("house/b.py", "")
     assert closure(["house.a"]) == {"house.a"}
 
 
-def test_comments_docstrings_and_layout_do_not_count(write: Write) -> None:
+def test_comments_docstrings_and_layout_do_not_count(write):
     write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 2\n")
     before = source_hash("house.a")
     documented = ['"""What."""', "# why", "class A:", '    """A."""', "    x: int = 1", '    """x."""']
@@ -82,7 +75,7 @@ def test_comments_docstrings_and_layout_do_not_count(write: Write) -> None:
     assert source_hash("house.a") != before
 
 
-def test_a_change_far_down_counts_and_one_elsewhere_does_not(write: Write) -> None:
+def test_a_change_far_down_counts_and_one_elsewhere_does_not(write):
     write("house/a.py", "from house import b\n")
     write("house/b.py", "from house import c\n")
     write("house/c.py", "x = 1\n")
@@ -95,7 +88,7 @@ def test_a_change_far_down_counts_and_one_elsewhere_does_not(write: Write) -> No
 
 
 @pytest.mark.usefixtures("at_home")
-def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write) -> None:
+def test_fields_of_config_models_do_not_count_since_their_values_do(write):
     text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n    def twice(self):\n        return 2 * self.x\n"
     write("house/configs.py", text)
     before = source_hash("house.configs")
@@ -108,7 +101,7 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write
 
 
 @pytest.mark.usefixtures("at_home")
-def test_fields_in_a_folder_of_config_models_do_not_count_either(write: Write) -> None:
+def test_fields_in_a_folder_of_config_models_do_not_count_either(write):
     text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n"
     write("house/configs/__init__.py", "")
     write("house/configs/some.py", text)
@@ -119,7 +112,7 @@ def test_fields_in_a_folder_of_config_models_do_not_count_either(write: Write) -
     assert source_hash("house.configs.some") != before
 
 
-def test_in_packages_of_others_registries_and_configurations_count(write: Write) -> None:
+def test_in_packages_of_others_registries_and_configurations_count(write):
     write("house/a.py", "from house import registry\nfrom house.config import Field\nfrom house.configs import SIZE\n")
     write("house/registry.py", "from house import b\n")
     write("house/b.py", "x = 1\n")
@@ -137,13 +130,13 @@ def test_in_packages_of_others_registries_and_configurations_count(write: Write)
         assert closure_hash(("house.a",)) != before, name
 
 
-def test_a_root_without_source_is_refused(write: Write) -> None:
+def test_a_root_without_source_is_refused(write):
     for root in ("house.absent", "nowhere", "nowhere.at_all"):
         with pytest.raises(WaspError, match=f"the source of '{root}' cannot be found"):
             closure([root])
 
 
-def test_a_package_without_init_is_covered(write: Write) -> None:
+def test_a_package_without_init_is_covered(write):
     write("tent/a.py", "from tent import b\nfrom tent.deep.c import x\n")
     write("tent/b.py", "y = 1\n")
     write("tent/deep/c.py", "x = 1\n")
@@ -153,7 +146,7 @@ def test_a_package_without_init_is_covered(write: Write) -> None:
     assert closure_hash(("tent.a",)) != before
 
 
-def test_a_package_of_an_editable_installation_is_covered(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_of_an_editable_installation_is_covered(write, tmp_path, monkeypatch):
     write("elsewhere/cabin/__init__.py", "")
     write("elsewhere/cabin/a.py", "x = 1\n")
 
@@ -169,51 +162,38 @@ def test_a_package_of_an_editable_installation_is_covered(write: Write, tmp_path
     assert closure_hash(("cabin.a",)) != before
 
 
-def test_orchestration_is_in_no_closure() -> None:
+def test_orchestration_is_in_no_closure():
     for name in closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.residual"]):
         part = name.split(".")[1]
         assert part not in module.ORCHESTRATION
 
 
-def test_the_planner_belongs_to_those_who_plan_with_it() -> None:
+def test_the_planner_belongs_to_those_who_plan_with_it():
     planner = {name for name in closure([module_of(METHODS["wasp"].target)]) if name.startswith("wasp_cli.methods.wasp")}
     assert planner
     others = [module_of(info.target) for info in METHODS.values() if info.name not in ("wasp", "printed", "ida-guarded", "mpmi", "planner")]
     assert not planner & closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.calibration", *others])
 
 
-def test_nothing_is_imported() -> None:
+def test_nothing_is_imported():
     before = set(sys.modules)
     closure(["wasp_cli.stages.evaluate", module_of(METHODS["wasp"].target)])
     assert not {name for name in set(sys.modules) - before if name.partition(".")[0] in ("torch", "mujoco")}
 
 
-def test_every_node_of_the_syntax_is_told_apart() -> None:
+def test_every_node_of_the_syntax_is_told_apart():
     def text(source: str) -> str:
         texts: list[str] = []
         module._syntax(ast.parse(source), texts)
         return "".join(texts)
 
     sources = [
-        "x = 1",
-        "x = 1.0",
-        "x = '1'",
-        "x = True",
-        "x: int = 1",
-        "x += 1",
-        "y = 1",
-        "x = -1",
-        "def x(a=1): 0",
-        "def x(*, a=1): 0",
-        "x = [1]",
-        "x = (1,)",
-        "def x(a): 0",
-        "async def x(a): 0",
-        "x = lambda a: 0",
-    ]
+        "x = 1", "x = 1.0", "x = '1'", "x = True", "x: int = 1", "x += 1", "y = 1", "x = -1",
+        "def x(a=1): 0", "def x(*, a=1): 0", "x = [1]", "x = (1,)", "def x(a): 0", "async def x(a): 0", "x = lambda a: 0",
+    ]  # fmt: skip
     assert len({text(source) for source in sources}) == len(sources)
 
 
-def test_building_a_task_belongs_to_every_stage_that_drives_one() -> None:
+def test_building_a_task_belongs_to_every_stage_that_drives_one():
     for stage in ("dataset", "heldout", "expert", "policies", "evaluate", "residual"):
         assert "wasp_cli.tasks.make" in closure([f"wasp_cli.stages.{stage}"])

@@ -1,7 +1,5 @@
 """The nodes of counterfactual branches: which there are, what moves their keys, how they are selected."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tests.plan.test_grid import by_label, grid
@@ -28,7 +26,7 @@ def moved(before: Grid, after: Grid) -> set[str]:
     return {label for label in old.keys() & new.keys() if old[label].key != new[label].key}
 
 
-def test_every_cell_whose_method_may_intervene_is_branched_once() -> None:
+def test_every_cell_whose_method_may_intervene_is_branched_once():
     laid_out = judged(methods=list(METHODS), variants=["full", "no-case2"], seeds=[3])
     assisted = [name for name in METHODS if METHODS[name].intervenes] + ["wasp/no-case2", "printed/no-case2"]
     operators = ("noisy=0.2", "noisy=0.6", "limited-skill=0.25")
@@ -40,13 +38,13 @@ def test_every_cell_whose_method_may_intervene_is_branched_once() -> None:
     assert {node.key for _, node in laid_out.branched} <= laid_out.targets
 
 
-def test_a_spec_that_does_not_ask_has_none_and_asking_moves_no_other_key() -> None:
+def test_a_spec_that_does_not_ask_has_none_and_asking_moves_no_other_key():
     assert branch_labels(grid()) == []
     assert grid().branched == ()
     assert moved(grid(), judged()) == set()
 
 
-def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models() -> None:
+def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models():
     laid_out = judged(training_seed=9, seeds=[0, 1])
     nodes = by_label(laid_out)
     node = nodes["goal1 s1 counterfactual ida noisy=0.2"]
@@ -60,7 +58,7 @@ def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models() ->
     assert node.key not in {part_node.key for _, part_node in laid_out.parts}
 
 
-def test_its_own_section_moves_its_keys_alone_and_the_cell_moves_its_own() -> None:
+def test_its_own_section_moves_its_keys_alone_and_the_cell_moves_its_own():
     branches = set(branch_labels(judged()))
     assert len(branches) == 2 * 2 * 3
     for change in ({"window": 9}, {"stride": 3}, {"most": 7}, {"tau_R_fraction": 0.2}):
@@ -69,14 +67,14 @@ def test_its_own_section_moves_its_keys_alone_and_the_cell_moves_its_own() -> No
     assert moved(judged(), judged(ida={"quantile": 0.123})) & branches == of_ida
 
 
-def test_the_code_of_assistants_is_in_the_key_through_the_cell_alone() -> None:
+def test_the_code_of_assistants_is_in_the_key_through_the_cell_alone():
     node = by_label(judged())["goal1 s0 counterfactual wasp noisy=0.2"]
     own = closure(node.modules)
     assert "wasp_cli.learning.counterfactual" in own
     assert not {name for name in own if name.startswith("wasp_cli.methods.wasp")}
 
 
-def test_selectors_name_the_branches_of_cells() -> None:
+def test_selectors_name_the_branches_of_cells():
     laid_out = judged()
     assert labels(laid_out, "method=wasp,operator=noisy,severity=mild,seed=0") == {
         "goal1 s0 wasp noisy=0.2", "goal1 s0 counterfactual wasp noisy=0.2",

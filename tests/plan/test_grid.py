@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -44,7 +42,7 @@ def changed(**changes: Any) -> set[str]:
 TABLE1 = ["human", "ida", "diffusion", "saferl", "filter", "wasp", "expert"]
 
 
-def test_table_1_has_the_size_of_the_paper() -> None:
+def test_table_1_has_the_size_of_the_paper():
     severities = {"mild": 0.2, "moderate": 0.4, "severe": 0.6}
     operators = {"noisy": severities, "laggy": severities, "reaction-time": severities, "limited-skill": {"a": 0.1, "b": 0.25, "c": 0.5}}
     table = grid(tasks=["race1", "formula1", "goal1"], methods=TABLE1, operators=operators, seeds=[0, 1, 2])
@@ -53,19 +51,19 @@ def test_table_1_has_the_size_of_the_paper() -> None:
     assert len({node.key for _, node in table.cells}) == len(table.cells)
 
 
-def test_the_expert_runs_once_for_all_operators() -> None:
+def test_the_expert_runs_once_for_all_operators():
     cells = [cell for cell, _ in grid().cells if cell.method == "expert"]
     assert [(cell.operator, cell.severity, cell.value) for cell in cells] == [("none", None, None)] * 2
 
 
-def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch):
     monkeypatch.setattr(stage_class("latents"), "needs", ("world_modl",))
     with pytest.raises(WaspError, match="the stage 'latents' needs an unknown stage 'world_modl'") as caught:
         grid()
     assert caught.value.hint == "did you mean 'world_model'?"
 
 
-def test_what_a_method_reads_may_depend_on_its_settings() -> None:
+def test_what_a_method_reads_may_depend_on_its_settings():
     def needs(**settings: object) -> dict[str, set[str]]:
         nodes = {node.label: node for node in grid(methods=["ida"], **settings).nodes}
         return {kind: set(nodes[f"goal1 s0 {kind}"].needs) for kind in ("calibration ida", "ida noisy=0.2")}
@@ -74,7 +72,7 @@ def test_what_a_method_reads_may_depend_on_its_settings() -> None:
     assert all("denoiser" in kinds for kinds in needs(ida={"copilot": "diffusion"}).values())
 
 
-def test_names_and_orders_enter_no_key() -> None:
+def test_names_and_orders_enter_no_key():
     shuffled = {
         "name": "other",
         "methods": ["wasp", "expert", "human", "ida"],
@@ -84,17 +82,17 @@ def test_names_and_orders_enter_no_key() -> None:
     assert keys(grid(**shuffled)) == keys(grid())
 
 
-def test_a_severity_named_twice_is_one_node() -> None:
+def test_a_severity_named_twice_is_one_node():
     double = grid(operators={"noisy": {"mild": 0.2, "weak": 0.2}})
     assert len({node.key for cell, node in double.cells if cell.method == "human"}) == 2
     assert len([cell for cell, _ in double.cells if cell.method == "human"]) == 4
 
 
-def test_a_part_of_a_grid_has_the_same_keys() -> None:
+def test_a_part_of_a_grid_has_the_same_keys():
     assert keys(grid(methods=["wasp"], seeds=[1])) < keys(grid())
 
 
-def test_ablations_share_training_and_the_calibration_of_the_whole() -> None:
+def test_ablations_share_training_and_the_calibration_of_the_whole():
     ablation = grid(methods=["wasp"], variants=["full", "no-case2"])
     assert keys(grid(methods=["wasp"])) < keys(ablation)
     assert sum(node.kind == "calibration" for node in ablation.nodes) == 2
@@ -102,25 +100,25 @@ def test_ablations_share_training_and_the_calibration_of_the_whole() -> None:
     assert {node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"} == {"full", "no-case2"}
 
 
-def test_methods_without_ablations_run_once_whatever_is_asked_of_others() -> None:
+def test_methods_without_ablations_run_once_whatever_is_asked_of_others():
     cells = grid(variants=["no-case2"]).cells
     assert {cell.assistant for cell, _ in cells if cell.method == "human"} == {"full"}
     assert {cell.assistant for cell, _ in cells if cell.method == "wasp"} == {"no-case2"}
 
 
-def test_the_planner_moves_wasp_alone() -> None:
+def test_the_planner_moves_wasp_alone():
     moved = changed(wasp={"candidates": 9})
     assert moved
     assert all(" wasp" in label for label in moved)
 
 
-def test_the_world_model_moves_everything_after_it() -> None:
+def test_the_world_model_moves_everything_after_it():
     moved = changed(world_model={"updates": 21})
     still = set(by_label(grid())) - moved
     assert {label.split(maxsplit=2)[2] for label in still} == {"expert", "dataset"}
 
 
-def test_what_a_task_has_of_its_own_moves_that_task_alone() -> None:
+def test_what_a_task_has_of_its_own_moves_that_task_alone():
     own = {"formula1": {"world_model": {"updates": 21}, "wasp": {"candidates": 9}}}
     tasks = ["goal1", "formula1"]
     before, after = by_label(grid(tasks=tasks)), by_label(grid(tasks=tasks, by_task=own))
@@ -137,19 +135,19 @@ def test_what_a_task_has_of_its_own_moves_that_task_alone() -> None:
     assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))  # and a task that does not run is no mistake
 
 
-def test_more_episodes_move_evaluations_only() -> None:
+def test_more_episodes_move_evaluations_only():
     moved = changed(episodes=3)
     assert moved == {node.label for node in grid().nodes if node.kind == "evaluate"}
 
 
-def test_shared_settings_move_the_stages_that_named_them() -> None:
+def test_shared_settings_move_the_stages_that_named_them():
     moved = {label.split(maxsplit=2)[2] for label in changed(returns={"gamma_c": 0.9})}
     assert "critics" in moved
     assert not {"expert", "dataset", "world_model", "policies"} & moved
     assert len(changed(action_repeat=2)) == len(grid().nodes)
 
 
-def test_one_training_seed_serves_all_evaluation_seeds() -> None:
+def test_one_training_seed_serves_all_evaluation_seeds():
     shared = grid(training_seed=5)
     assert {node.seed for node in shared.nodes if node.kind != "evaluate"} == {5}
     assert {node.seed for node in shared.nodes if node.kind == "evaluate"} == {0, 1}
@@ -157,7 +155,7 @@ def test_one_training_seed_serves_all_evaluation_seeds() -> None:
     assert keys(grid(training_seed=5, seeds=[5])) == keys(grid(seeds=[5]))
 
 
-def test_an_evaluation_reads_what_its_method_needs() -> None:
+def test_an_evaluation_reads_what_its_method_needs():
     nodes = by_label(grid())
     assert set(nodes["goal1 s0 human noisy=0.2"].needs) == {"world_model", "policies"}
     assert set(nodes["goal1 s0 wasp noisy=0.2"].needs) == {"world_model", "policies", "critics", "calibration"}
@@ -167,7 +165,7 @@ def test_an_evaluation_reads_what_its_method_needs() -> None:
     }  # fmt: skip
 
 
-def test_named_stages_are_trained_once_for_each_task_and_chain() -> None:
+def test_named_stages_are_trained_once_for_each_task_and_chain():
     laid_out = grid(tasks=["goal1", "race1"], methods=[], stages=["heldout", "world_model"], operators={}, seeds=[0, 1])
     assert (laid_out.cells, laid_out.points) == ((), 0)
     kinds = ["expert", "dataset", "world_model", "latents", "policies", "heldout"]
@@ -179,18 +177,18 @@ def test_named_stages_are_trained_once_for_each_task_and_chain() -> None:
     assert keys(shared) < keys(grid(seeds=[1]))
 
 
-def test_stages_that_methods_need_add_nothing_to_a_grid() -> None:
+def test_stages_that_methods_need_add_nothing_to_a_grid():
     without = grid(stages=[])
     assert keys(grid(stages=["expert", "critics"])) == keys(without)
     assert {node.kind for node in grid(stages=["denoiser"]).nodes} - {node.kind for node in without.nodes} == {"denoiser"}
 
 
-def test_every_world_model_is_judged_unless_the_spec_says_otherwise() -> None:
+def test_every_world_model_is_judged_unless_the_spec_says_otherwise():
     assert keys(grid()) == keys(grid(stages=["diagnostics"]))
     assert [node.seed for node in grid().nodes if node.kind == "diagnostics"] == [0, 1]
 
 
-def test_parts_are_what_is_trained() -> None:
+def test_parts_are_what_is_trained():
     laid_out = grid()
     named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
     kinds = ("expert", "dataset", "world_model", "latents", "policies", "critics", "heldout", "ida_q", "diagnostics")

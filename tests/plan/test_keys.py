@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -26,7 +24,7 @@ def reordered(value: Any) -> Any:
 
 
 @given(IDENTITIES)
-def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity: dict[str, Any]) -> None:
+def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity):
     key = key_of(identity)
     assert len(key) == LENGTH
     assert set(key) <= set("0123456789abcdef")
@@ -35,29 +33,29 @@ def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity: dict[st
 
 
 @given(IDENTITIES, IDENTITIES)
-def test_same_content_if_and_only_if_same_key(one: dict[str, Any], other: dict[str, Any]) -> None:
+def test_same_content_if_and_only_if_same_key(one, other):
     assert (canonical(one) == canonical(other)) == (key_of(one) == key_of(other))
 
 
-def test_the_order_of_lists_counts() -> None:
+def test_the_order_of_lists_counts():
     assert key_of({"hidden": [64, 32]}) != key_of({"hidden": [32, 64]})
 
 
-def test_what_is_no_number_has_no_key() -> None:
+def test_what_is_no_number_has_no_key():
     with pytest.raises(ValueError, match="JSON"):
         key_of({"tau": float("nan")})
 
 
-def test_library_versions_are_major_and_minor() -> None:
+def test_library_versions_are_major_and_minor():
     assert all(version.count(".") == 1 for version in libraries().values())
 
 
-def test_every_library_that_computes_is_in_the_key() -> None:
+def test_every_library_that_computes_is_in_the_key():
     assert set(libraries()) == {"mujoco", "numpy", "stable-baselines3", "torch"}
     assert "absent" not in libraries().values()
 
 
-def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeypatch):
     identity = {"kind": "expert"}
     key, recipe = key_of(identity), recipe_of(identity)
     with monkeypatch.context() as other:

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +20,7 @@ def evaluated(record: dict[str, Any]) -> set[str]:
     return {node["key"] for node in record["nodes"] if node["kind"] in ("evaluate", "calibration")}
 
 
-def test_each_node_has_a_state_and_a_reason() -> None:
+def test_each_node_has_a_state_and_a_reason():
     laid_out = grid(tasks=["race1", "goal1"])
     cached, failed = laid_out.nodes[0], laid_out.nodes[1]
     plan = make_plan(laid_out, {cached.kind: {cached.key}}, {failed.key: "the loss is not finite"})
@@ -33,7 +30,7 @@ def test_each_node_has_a_state_and_a_reason() -> None:
     assert {node.key for node in plan.to_run()} == {node.key for node in laid_out.nodes[1:]}
 
 
-def test_times_come_from_nodes_of_the_same_sort() -> None:
+def test_times_come_from_nodes_of_the_same_sort():
     laid_out = grid(seeds=[0], methods=["human", "expert"])
     seconds = {node.sort: 10.0 for node in laid_out.nodes}
     plan = make_plan(laid_out, {}, {}, seconds)
@@ -44,7 +41,7 @@ def test_times_come_from_nodes_of_the_same_sort() -> None:
     assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
 
 
-def test_the_plan_reads_well() -> None:
+def test_the_plan_reads_well():
     laid_out = grid(tasks=["race1", "goal1"])
     text = text_of(make_plan(laid_out, {}, {laid_out.nodes[-1].key: "no luck"}))
     assert "48 grid points, 40 cells to evaluate" in text
@@ -54,13 +51,13 @@ def test_the_plan_reads_well() -> None:
     assert "nothing to run" in text_of(done)
 
 
-def test_a_plan_without_methods_says_so() -> None:
+def test_a_plan_without_methods_says_so():
     text = text_of(make_plan(grid(methods=[], stages=["world_model"], operators={}), {}, {}))
     assert "nothing to evaluate: the spec lists no methods" in text
     assert "cells" not in text
 
 
-def test_the_plan_as_json_names_every_cell_and_node() -> None:
+def test_the_plan_as_json_names_every_cell_and_node():
     laid_out = grid()
     record = json.loads(json.dumps(make_plan(laid_out, {}, {}).as_json()))
     keys = {node["key"] for node in record["nodes"]}
@@ -70,13 +67,13 @@ def test_the_plan_as_json_names_every_cell_and_node() -> None:
     assert record["counts"] == {"missing": len(keys)}
 
 
-def test_a_results_folder_that_is_not_there_has_nothing(tmp_path: Path) -> None:
+def test_a_results_folder_that_is_not_there_has_nothing(tmp_path):
     plan = plan_against(grid(), Layout(tmp_path / "absent"))
     assert plan.count("missing") == len(plan.steps)
     assert not (tmp_path / "absent").exists()
 
 
-def test_a_damaged_artifact_is_computed_again(tmp_path: Path) -> None:
+def test_a_damaged_artifact_is_computed_again(tmp_path):
     layout, laid_out = Layout(tmp_path), grid()
     layout.prepare()
     node, whole = laid_out.nodes[:2]

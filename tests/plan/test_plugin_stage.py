@@ -1,16 +1,16 @@
 """A package of someone else brings a training stage and a method that needs it, through entry points alone."""
 
-from __future__ import annotations
-
 import json
-import os
-import subprocess
-import sys
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from click.testing import Result
+
+from tests.commands import run_here
+from tests.plugins import forget, installed
+from wasp_cli.spec.schema import spec_schema
 
 ENTRIES = """
 [wasp.stages]
@@ -58,8 +58,7 @@ seeds: [0]
 
 
 @pytest.fixture
-def outsider(tmp_path: Path) -> Path:
-    """The folder with the installed package."""
+def outsider(tmp_path, monkeypatch) -> Iterator[Path]:
     package = tmp_path / "site" / "outsider"
     package.mkdir(parents=True)
     files = {"__init__": "", "entries": REGISTERED, "settings": SETTINGS, "stage": STAGE, "method": "class Nudge: ..."}
@@ -70,103 +69,87 @@ def outsider(tmp_path: Path) -> Path:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outsider\nVersion: 1.0\n", encoding="utf-8")
     (info / "entry_points.txt").write_text(ENTRIES, encoding="utf-8")
     (tmp_path / "outside.yaml").write_text(SPEC, encoding="utf-8")
-    return package
+    monkeypatch.chdir(tmp_path)
+    with installed(package.parent, "outsider"):
+        yield package
 
 
-def python(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(outsider.parent), str(Path.cwd())])}
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=600, check=False)
-
-
-def wasp(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return python(outsider, "-m", "wasp_cli", *arguments)
-
-
-def keys(outsider: Path, *arguments: str) -> dict[str, str]:
-    done = wasp(outsider, "plan", "outside.yaml", "--json", *arguments)
-    assert done.returncode == 0, done.stderr
+def keys(*arguments: str) -> dict[str, str]:
+    forget("outsider")
+    done = run_here("plan", "outside.yaml", "--json", *arguments, columns=80)
+    assert done.exit_code == 0, done.stderr
     return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
-def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider: Path) -> None:
-    before = keys(outsider)
+def checked() -> Result:
+    forget("outsider")
+    return run_here("check", "outside.yaml", columns=400)
+
+
+def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider):
+    before = keys()
     assert "goal1 s0 habits" in before
     cells = {label for label in before if "nudge" in label}
     assert cells
 
     (outsider / "stage.py").write_text(dedent(STAGE).replace("42", "43"), encoding="utf-8")
-    after = keys(outsider)
+    after = keys()
     moved = {label for label in before if before[label] != after[label]}
     assert moved == {label for label in before if "habits" in label} | cells
 
     (outsider / "entries.py").write_text(REGISTERED.replace('"updates": 3', '"updates": 4'), encoding="utf-8")
-    of_preset = keys(outsider)
+    of_preset = keys()
     assert {label for label in before if of_preset[label] != after[label]} == moved
-    assert of_preset == keys(outsider, "--set", "habits.updates=4")
+    assert of_preset == keys("--set", "habits.updates=4")
 
 
-@pytest.mark.slow
-def test_another_class_of_the_same_module_has_other_keys(outsider: Path) -> None:
-    before = keys(outsider)
+def test_another_class_of_the_same_module_has_other_keys(outsider):
+    before = keys()
     (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")
     (outsider / "stage.py").write_text(dedent(STAGE) + "\n\nclass OtherStage(HabitsStage): ...\n", encoding="utf-8")
-    written = keys(outsider)
+    written = keys()
     moved = {label for label in before if before[label] != written[label]}
     (outsider / "entries.py").write_text(REGISTERED.replace("method:Nudge", "method:Shove"), encoding="utf-8")
-    method = keys(outsider)
+    method = keys()
     cells = {label for label in before if "nudge" in label}
     assert cells
     assert {label for label in before if method[label] != written[label]} == cells
     (outsider / "entries.py").write_text(REGISTERED.replace("stage:HabitsStage", "stage:OtherStage"), encoding="utf-8")
-    stage = keys(outsider)
+    stage = keys()
     assert {label for label in before if stage[label] != written[label]} == moved
 
 
-def test_its_section_has_values_of_presets_checks_and_a_schema(outsider: Path) -> None:
+def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
     spec = outsider.parents[1] / "outside.yaml"
-    spec.write_text(SPEC + "habits: {updates: 0, operators: {lagy: [0.5]}}\n", encoding="utf-8")
-    wrong = wasp(outsider, "check", "outside.yaml")
-    assert wrong.returncode == 3
-    assert "outside.yaml:8:19: should be greater than or equal to 1, not 0" in wrong.stderr
-    spec.write_text(SPEC + "stages: [habits]\nhabits: {operators: {lagy: [0.5]}}\n", encoding="utf-8")
-    wrong = wasp(outsider, "check", "outside.yaml")
-    assert "unknown operator variant 'lagy'" in wrong.stderr
+    for wrong, message in (
+        ("habits: {updates: 0, operators: {lagy: [0.5]}}\n", "outside.yaml:8:19: should be greater than or equal to 1, not 0"),
+        ("stages: [habits]\nhabits: {operators: {lagy: [0.5]}}\n", "unknown operator variant 'lagy'"),
+    ):
+        spec.write_text(SPEC + wrong, encoding="utf-8")
+        refused = checked()
+        assert (refused.exit_code, message in refused.stderr) == (3, True), refused.stderr
     spec.write_text(SPEC + "stages: [habits]\n", encoding="utf-8")
-    assert wasp(outsider, "check", "outside.yaml").returncode == 0
-    nodes = json.loads(wasp(outsider, "plan", "outside.yaml", "--json").stdout)["nodes"]
-    assert any("habits" in node["label"] for node in nodes)
-
-    program = "import json; from wasp_cli.spec.schema import spec_schema as s; print(json.dumps([s(), s(plugins=True)]))"
-    path = os.pathsep.join([str(outsider.parent), str(Path.cwd())])
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=True
-    )
-    without, with_plugins = json.loads(done.stdout)
-    assert "habits" not in without["properties"]
-    assert "habits" not in without["properties"]["stages"]["items"]["enum"]
-    assert "habits" in with_plugins["properties"]
-    assert "habits" in with_plugins["properties"]["stages"]["items"]["enum"]
-
-
-slow = partial(pytest.param, marks=pytest.mark.slow)
+    assert checked().exit_code == 0
+    assert any("habits" in label for label in keys())
+    for plugins in (False, True):
+        properties = spec_schema(plugins=plugins)["properties"]
+        assert ("habits" in properties) == ("habits" in properties["stages"]["items"]["enum"]) == plugins
 
 
 @pytest.mark.parametrize(
     ("found", "put", "message"),
     [
         ('StageInfo("habits"', 'StageInfo("tasks"', "a plugin names a stage 'tasks', which is a field of every spec"),
-        slow('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
-        slow('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
-        slow('presets=', 'unit="cell", presets=', "has unit 'cell'"),
+        ('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
+        ('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
+        ('presets=', 'unit="cell", presets=', "has unit 'cell'"),
         ('STAGE = StageInfo(', 'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(', "is of type MethodInfo"),
         ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_a_stage_is_refused(outsider: Path, found: str, put: str, message: str) -> None:
+def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
     assert found in REGISTERED
     (outsider / "entries.py").write_text(REGISTERED.replace(found, put), encoding="utf-8")
-    done = wasp(outsider, "check", "outside.yaml")
-    assert done.returncode == 1
+    done = checked()
+    assert done.exit_code == 1
     assert message in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr

@@ -1,11 +1,6 @@
 """Why a node runs again, over a real store of fake artifacts."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from tests.plan.test_grid import grid
 from wasp_cli.plan import reasons
@@ -18,29 +13,14 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 
 
-@pytest.fixture
-def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path)
-    layout.prepare()
-    return layout
-
-
 def store(layout: Layout, node: Node, **changes: Any) -> None:
     """An artifact as a worker leaves it, with changes to its manifest."""
     folder = staging_folder(layout, node.key)
     (folder / "data.bin").write_bytes(b"12345")
-    manifest = {
-        "kind": node.kind,
-        "key": node.key,
-        "task": node.task,
-        "seed": node.seed,
-        "axes": node.axes,
-        "config": node.config,
-        "settings": node.settings,
-        "upstream": {name: needed.key for name, needed in node.needs.items()},
-        "sources": source_hashes(node.modules),
-        "provenance": {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"},
-    }
+    manifest = {name: getattr(node, name) for name in ("kind", "key", "task", "seed", "axes", "config", "settings")}
+    manifest["upstream"] = {name: needed.key for name, needed in node.needs.items()}
+    manifest["sources"] = source_hashes(node.modules)
+    manifest["provenance"] = {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"}
     commit(layout, node.kind, node.key, folder, {**manifest, **changes})
 
 
@@ -53,7 +33,7 @@ def reasons_of(plan: Plan) -> dict[str, str]:
     return {step.node.label: step.reason for step in plan.steps if step.state == "changed"}
 
 
-def test_a_changed_field_is_named_with_both_values(layout: Layout) -> None:
+def test_a_changed_field_is_named_with_both_values(layout):
     fill(layout, grid())
     plan = plan_against(grid(wasp={"candidates": 9}), layout)
     found = reasons_of(plan)
@@ -63,21 +43,21 @@ def test_a_changed_field_is_named_with_both_values(layout: Layout) -> None:
     assert all(" wasp" in label for label in found)
 
 
-def test_fields_of_stages_and_shared_settings_have_the_names_of_the_spec(layout: Layout) -> None:
+def test_fields_of_stages_and_shared_settings_have_the_names_of_the_spec(layout):
     fill(layout, grid())
     found = reasons_of(plan_against(grid(returns={"gamma_c": 0.9}, episodes=3), layout))
     assert found["goal1 s0 critics"] == "spec changed: returns.gamma_c 0.95 -> 0.9"
     assert found["goal1 s0 human noisy=0.2"] == "spec changed: episodes 2 -> 3, returns.gamma_c 0.95 -> 0.9"
 
 
-def test_what_only_reads_something_new_says_what(layout: Layout) -> None:
+def test_what_only_reads_something_new_says_what(layout):
     fill(layout, grid())
     found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))
     assert found["goal1 s0 world_model"] == "spec changed: world_model.updates 20 -> 21"
     assert found["goal1 s0 policies"] == "upstream changed: world_model, latents"
 
 
-def test_changed_code_is_named_by_module(layout: Layout) -> None:
+def test_changed_code_is_named_by_module(layout):
     laid_out = grid()
     node = next(node for node in laid_out.nodes if node.label == "goal1 s0 wasp noisy=0.2")
     sources = source_hashes(node.modules)
@@ -89,7 +69,7 @@ def test_changed_code_is_named_by_module(layout: Layout) -> None:
     assert found == {node.label: f"code changed: {module}, wasp_cli.methods.wasp.gone (no longer used)"}
 
 
-def test_another_version_of_a_library_is_named(layout: Layout) -> None:
+def test_another_version_of_a_library_is_named(layout):
     laid_out = grid()
     node = laid_out.nodes[0]
     earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
@@ -99,7 +79,7 @@ def test_another_version_of_a_library_is_named(layout: Layout) -> None:
     assert reason.startswith("library changed: torch 1.13 -> ")
 
 
-def test_the_nearest_of_several_versions_is_the_one_compared(layout: Layout) -> None:
+def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7}))
     fill(layout, grid(wasp={"candidates": 9}))
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
@@ -107,21 +87,21 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout: Layout) -> 
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
 
 
-def test_many_changes_are_counted(layout: Layout) -> None:
+def test_many_changes_are_counted(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7, "feasible": 2, "iterations": 3}))
     found = reasons_of(plan_against(grid(), layout))["goal1 s0 wasp noisy=0.2"]
     assert found.count(" -> ") == reasons.NAMED
     assert found.endswith("and 2 more")
 
 
-def test_a_manifest_of_another_form_gives_no_reason(layout: Layout) -> None:
+def test_a_manifest_of_another_form_gives_no_reason(layout):
     laid_out = grid()
     earlier = Node(**{name: getattr(laid_out.nodes[0], name) for name in Node.__slots__} | {"key": "a" * 20})
     store(layout, earlier, sources=None)
     assert plan_against(laid_out, layout).count("missing") == len(laid_out.nodes)
 
 
-def test_an_artifact_that_changes_after_a_plan_is_seen(layout: Layout) -> None:
+def test_an_artifact_that_changes_after_a_plan_is_seen(layout):
     laid_out = grid()
     fill(layout, laid_out)
     plan_against(laid_out, layout)

@@ -1,12 +1,8 @@
 """Recipes, and which of several published results stands in the place of a node."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from tests.plan.test_grid import by_label, spec
 from wasp_cli.plan import grid
@@ -59,7 +55,7 @@ def chosen(own: Grid, offered: list[Offer]) -> dict[str, str]:
     return found
 
 
-def test_a_recipe_is_the_configuration_without_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recipe_is_the_configuration_without_the_code(monkeypatch):
     before, plain = recipes(own_grid()), own_grid()
     monkeypatch.setattr(grid, "closure_hash", lambda roots: "other code")
     monkeypatch.setattr(keys, "libraries", lambda: {"torch": "other"})
@@ -69,7 +65,7 @@ def test_a_recipe_is_the_configuration_without_the_code(monkeypatch: pytest.Monk
     assert len(set(before.values())) == len(before) == len(plain.nodes)
 
 
-def test_a_recipe_changes_with_every_setting_behind_it() -> None:
+def test_a_recipe_changes_with_every_setting_behind_it():
     before, after = recipes(own_grid()), recipes(own_grid(world_model={"updates": 21}))
     moved = {label for label in before if before[label] != after[label]}
     assert {"goal1 s0 world_model", "goal1 s0 critics", "goal1 s0 wasp noisy=0.2"} <= moved
@@ -77,7 +73,7 @@ def test_a_recipe_changes_with_every_setting_behind_it() -> None:
     assert recipes(own_grid(name="other", seeds=[1, 0], reuse="published")) == before
 
 
-def test_what_is_computed_from_a_reused_node_has_another_key() -> None:
+def test_what_is_computed_from_a_reused_node_has_another_key():
     own = own_grid()
     before = by_label(own)
     critics = before["goal1 s0 critics"]
@@ -92,7 +88,7 @@ def upstream(node: Node) -> list[Node]:
     return [each for needed in node.needs.values() for each in (needed, *upstream(needed))]
 
 
-def test_of_several_todays_code_counts_first_and_then_the_newest() -> None:
+def test_of_several_todays_code_counts_first_and_then_the_newest():
     own = own_grid()
     label = "goal1 s0 human noisy=0.2"
     older, newer = offer(own, label, "a" * 20, at="2026-01-01"), offer(own, label, "b" * 20, at="2026-02-01")
@@ -101,7 +97,7 @@ def test_of_several_todays_code_counts_first_and_then_the_newest() -> None:
     assert chosen(own, [older, newer, today]) == {label: today.key}
 
 
-def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer() -> None:
+def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer():
     own = own_grid()
     first, second = version(1), version(2)
     offered = [offer(own, MODEL, first[MODEL], at="2026-03-01")]
@@ -110,7 +106,7 @@ def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer() -> Non
     assert chosen(own, offered) == first
 
 
-def test_what_goes_with_nothing_here_is_left_alone() -> None:
+def test_what_goes_with_nothing_here_is_left_alone():
     own = own_grid()
     cell, behind = "goal1 s0 wasp noisy=0.2", version(1)
     foreign = offer(own, CRITICS, behind[CRITICS], behind)
@@ -123,7 +119,7 @@ def test_what_goes_with_nothing_here_is_left_alone() -> None:
     assert chosen(own, [foreign, model, *(offer(own, label, behind[label], behind) for label in (LATENTS, SKILLS, HELDOUT))]) == behind
 
 
-def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:
+def test_what_lies_behind_everything_that_is_read_need_not_be_there():
     own = own_grid(methods=["wasp"], stages=[])
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
     offered = [offer(own, label, behind[label], behind) for label in version(1)]
@@ -134,7 +130,7 @@ def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:
     assert chosen(judged, [offer(judged, label, behind[label], behind) for label in version(1)]) == {}
 
 
-def test_what_is_needed_for_reused_results_alone_meets_nothing() -> None:
+def test_what_is_needed_for_reused_results_alone_meets_nothing():
     """Remembered latents are large, and not published: nobody computes them where all that is learned from them is reused."""
     own = own_grid(methods=["wasp"], stages=[])
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
@@ -142,7 +138,7 @@ def test_what_is_needed_for_reused_results_alone_meets_nothing() -> None:
     assert chosen(own, [offer(own, label, key, behind) for label, key in published.items()]) == published
 
 
-def test_heldout_rows_may_be_recorded_again() -> None:
+def test_heldout_rows_may_be_recorded_again():
     """They are too large to be published. What was judged on the former ones goes on being used; an older world model does not."""
     own = own_grid(methods=["wasp"], stages=[])
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}

@@ -1,7 +1,5 @@
 """A better picture, column or help text re-runs nothing: the source of a room that moves no number is in no key."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import spec_from_file_location
@@ -9,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plugins import forget
 from wasp_cli.plan import closure as module
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
@@ -26,13 +25,8 @@ ROOMS = sorted(
 """Every other one, whoever adds it."""
 
 
-def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
-        cached.cache_clear()
-
-
 @pytest.fixture(scope="module")
-def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Mapping[str, str]]]:
+def keys(tmp_path_factory) -> Iterator[Callable[[str], Mapping[str, str]]]:
     """Copies the package, changes every module of a room in the copy, and plans: the key of every node by its label."""
     spec = load(ROOT / "specs" / "smoke.yaml").spec
 
@@ -54,14 +48,14 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], M
     forget()
 
 
-def test_rooms_that_move_no_number_are_in_no_key(keys: Callable[..., Mapping[str, str]]) -> None:
+def test_rooms_that_move_no_number_are_in_no_key(keys):
     assert {"cli", "video", "compare", "report", "run", "plan", "spec", "console", "errors"} <= {*ROOMS}
     before = keys()
     if keys(*ROOMS) != before:
         pytest.fail(f"in a key: {', '.join(room for room in ROOMS if keys(room) != before)}")
 
 
-def test_a_changed_planner_is_in_the_keys_of_its_own_cells(keys: Callable[..., Mapping[str, str]]) -> None:
+def test_a_changed_planner_is_in_the_keys_of_its_own_cells(keys):
     before, after = keys(), keys("methods/wasp")
     changed = {label for label in before if before[label] != after[label]}
     assert "goal1 s0 wasp laggy=0.7" in changed

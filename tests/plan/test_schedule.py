@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import random
 from itertools import count
 
@@ -23,7 +21,7 @@ def equal(*nodes: Node) -> dict[str, float]:
     return {each.key: 1.0 for each in nodes}
 
 
-def test_what_the_longest_path_begins_with_comes_first() -> None:
+def test_what_the_longest_path_begins_with_comes_first():
     short, long = node(), node()
     middle = node(long)
     last = node(middle)
@@ -35,7 +33,7 @@ def test_what_the_longest_path_begins_with_comes_first() -> None:
     assert [schedule.pop()] == [middle]
 
 
-def test_a_node_waits_for_all_that_it_needs_and_for_nothing_else() -> None:
+def test_a_node_waits_for_all_that_it_needs_and_for_nothing_else():
     computed = node()
     a, b = node(computed), node()
     both = node(a, b)
@@ -52,7 +50,7 @@ def test_a_node_waits_for_all_that_it_needs_and_for_nothing_else() -> None:
     assert not len(schedule)
 
 
-def test_a_failure_takes_its_dependents_along_each_once_and_no_other() -> None:
+def test_a_failure_takes_its_dependents_along_each_once_and_no_other():
     bad, good = node(), node()
     child = node(bad)
     grandchild = node(child, bad, good)
@@ -67,7 +65,7 @@ def test_a_failure_takes_its_dependents_along_each_once_and_no_other() -> None:
 
 
 @given(st.integers(1, 12), st.integers(1, 4), st.integers(0, 2**31))
-def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size: int, workers: int, seed: int) -> None:
+def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed):
     chance = random.Random(seed)
     nodes: list[Node] = []
     for _ in range(size):
@@ -84,7 +82,7 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size: int, workers: 
     assert simulated(nodes, lasting, 1)[0] == pytest.approx(work)
 
 
-def test_a_stage_without_a_measured_time_is_compared_by_its_weight() -> None:
+def test_a_stage_without_a_measured_time_is_compared_by_its_weight():
     known, unknown = node(kind="world_model", sort="known"), node(kind="expert")
     found = durations([known, unknown], {"known": 100.0})
     assert found[known.key] == 100.0

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from tests.plan.test_grid import DOCUMENT, grid
@@ -19,7 +17,7 @@ def ran(plan: Plan) -> set[str]:
     return {node.label for node in plan.to_run()}
 
 
-def test_conditions_narrow_and_selectors_widen() -> None:
+def test_conditions_narrow_and_selectors_widen():
     laid_out = grid(**BOTH)
     assert labels(laid_out, "task=race1,method=wasp,variant=no-case2,operator=noisy,severity=mild,seed=1") == {
         "race1 s1 wasp/no-case2 noisy=0.2"
@@ -28,18 +26,18 @@ def test_conditions_narrow_and_selectors_widen() -> None:
     assert either == {"goal1 s0 human noisy=0.6", "race1 s0 human noisy=0.6", "goal1 s1 human limited-skill=0.25"}
 
 
-def test_alternatives_and_exclusions() -> None:
+def test_alternatives_and_exclusions():
     laid_out = grid(**BOTH)
     some = labels(laid_out, "task=goal1,seed=0,method=human|wasp,variant!=no-case2,severity!=moderate")
     assert some == {f"goal1 s0 {method} noisy={value}" for method in ("human", "wasp") for value in (0.2, 0.6)}
 
 
-def test_a_task_selects_what_the_spec_trains_there_too() -> None:
+def test_a_task_selects_what_the_spec_trains_there_too():
     assert "race1 s0 diagnostics" in labels(grid(**BOTH), "task=race1")
     assert "race1 s0 diagnostics" not in labels(grid(**BOTH), "task=race1,method=human")
 
 
-def test_a_stage_selects_nodes_that_others_need() -> None:
+def test_a_stage_selects_nodes_that_others_need():
     laid_out = grid(**BOTH)
     assert labels(laid_out, "stage=world_model,task=goal1") == {"goal1 s0 world_model", "goal1 s1 world_model"}
     plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=world_model,task=goal1,seed=0"]))
@@ -47,12 +45,12 @@ def test_a_stage_selects_nodes_that_others_need() -> None:
     assert {step.reason for step in plan.steps if not step.runs} == {"not selected"}
 
 
-def test_without_selectors_everything_is_meant() -> None:
+def test_without_selectors_everything_is_meant():
     assert select(grid(), ()) is None
     assert len(make_plan(grid(), {}, {}).to_run()) == len(grid().nodes)
 
 
-def test_what_nobody_needs_any_more_is_left_alone() -> None:
+def test_what_nobody_needs_any_more_is_left_alone():
     laid_out = grid(stages=[], methods=["human"])
     cells = {node.key for _, node in laid_out.cells}
     stored = {"evaluate": cells}
@@ -69,12 +67,12 @@ def test_what_nobody_needs_any_more_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "task", "task=", "=goal1", "task=goal1,", "task=goal1,,seed=0", "task=goal1|"])
-def test_another_form_is_refused(text: str) -> None:
+def test_another_form_is_refused(text):
     with pytest.raises(UsageError, match="not of the form"):
         select(grid(), [text])
 
 
-def test_names_that_are_not_there_get_a_suggestion() -> None:
+def test_names_that_are_not_there_get_a_suggestion():
     with pytest.raises(UnknownName, match="field to select by 'methd'") as error:
         select(grid(), ["methd=wasp"])
     assert error.value.hint == "did you mean 'method'?"

@@ -1,7 +1,5 @@
 """Times of what was never measured here: from the shipped figures, the size of a node, and the speed of this machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ measured = times.speed
 
 
 @pytest.fixture(autouse=True)
-def same_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+def same_speed(monkeypatch) -> None:
     monkeypatch.setattr(times, "speed", lambda: times.shipped()["speed"])
 
 
@@ -61,7 +59,7 @@ def test_what_nobody_measured_is_taken_for_its_method_and_a_plugin_for_wasp(tmp_
     assert times.estimated([plugin], "quick") == {"held": pytest.approx(whole)}
 
 
-def test_what_is_published_says_how_long_its_like_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
     from rich.console import Console
 
     layout = Layout(tmp_path / "absent")
@@ -84,7 +82,7 @@ def seconds_of(plan: Plan, label: str) -> float:
     return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == "evaluate" and f" {label}" in node.label)
 
 
-def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path, monkeypatch):
     def of(kind: str, *settings: str) -> float:
         plan = planned("selftest.yaml", tmp_path, *settings)
         return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == kind)
@@ -96,16 +94,12 @@ def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch
     assert of("policies") == pytest.approx(before["policies"] / 2)
 
 
-def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
+def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do():
     full, ablated = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "no-case2"))
     cells = [manifest("evaluate", seconds, full, episodes=10) for seconds in (100.0, 120.0, 900.0)]
     part = manifest("evaluate", 1.0, full, episodes=30)
     part["provenance"]["earlier"] = "a" * 20
-    cells += [
-        part,
-        manifest("evaluate", 50.0, ablated, episodes=10),
-        manifest("world_model", 30.0, {}, updates=10),
-    ]
+    cells += [part, manifest("evaluate", 50.0, ablated, episodes=10), manifest("world_model", 30.0, {}, updates=10)]
     found = figures_of([("cpu", each) for each in cells])
     assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/no-case2": 5.0, "world_model goal1": 3.0}}
     assert found["speed"] == times.shipped()["speed"]

@@ -1,5 +1,4 @@
-from __future__ import annotations
-
 from tests.run.harness import fakes, small_spec
+from tests.run.layered import computed, here, moved
 
-__all__ = ["fakes", "small_spec"]
+__all__ = ["computed", "fakes", "here", "moved", "small_spec"]

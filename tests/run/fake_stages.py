@@ -6,8 +6,6 @@ WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -49,7 +47,7 @@ class Fake:
         if "work" in options:
             hashlib.pbkdf2_hmac("sha256", b"", b"", options["work"])
         if len(Path(options["log"]).read_text(encoding="utf-8").splitlines()) > options.get("free", sys.maxsize):
-            time.sleep(60)  # until someone interrupts; not for ever, should nobody do so
+            time.sleep(600)  # until someone interrupts; not for ever, should nobody do so
         for text, behaviour in options.get("behave", {}).items():
             if text in name:
                 misbehave(behaviour, Path(options["log"]).with_suffix(".once"))
@@ -66,7 +64,7 @@ class Fake:
 
 def misbehave(behaviour: str, once: Path) -> None:
     if behaviour == "sleep":
-        time.sleep(60)
+        time.sleep(600)
     if behaviour == "hang":
         hashlib.pbkdf2_hmac("sha256", b"", b"", 100_000_000)  # one call, about a minute: no signal handler of Python's runs meanwhile
     if behaviour == "eat":
@@ -90,12 +88,7 @@ def misbehave(behaviour: str, once: Path) -> None:
 
 def _fake(kind: str) -> type[Fake]:
     real = STAGES.load(kind)
-    body = {
-        "kind": kind,
-        "settings": real.settings,
-        "needs": real.needs,
-        "config": real.config,
-    }
+    body = {"kind": kind, "settings": real.settings, "needs": real.needs, "config": real.config}
     return type(f"Fake_{kind}", (Fake,), body)
 
 

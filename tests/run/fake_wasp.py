@@ -1,7 +1,5 @@
 """`wasp` with fake stages and no report, as a process that tests can kill: python tests/run/fake_wasp.py run SPEC ..."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -27,5 +25,5 @@ if __name__ == "__main__":
         out().print(f"{len(recorded.cells)} cells")
         return SimpleNamespace(missing=())
 
-    wasp_cli.cli.run.show_report = show_cells  # type: ignore[assignment]
+    wasp_cli.cli.run.show_report = show_cells
     wasp_cli.cli.app.main()

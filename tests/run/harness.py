@@ -1,13 +1,12 @@
 """Fixtures and helpers for tests that run fake stages, in this process or in others."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,22 +55,29 @@ class Fakes:
         return self.log.read_text(encoding="utf-8").splitlines() if self.log.exists() else []
 
 
-@pytest.fixture
-def fakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fakes]:
+@contextmanager
+def faked(folder: Path) -> Iterator[Fakes]:
     """Fake stages in the place of all real ones."""
-    monkeypatch.setenv(fake_stages.OPTIONS, "{}")
-    grid.stage_class.cache_clear()
-    before = fake_stages.install()
-    state = Fakes(tmp_path)
-    state.set()
-    yield state
-    STAGES._own.update(before)
-    STAGES._all = None
-    grid.stage_class.cache_clear()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(fake_stages.OPTIONS, "{}")
+        grid.stage_class.cache_clear()
+        before = fake_stages.install()
+        state = Fakes(folder)
+        state.set()
+        yield state
+        STAGES._own.update(before)
+        STAGES._all = None
+        grid.stage_class.cache_clear()
 
 
 @pytest.fixture
-def small_spec(tmp_path: Path) -> Path:
+def fakes(tmp_path):
+    with faked(tmp_path) as state:
+        yield state
+
+
+@pytest.fixture
+def small_spec(tmp_path) -> Path:
     path = tmp_path / "small.yaml"
     path.write_text(SMALL, encoding="utf-8")
     return path
@@ -90,18 +96,21 @@ def run(spec: Path, results: Path, pool: Pool | None = None) -> Summary:
 
 
 def keys_of(spec: Path, results: Path) -> set[str]:
-    """The keys of everything that a spec asks for."""
     _, _, plan = prepared(spec, results)
     return {step.node.key for step in plan.steps}
 
 
 def data_of(results: Path) -> dict[str, bytes]:
-    """The payload of every artifact in a store."""
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
 
 
+def as_undisturbed(spec: Path, results: Path) -> bool:
+    """Whether a store has the bytes that it gets where nothing goes wrong."""
+    run(spec, results.with_name("undisturbed"))
+    return data_of(results) == data_of(results.with_name("undisturbed"))
+
+
 def finished(results: Path) -> set[str]:
-    """The keys of every artifact in a store."""
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
@@ -115,6 +124,13 @@ def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def wasp(*arguments: str | Path | int, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """The same, to its end."""
+    process = start(*map(str, arguments), cwd=cwd)
+    out, errors = process.communicate(timeout=600)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:

@@ -1,8 +1,7 @@
 """A results folder with published results of the small spec, and code that moves on."""
 
-from __future__ import annotations
-
 import json
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.run.harness import Fakes
+from tests.run.harness import SMALL, faked
 from wasp_cli.console import err
 from wasp_cli.plan import grid, reasons
 from wasp_cli.plan.closure import closure
@@ -40,7 +39,7 @@ def fresh_console() -> Iterator[None]:
 
 
 @pytest.fixture
-def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+def moved(monkeypatch) -> Callable[[str], None]:
     """Changes the code of a module, as far as plans can see."""
     hashed, sources = grid.closure_hash, reasons.source_hashes
 
@@ -53,16 +52,23 @@ def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return change
 
 
-@pytest.fixture
-def here(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Path:
-    """A fresh results folder with the published results of the spec, which were computed elsewhere."""
-    elsewhere = Layout(tmp_path / "elsewhere")
-    run_spec(load(small_spec), elsewhere.root, RunOptions(jobs=0))
-    fresh = tmp_path / "results"
-    publish(small_spec, elsewhere, Layout(fresh / "published"))
-    fakes.log.unlink()
+@pytest.fixture(scope="session")
+def computed(tmp_path_factory) -> Path:
+    """The results of the spec in `elsewhere`, and what was published of them in `results`."""
+    folder = tmp_path_factory.mktemp("layered")
+    spec, elsewhere = folder / "small.yaml", Layout(folder / "elsewhere")
+    spec.write_text(SMALL, encoding="utf-8")
+    with faked(folder):
+        run_spec(load(spec), elsewhere.root, RunOptions(jobs=0))
+        publish(spec, elsewhere, Layout(folder / "results" / "published"))
     err.cache_clear()
-    return fresh
+    return folder
+
+
+@pytest.fixture
+def here(computed, fakes, small_spec, tmp_path) -> Path:
+    """A fresh results folder with the published results of the spec, which were computed elsewhere."""
+    return shutil.copytree(computed / "results", tmp_path / "results")
 
 
 def publish(spec: Path, layout: Layout, target: Layout) -> None:

@@ -1,7 +1,5 @@
 """Run folders written by hand: what a run leaves behind, in any state."""
 
-from __future__ import annotations
-
 import json
 import platform
 import subprocess
@@ -26,7 +24,6 @@ def at(seconds: float) -> str:
 
 
 def planned(number: int, label: str, state: str = "missing", needs: Iterable[int] = (), **further: Any) -> dict[str, Any]:
-    """A node of a plan."""
     needed = {f"need{index}": key(index) for index in needs}
     return {"key": key(number), "kind": "expert", "label": label, "state": state, "reason": "", "needs": needed, **further}
 
@@ -36,7 +33,6 @@ def process(pid: int) -> dict[str, Any]:
 
 
 def dead_pid() -> int:
-    """The id of a process that has ended."""
     done = subprocess.Popen([sys.executable, "-c", ""])
     done.wait()
     return done.pid

@@ -1,7 +1,5 @@
 """What the pool of a dask scheduler makes of its client, which stands here for the scheduler: lost tasks, its end, its workers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future
 from types import SimpleNamespace
@@ -10,7 +8,7 @@ from typing import Any
 import distributed
 import pytest
 
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.run import pool as pools
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import DaskPool, WorkersDied
@@ -26,7 +24,7 @@ class Task:
         self.status = "pending"
         self.error: BaseException | None = None
 
-    def add_done_callback(self, told: Callable[[Task], None]) -> None:
+    def add_done_callback(self, told: Callable[..., None]) -> None:
         self.told = told
 
     def end(self, status: str, error: BaseException | None = None) -> None:
@@ -57,7 +55,7 @@ class Client:
 
 
 @pytest.fixture
-def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
+def pool(monkeypatch) -> Any:
     monkeypatch.setattr(distributed, "Client", Client)
     monkeypatch.setattr(pools, "POLL_SECONDS", 0.01)
     monkeypatch.setattr(pools, "COUNT_SECONDS", 0.02, raising=False)
@@ -71,7 +69,7 @@ def error_of(found: Future[NodeResult]) -> BaseException | None:
 
 
 @pytest.mark.parametrize("status", ["lost", "cancelled", "pending"])
-def test_a_task_that_did_not_finish_is_no_result(status: str, pool: Any) -> None:
+def test_a_task_that_did_not_finish_is_no_result(status, pool):
     """Its artifact may not be there; nothing that the client says of it counts."""
     found = pool.submit(JOB)
     pool._client.task.end(status)
@@ -81,7 +79,7 @@ def test_a_task_that_did_not_finish_is_no_result(status: str, pool: Any) -> None
     assert error.hint == "start it again, then run again: finished nodes are kept"
 
 
-def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool: Any) -> None:
+def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool):
     found = pool.submit(JOB)
     pool._client.task.end("error", distributed.KilledWorker("key", SimpleNamespace(address="one"), 3))
     assert isinstance(error_of(found), WorkersDied)
@@ -93,7 +91,7 @@ def test_a_task_whose_workers_were_killed_is_told_from_one_that_raised(pool: Any
 
 
 @pytest.mark.parametrize("status", ["closed", "closing"])
-def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status: str, pool: Any) -> None:
+def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status, pool):
     """No callback comes: the watcher alone ends the wait."""
     first, second = pool.submit(JOB), pool.submit(JOB)
     pool._client.status = status
@@ -103,3 +101,10 @@ def test_what_is_pending_is_given_up_when_the_scheduler_is_gone(status: str, poo
         assert error.message == f"the dask scheduler is lost ({status})"
     pool._client.task.end("finished")  # too late, and no error
     assert isinstance(error_of(second), WaspError)
+
+
+def test_workers_with_several_threads_are_refused(pool, monkeypatch):
+    monkeypatch.setattr(Client, "nthreads", lambda self: {"one": 1, "two": 2})
+    with pytest.raises(UsageError) as refused:
+        DaskPool("tcp://somewhere:1")
+    assert refused.value.hint == "start it with --nthreads 1"

@@ -1,7 +1,5 @@
 """A live run from another terminal: paused, resumed, parts of it taken back; and a run without a terminal."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -10,17 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from click.testing import Result
 
-from tests.run.harness import Fakes, data_of, events, finished, prepared, run, start, wait_until
+from tests.commands import run_here
+from tests.run.harness import as_undisturbed, events, finished, prepared, run, start, wait_until, wasp
 
 NODES = 36
 """Of the small spec."""
-
-
-def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    process = start(*arguments)
-    out, errors = process.communicate(timeout=600)
-    return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
 
 
 @contextmanager
@@ -33,35 +27,37 @@ def going(spec: Path, results: Path, jobs: int = 2) -> Iterator[subprocess.Popen
         process.communicate(timeout=600)
 
 
-def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def control(*arguments: str | Path) -> Result:
+    return run_here("control", *arguments, columns=200)
+
+
+def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     with going(small_spec, results) as process:
         wait_until(lambda: len(finished(results)) >= 2)
-        assert "small: paused; running nodes finish" in wasp("control", "pause", "--results", results).stdout
+        assert "small: paused; running nodes finish" in control("pause", "--results", results).stdout
         wait_until(lambda: "paused" in events(results) and not list(results.glob("runs/*/running/*.json")))
         begun = len(fakes.executions())
         assert begun == len(finished(results)) < NODES
-        assert ", paused" in wasp("status", results).stdout
+        assert ", paused" in run_here("status", results, columns=200).stdout
         assert len(fakes.executions()) == begun
-        assert "small: goes on" in wasp("control", "resume", "--results", results).stdout
+        assert "small: goes on" in control("resume", "--results", results).stdout
         _, errors = process.communicate(timeout=600)
         assert process.returncode == 0, errors
     assert "nothing new begins" in errors
     assert len(finished(results)) == NODES
-    refused = wasp("control", "pause", "--results", results)
-    assert (refused.returncode, "no run goes on" in refused.stderr) == (2, True)
+    refused = control("pause", "--results", results)
+    assert (refused.exit_code, "no run goes on" in refused.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("behaviour", ["sleep", pytest.param("hang", marks=pytest.mark.slow)])
-def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
-    behaviour: str, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(behaviour, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"goal1 s0 world_model": behaviour})
     with going(small_spec, results) as process:
         wait_until(lambda: any("s0 world_model" in line for line in fakes.executions()))
-        told = wasp("control", "cancel", "goal1 s0 world_model", "--results", results)
+        told = control("cancel", "goal1 s0 world_model", "--results", results)
         assert "goal1 s0 world_model is taken back, and " in told.stdout
         _, errors = process.communicate(timeout=600)
         assert process.returncode == 1
@@ -69,55 +65,44 @@ def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
     assert "Traceback" not in errors
     assert not list(results.glob("failures/*"))  # nothing has gone wrong
     fakes.set()
-    again = run(small_spec, results)
-    assert again.complete
-    run(small_spec, tmp_path / "calm")
-    assert data_of(results) == data_of(tmp_path / "calm")
+    assert run(small_spec, results).complete
+    assert as_undisturbed(small_spec, results)
 
 
-def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_waiting_node_that_is_taken_back_never_begins(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     _, _, plan = prepared(small_spec, results)
     cell = next(node for node in plan.to_run() if node.label == "goal1 s0 wasp noisy=0.2")
     with going(small_spec, results) as process:
         wait_until(lambda: len(finished(results)) >= 1)
-        assert wasp("control", "cancel", cell.key[:10], "--results", results).stdout.startswith(
-            "goal1 s0 wasp noisy=0.2 is taken back (run "
-        )
+        told = control("cancel", cell.key[:10], "--results", results)
+        assert told.stdout.startswith("goal1 s0 wasp noisy=0.2 is taken back (run ")
         _, errors = process.communicate(timeout=600)
     assert "1 cancelled:\n  goal1 s0 wasp noisy=0.2" in errors
     assert len(finished(results)) == NODES - 1
     assert cell.key not in finished(results)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("goal1 s0 wolrd_model", "did you mean 'goal1 s0 world_model'?"), ("goal1 s0 expert", "'goal1 s0 expert' has ended")],
-)
-def test_what_cannot_be_taken_back_is_told(text: str, message: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_taken_back_is_told(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"world_model": "sleep"})
     _, _, plan = prepared(small_spec, results)
     expert = next(node.key for node in plan.to_run() if node.label == "goal1 s0 expert")
     with going(small_spec, results):
         wait_until(lambda: expert in finished(results) and "done" in events(results))
-        refused = wasp("control", "cancel", text, "--results", results)
-    assert refused.returncode == 2
-    assert message in refused.stderr
+        for asked, message in (
+            (["cancel", "goal1 s0 wolrd_model"], "did you mean 'goal1 s0 world_model'?"),
+            (["cancel", "goal1 s0 expert"], "'goal1 s0 expert' has ended"),
+            (["cancel"], "cancel which node?"),
+            (["pause", "results/"], "'results/' is too much: pause is for whole runs"),
+        ):
+            refused = control(*asked, "--results", results)
+            assert (refused.exit_code, refused.stdout) == (2, "")
+            assert message in refused.stderr
 
 
-@pytest.mark.parametrize(
-    ("asked", "message"), [(["cancel"], "cancel which node?"), (["pause", "results/"], "'results/' is too much: pause is for whole runs")]
-)
-def test_a_node_is_named_where_one_is_cancelled_and_only_there(asked: list[str], message: str, tmp_path: Path) -> None:
-    (tmp_path / "runs").mkdir()
-    refused = wasp("control", *asked, "--results", tmp_path)
-    assert (refused.returncode, refused.stdout) == (2, "")
-    assert message in refused.stderr
-
-
-def test_a_detached_run_says_where_it_is_and_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_detached_run_says_where_it_is_and_goes_on(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.1)
     begun = wasp("run", small_spec, "--results", results, "-j", "2", "--detach")
@@ -131,7 +116,7 @@ def test_a_detached_run_says_where_it_is_and_goes_on(fakes: Fakes, small_spec: P
     wait_until(lambda: f"{NODES} computed" in Path(said["log"]).read_text(encoding="utf-8"))
 
 
-def test_a_detached_run_that_cannot_begin_says_why(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_detached_run_that_cannot_begin_says_why(fakes, small_spec, tmp_path):
     (tmp_path / "file").write_text("")
     refused = wasp("run", small_spec, "--results", tmp_path / "file" / "below", "--detach")
     assert refused.returncode == 1

@@ -1,13 +1,11 @@
 """Counterfactual branches as nodes of a run, over fake stages: order, repetition, failure, selection, publishing, cleaning up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, run
+from tests.run.harness import run
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.run.record import read_run
 from wasp_cli.run.runner import Summary
@@ -17,7 +15,7 @@ KIND = "counterfactual"
 
 
 @pytest.fixture
-def judged_spec(small_spec: Path) -> Path:
+def judged_spec(small_spec) -> Path:
     text = small_spec.read_text(encoding="utf-8").replace("seeds: [0, 1]", "seeds: [0]")
     small_spec.write_text(text + "stages: [diagnostics, counterfactual]\n", encoding="utf-8")
     return small_spec
@@ -31,7 +29,7 @@ def words(summary: Summary) -> tuple[set[str], set[str]]:
     return {failure.node.label for failure in summary.failed}, {node.label for node, _ in summary.blocked}
 
 
-def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes, judged_spec, tmp_path):
     assert run(judged_spec, tmp_path / "results").complete
     executed = fakes.executions()
     judged = [line for line in executed if f" {KIND} " in line]
@@ -44,7 +42,7 @@ def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fake
     assert len(fakes.executions()) == len(executed)
 
 
-def test_what_failed_is_named_runs_again_and_blocks_nothing(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_what_failed_is_named_runs_again_and_blocks_nothing(fakes, judged_spec, tmp_path):
     fakes.set(behave={"s0 counterfactual ida": "refuse"})
     failed, blocked = words(run(judged_spec, tmp_path / "results"))
     assert failed == {f"goal1 s0 counterfactual ida {operator}" for operator in ("noisy=0.2", "laggy=0.7")}
@@ -55,14 +53,14 @@ def test_what_failed_is_named_runs_again_and_blocks_nothing(fakes: Fakes, judged
     assert run(judged_spec, tmp_path / "results").done == 2
 
 
-def test_a_cell_that_failed_blocks_its_branches(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_a_cell_that_failed_blocks_its_branches(fakes, judged_spec, tmp_path):
     fakes.set(behave={"evaluate wasp": "refuse"})
     failed, blocked = words(run(judged_spec, tmp_path / "results"))
     assert failed == {"goal1 s0 wasp noisy=0.2", "goal1 s0 wasp laggy=0.7"}
     assert blocked == {"goal1 s0 counterfactual wasp noisy=0.2", "goal1 s0 counterfactual wasp laggy=0.7"}
 
 
-def test_a_run_says_later_what_it_was_to_branch(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_a_run_says_later_what_it_was_to_branch(fakes, judged_spec, tmp_path):
     run(judged_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
     recorded = read_run(layout, run_ids(layout)[0])
@@ -72,7 +70,7 @@ def test_a_run_says_later_what_it_was_to_branch(fakes: Fakes, judged_spec: Path,
     }
 
 
-def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_path):
     shown = run_here("plan", judged_spec, "--results", tmp_path / "results", columns=200)
     assert "the interventions of 4 of them are judged by counterfactual branches" in shown.output
     assert any(line.split()[:2] == [KIND, "4"] for line in shown.output.splitlines())
@@ -81,7 +79,7 @@ def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec:
     assert len(branches(tmp_path / "results")) == 1
 
 
-def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes, judged_spec, tmp_path):
     vary = ("--vary", "ida.vote=0.1,0.2", "-j", "0", "--results", tmp_path / "results")
     told = run_here("sweep", judged_spec, *vary, columns=200).output
     assert "nodes are the same for all of them" in told

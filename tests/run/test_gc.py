@@ -1,7 +1,5 @@
 """`wasp gc`: what no spec reaches goes, and nothing that somebody reads."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -14,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, finished, keys_of, run, start, wait_until
+from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
@@ -26,12 +24,35 @@ from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
 
 
-@pytest.fixture
-def other_spec(small_spec: Path) -> Path:
-    """The same experiment with another seed, under the same name."""
-    path = small_spec.with_name("other.yaml")
-    path.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
+def written(path: Path, *change: str) -> Path:
+    path.write_text(SMALL.replace(*change) if change else SMALL, encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def other_spec(small_spec) -> Path:
+    """The same experiment with another seed, under the same name."""
+    return written(small_spec.with_name("other.yaml"), "seeds: [0, 1]", "seeds: [1, 7]")
+
+
+@pytest.fixture
+def named_spec(small_spec) -> Path:
+    return written(small_spec.with_name("named.yaml"), "name: small", "name: named")
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("both")
+    with faked(folder):
+        run(written(folder / "small.yaml"), folder / "results")
+        run(written(folder / "other.yaml", "seeds: [0, 1]", "seeds: [1, 7]"), folder / "results")
+    return folder / "results"
+
+
+@pytest.fixture
+def results(both, fakes, tmp_path) -> Path:
+    """Of both, of which the other is the newest."""
+    return shutil.copytree(both, tmp_path / "results")
 
 
 def collect(results: Path, *options: str | Path) -> str:
@@ -46,19 +67,7 @@ def table(text: str) -> dict[str, tuple[int, str]]:
     return {what: (int(count), size) for what, count, size in rows}
 
 
-def two_runs(first: Path, second: Path, results: Path) -> tuple[Layout, str]:
-    """The results of two specs, and the run of the first."""
-    run(first, results)
-    layout = Layout(results)
-    (run_id,) = run_ids(layout)
-    run(second, results)
-    return layout, run_id
-
-
-def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_spec, results, tmp_path):
     old, new = keys_of(small_spec, results), keys_of(other_spec, results)
     assert finished(results) == old | new
     assert "nothing was removed" in collect(results)
@@ -74,23 +83,18 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: P
     assert run(small_spec, results).done == len(old - new)
 
 
-def test_specs_of_other_names_and_specs_to_keep(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_specs_of_other_names_and_specs_to_keep(small_spec, other_spec, named_spec, results, tmp_path):
     everything = finished(results)
     collect(results, "--yes", "--keep", small_spec)
     assert finished(results) == everything
-    named = small_spec.with_name("named.yaml")
-    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
-    run(named, results)
+    run(named_spec, results)
     run(other_spec, results)
     collect(results, "--yes")
     assert finished(results) == everything
     assert run_here("gc", results, "--keep", tmp_path / "absent.yaml", columns=80).exit_code == 3
 
 
-def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_spec, tmp_path):
     """As after an update: the plan's keys changed, but a kept artifact was computed from one of before."""
     results = tmp_path / "results"
     run(small_spec, results)
@@ -106,9 +110,8 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes,
     assert before - finished(results) == diagnostics  # no evaluation reads them
 
 
-def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
-    run(small_spec, tmp_path / "undisturbed")
     fakes.set(seconds=0.1)
     process = start("run", small_spec, "--results", results, "-j", "2")
     wait_until(lambda: len(finished(results)) >= 5)
@@ -129,13 +132,12 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     assert looked
     output = process.communicate()
     assert process.returncode == 0, output
-    wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/_manifest.json")}
-    assert wanted <= finished(results)
+    assert keys_of(small_spec, results) <= finished(results)
 
 
-def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    layout, run_id = two_runs(small_spec, other_spec, results)
+def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, results, tmp_path):
+    layout = Layout(results)
+    run_id = run_ids(layout)[-1]
     journal = layout.run(run_id) / "journal.jsonl"
     events = [event for event in read_json_lines(journal) if event["event"] != "run ended"]
     for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
@@ -145,11 +147,8 @@ def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spe
         assert (keys_of(small_spec, results) <= finished(results)) == stays
 
 
-def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+def test_what_is_being_computed_stays(fakes, small_spec, other_spec, results, tmp_path):
     """By a run that this machine cannot see: its locks tell."""
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
     layout = Layout(results)
     evaluation = next(path for path in sorted(results.glob("store/evaluate/*")) if path.name not in keys_of(other_spec, results))
     reads = set(json.loads((evaluation / "_manifest.json").read_text())["upstream"].values())
@@ -162,10 +161,7 @@ def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec
     assert evaluation.name not in finished(results)
 
 
-def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_only_what_is_old(fakes, small_spec, other_spec, results, tmp_path):
     unwanted = sorted(finished(results) - keys_of(other_spec, results))
     (old,) = results.glob(f"store/*/{unwanted[0]}")
     before = time.time() - 10 * 86400
@@ -176,25 +172,17 @@ def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_
     assert set(unwanted) - finished(results) == {unwanted[0]}
 
 
-def test_runs_go_only_when_asked(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    named = small_spec.with_name("named.yaml")
-    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
-    run(named, results)
-    run(other_spec, results)
+def test_runs_go_only_when_asked(named_spec, results):
+    run(named_spec, results)
     layout = Layout(results)
-    newest, *_ = before = run_ids(layout)
+    named, newest, _ = before = run_ids(layout)
     collect(results, "--yes")
     assert run_ids(layout) == before
     collect(results, "--yes", "--runs")
-    after = run_ids(layout)
-    assert len(after) == 2
-    assert newest in after
-    assert {name.split("-")[2] for name in after} == {"small", "named"}
+    assert run_ids(layout) == [named, newest]
 
 
-def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_runs_leave_behind(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})
     run(small_spec, results)
@@ -216,9 +204,9 @@ def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) 
     assert [shown[what][0] for what in ("records of failures", "left in tmp")] == [1, 1]
 
 
-def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    layout, run_id = two_runs(small_spec, other_spec, results)
+def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, results, tmp_path):
+    layout = Layout(results)
+    run_id = run_ids(layout)[-1]
     before, plan = finished(results), layout.run(run_id) / "plan.json"
     whole = json.loads(plan.read_text())
     for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
@@ -234,17 +222,11 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path,
     assert finished(results) == keys_of(other_spec, results)
 
 
-def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
-    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path
-) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fakes, small_spec, other_spec, results, tmp_path):
     layout = Layout(results)
     shown = unreached(layout, set(), runs=False, before=None)
     fakes.set(free=len(fakes.executions()))  # it waits at its first node
-    spec = small_spec.with_name("more.yaml")
-    spec.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [0, 9]"), encoding="utf-8")
+    spec = written(small_spec.with_name("more.yaml"), "seeds: [0, 1]", "seeds: [0, 9]")
     process = start("run", spec, "--results", results, "-j", "1")
     try:
         wait_until(lambda: len(run_ids(layout)) == 3 and any(results.glob("runs/*/running/*.json")))
@@ -255,12 +237,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
         process.communicate(timeout=600)
 
 
-def test_a_removal_that_is_killed_leaves_nothing_half(
-    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    results = tmp_path / "results"
-    run(small_spec, results)
-    run(other_spec, results)
+def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, results, tmp_path, monkeypatch):
     layout = Layout(results)
 
     def killed(folder: Path) -> None:
@@ -278,7 +255,7 @@ def test_a_removal_that_is_killed_leaves_nothing_half(
     assert not list(layout.tmp.iterdir())
 
 
-def test_results_that_are_not_there(tmp_path: Path) -> None:
+def test_results_that_are_not_there(tmp_path):
     assert run_here("gc", tmp_path / "absent", columns=80).exit_code == 1
     (tmp_path / "results" / "runs").mkdir(parents=True)
     (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).mkdir(parents=True)

@@ -1,13 +1,9 @@
 """`wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from tests.commands import run_here
 from tests.run.recorded import key, planned, write_run
@@ -19,26 +15,13 @@ LONG_AGO = time.time() - 7200
 MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED, UNWANTED = range(1, 12)
 
 
-@pytest.fixture
-def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
-
-
 def stored(layout: Layout, kind: str, number: int, reads: int | None = None, variant: str = "noisy", *, session: bool = False) -> Path:
     staging = staging_folder(layout, key(number))
     (staging / "rows").write_bytes(b"rows")
     if session:
         write_record(staging / SESSION_FILE, {"number": 1})
     upstream = {} if reads is None else {"read": key(reads)}
-    manifest: dict[str, Any] = {
-        "kind": kind,
-        "key": key(number),
-        "label": f"n{number}",
-        "axes": {"operator": variant},
-        "upstream": upstream,
-    }
+    manifest = {"kind": kind, "key": key(number), "label": f"n{number}", "axes": {"operator": variant}, "upstream": upstream}
     return commit(layout, kind, key(number), staging, manifest)
 
 
@@ -64,7 +47,7 @@ def collect(layout: Layout) -> str:
     return done.stdout
 
 
-def test_the_next_participant_displaces_nobody(layout: Layout) -> None:
+def test_the_next_participant_displaces_nobody(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", ALONE, MODEL, "person", session=True)
     damaged = stored(layout, "evaluate", OTHER, MODEL, "person", session=True)
@@ -87,7 +70,7 @@ def test_the_next_participant_displaces_nobody(layout: Layout) -> None:
     assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
 
 
-def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout: Layout) -> None:
+def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout):
     """As after a kill between the two: which of them is whole is for the next session to say."""
     stored(layout, "evaluate", ALONE, variant="person", session=True)
     begin(layout, ALONE)
@@ -95,7 +78,7 @@ def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout: Layout) 
     assert (layout.work(key(ALONE)) / SESSION_FILE).exists()
 
 
-def test_what_a_note_is_about_stays(layout: Layout) -> None:
+def test_what_a_note_is_about_stays(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", NOTED, MODEL)
     stored(layout, "evaluate", UNWANTED, MODEL)

@@ -1,7 +1,5 @@
 """Parts that were published in half precision give other numbers under the same keys: everything that shows them says so."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,6 @@ import pytest
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.plan.test_plan import text_of
-from tests.run.harness import Fakes
 from tests.run.layered import fresh_console, plan, run
 from wasp_cli.compare import Causes
 from wasp_cli.run.publish import carry_publication, publication
@@ -27,7 +24,7 @@ PARTS = ("stage!=evaluate|calibration",)
 
 
 @pytest.fixture
-def whole(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Layout:
+def whole(fakes, small_spec, tmp_path) -> Layout:
     """Results whose parts have weights."""
     fakes.set(weights=True)
     layout = Layout(tmp_path / "whole")
@@ -46,7 +43,7 @@ def cells(layout: Layout) -> list[dict[str, Any]]:
     return [json.loads(path.read_text(encoding="utf-8")) for path in layout.store.glob("evaluate/*/_manifest.json")]
 
 
-def test_a_plan_and_the_manifests_say_it(whole: Layout, small_spec: Path, tmp_path: Path) -> None:
+def test_a_plan_and_the_manifests_say_it(whole, small_spec, tmp_path):
     results = published(small_spec, whole, tmp_path / "results", half=True)
     before = plan(small_spec, results)
     reasons = {step.reason for step in before.steps if step.state == "published"}
@@ -71,9 +68,7 @@ def test_a_plan_and_the_manifests_say_it(whole: Layout, small_spec: Path, tmp_pa
     assert sum("half_precision" in manifest["provenance"] for manifest in cells(Layout(onward / "published"))) == len(made)
 
 
-def test_nothing_is_claimed_of_cells_that_were_computed_before_their_parts_were_halved(
-    whole: Layout, small_spec: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_claimed_of_cells_that_were_computed_before_their_parts_were_halved(whole, small_spec, tmp_path):
     results = published(small_spec, whole, tmp_path / "results", half=True)
     published(small_spec, whole, results, half=False, selectors=("stage=evaluate",))
     found = plan(small_spec, results)
@@ -83,7 +78,7 @@ def test_nothing_is_claimed_of_cells_that_were_computed_before_their_parts_were_
     assert not any("half_precision" in manifest["provenance"] for manifest in cells(Layout(results)))
 
 
-def test_the_report_and_the_comparison_say_it(tmp_path: Path) -> None:
+def test_the_report_and_the_comparison_say_it(tmp_path):
     write_results(tmp_path / "whole")
     write_results(tmp_path / "half", lambda identity: episodes(identity, risk=0.3), {"half_precision": ["policies", "world_model"]})
     told = run_here("report", tmp_path / "half", "--no-films", "--no-trained", "--paper", "none", columns=200)

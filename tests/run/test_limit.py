@@ -1,7 +1,5 @@
 """A look at the first episodes of every cell before the whole."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,6 @@ from typing import Any
 import pytest
 
 from tests.run import fake_stages
-from tests.run.harness import Fakes
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.run.pool import InlinePool
@@ -40,7 +37,7 @@ def carried_out(loaded: Loaded, layout: Layout) -> dict[str, dict[str, Any]]:
     return {manifest["label"]: manifest for manifest in manifests}
 
 
-def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes, small_spec, tmp_path):
     layout = Layout(tmp_path / "results")
     look, all_ = loaded_with(small_spec, 10), loaded_with(small_spec, None)
     first = carried_out(look, layout)
@@ -63,7 +60,7 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
     assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), "a part of a cell was taken for its time"
 
 
-def test_a_cell_goes_on_from_the_longest_beginning(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_cell_goes_on_from_the_longest_beginning(fakes, small_spec, tmp_path):
     layout = Layout(tmp_path / "results")
     carried_out(loaded_with(small_spec, 20), layout)
     longest = carried_out(loaded_with(small_spec, 25), layout)
@@ -81,16 +78,14 @@ def test_a_cell_goes_on_from_the_longest_beginning(fakes: Fakes, small_spec: Pat
         ("wasp.candidates=9", METHODS - {"wasp"}),
     ],
 )
-def test_a_cell_that_differs_in_anything_else_is_no_beginning(
-    setting: str, methods: set[str], fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, fakes, small_spec, tmp_path):
     layout = Layout(tmp_path / "results")
     carried_out(loaded_with(small_spec, 10), layout)
     plan = planned(loaded_with(small_spec, None, setting), layout)
     assert {node.axes["method"] for node in plan.to_run() if node.key in plan.begun} == methods
 
 
-def test_a_damaged_beginning_is_not_taken_over(fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_beginning_is_not_taken_over(fakes, small_spec, tmp_path, monkeypatch):
     layout = Layout(tmp_path / "results")
     bad = next(iter(carried_out(loaded_with(small_spec, 10), layout).values()))["key"]
     data = layout.artifact("evaluate", bad) / "data.bin"

@@ -1,14 +1,12 @@
 """Which run is the newest, and until when a run is not over."""
 
-from __future__ import annotations
-
 import json
 import os
 import time
 from pathlib import Path
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, finished, keys_of, run, start, wait_until
+from tests.run.harness import finished, keys_of, run, start, wait_until
 from tests.run.recorded import planned, write_run
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.report.provenance import last_runs
@@ -16,13 +14,12 @@ from wasp_cli.store.layout import Layout
 
 
 def other(spec: Path) -> Path:
-    """The same experiment with another seed, under the same name."""
     path = spec.with_name("other.yaml")
     path.write_text(spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
     return path
 
 
-def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_path):
     results, later = tmp_path / "results", other(small_spec)
     run(small_spec, results)
     layout = Layout(results)
@@ -41,7 +38,7 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes: Fakes, small_spec
     assert finished(results) == keys_of(later, results)
 
 
-def test_a_run_without_a_number_is_older(tmp_path: Path) -> None:
+def test_a_run_without_a_number_is_older(tmp_path):
     layout = Layout(tmp_path / "results")
     layout.prepare()
     names = [f"{day}-120000-small-000{n}" for n, day in enumerate(("20260503", "20300101", "20260502"))]
@@ -53,7 +50,7 @@ def test_a_run_without_a_number_is_older(tmp_path: Path) -> None:
     assert run_ids(layout) == [names[0], names[2], names[1]]
 
 
-def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_spec, tmp_path):
     results, later, gate = tmp_path / "results", other(small_spec), tmp_path / "report now"
     fakes.set(report=str(gate))
     process = start("run", small_spec, "--results", results, "-j", "0")
@@ -73,7 +70,7 @@ def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes: Fakes, s
     assert finished(results) == keys_of(later, results)
 
 
-def test_an_idle_rerun_counts_what_was_there(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_an_idle_rerun_counts_what_was_there(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     nodes = [{"key": key, "kind": "expert", "label": key, "state": "cached", "needs": {}} for key in finished(results)]

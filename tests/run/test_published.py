@@ -1,16 +1,12 @@
 """Published results over fake stages: what is used instead of computed, and under whose key."""
 
-from __future__ import annotations
-
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from tests.plan.test_plan import text_of
-from tests.run.harness import Fakes, data_of
-from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, here, kinds, moved, node_of, plan, published_manifest, rewrite, run
+from tests.run.harness import data_of
+from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, kinds, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.errors import UsageError
 from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import closure
@@ -22,12 +18,10 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
-__all__ = ["fresh_console", "here", "moved"]
+__all__ = ["fresh_console"]
 
 
-def test_a_fresh_folder_computes_nothing_that_is_published(
-    here: Path, fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fresh_folder_computes_nothing_that_is_published(here, computed, fakes, small_spec, capsys):
     before = plan(small_spec, here)
     done = run(small_spec, here)
     assert not fakes.executions()
@@ -37,7 +31,7 @@ def test_a_fresh_folder_computes_nothing_that_is_published(
     assert {node.key for node in taken} == before.grid.targets == {path.parent.name for path in here.glob("store/*/*/_manifest.json")}
     assert {step.reason for step in before.steps if step.node in taken} == {"published with this code"}
     assert {step.reason for step in before.steps if step.node not in taken} == {"everything that needs it is computed"}
-    assert data_of(here).items() <= data_of(tmp_path / "elsewhere").items()
+    assert data_of(here).items() <= data_of(computed / "elsewhere").items()
     assert f"0 computed, 0 computed before, {len(taken)} published in" in capsys.readouterr().err
     assert plan(small_spec, here).count("cached") == len(taken)
     assert f"nothing to compute: a run copies {len(taken)} published results" in text_of(before)
@@ -45,13 +39,13 @@ def test_a_fresh_folder_computes_nothing_that_is_published(
     assert {node.key for node in lay_out(load(small_spec).spec).nodes} == {step.node.key for step in before.steps}
 
 
-def test_without_reuse_everything_is_computed(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_without_reuse_everything_is_computed(here, fakes, small_spec):
     done = run(small_spec, here, choice="none")
     assert len(fakes.executions()) == done.summary.done == len(done.plan.steps)
     assert not done.plan.grid.reused
 
 
-def test_what_was_computed_under_todays_code_comes_first(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+def test_what_was_computed_under_todays_code_comes_first(here, fakes, small_spec, moved):
     moved(SPECIFIC)
     run(small_spec, here, choice="none")
     found = plan(small_spec, here)
@@ -60,7 +54,7 @@ def test_what_was_computed_under_todays_code_comes_first(here: Path, fakes: Fake
     assert {node.key for node in found.grid.nodes} == {node.key for node in lay_out(load(small_spec).spec).nodes}
 
 
-def test_the_spec_says_what_is_reused_and_the_option_wins(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_the_spec_says_what_is_reused_and_the_option_wins(here, fakes, small_spec):
     layout = Layout(here)
     assert not lay_out_over(load(small_spec).spec, layout).reused
     assert lay_out_over(load(small_spec, ("reuse=published",)).spec, layout).reused
@@ -69,7 +63,7 @@ def test_the_spec_says_what_is_reused_and_the_option_wins(here: Path, fakes: Fak
     assert not fakes.executions()
 
 
-def test_a_published_folder_elsewhere(here: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_published_folder_elsewhere(here, fakes, small_spec, tmp_path):
     other = here.rename(tmp_path / "cloned") / "published"
     run(small_spec, tmp_path / "new", choice=str(other))
     assert not fakes.executions()
@@ -78,9 +72,7 @@ def test_a_published_folder_elsewhere(here: Path, fakes: Fakes, small_spec: Path
             plan(small_spec, tmp_path / "new", choice=wrong)
 
 
-def test_when_the_code_has_moved_on_the_plan_names_it(
-    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_when_the_code_has_moved_on_the_plan_names_it(here, fakes, small_spec, moved, capsys):
     rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), lambda manifest: manifest["provenance"].update(git={"sha": "abcdef0123"}))
     moved(SPECIFIC)
     found = {step.node.label: step for step in plan(small_spec, here).steps}
@@ -96,7 +88,7 @@ def test_when_the_code_has_moved_on_the_plan_names_it(
     assert found["goal1 s0 ida noisy=0.2"].node.key not in {node.key for node in lay_out(load(small_spec).spec).nodes}
 
 
-def test_what_was_computed_from_other_code_is_other_code(here: Path, small_spec: Path, moved: Callable[[str], None]) -> None:
+def test_what_was_computed_from_other_code_is_other_code(here, small_spec, moved):
     module = "wasp_cli.methods.wasp.search"
     moved(module)
     calibration, *_ = [step for step in plan(small_spec, here).steps if step.node.label == "goal1 s0 calibration wasp"]
@@ -110,9 +102,7 @@ def test_what_was_computed_from_other_code_is_other_code(here: Path, small_spec:
     assert "; its inputs were computed by another version" in text_of(plan(small_spec, here), every=True)
 
 
-def test_what_is_computed_from_published_results_has_keys_that_say_so(
-    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]
-) -> None:
+def test_what_is_computed_from_published_results_has_keys_that_say_so(here, fakes, small_spec, moved):
     moved(COMMON)
     before = plan(small_spec, here, MORE)
     done = run(small_spec, here, MORE)
@@ -129,9 +119,7 @@ def test_what_is_computed_from_published_results_has_keys_that_say_so(
     assert plan(small_spec, here, MORE, "none").count("cached") == 0
 
 
-def test_a_part_that_was_not_published_is_no_reason_to_train_what_was(
-    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]
-) -> None:
+def test_a_part_that_was_not_published_is_no_reason_to_train_what_was(here, fakes, small_spec, moved):
     for kind in ("expert", "dataset", "heldout"):
         shutil.rmtree(here / "published/store" / kind)
     moved(COMMON)
@@ -140,9 +128,7 @@ def test_a_part_that_was_not_published_is_no_reason_to_train_what_was(
     assert kinds(fakes.executions())["critics"] == 0
 
 
-def test_results_of_two_codes_are_never_mixed_behind_one_node(
-    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]
-) -> None:
+def test_results_of_two_codes_are_never_mixed_behind_one_node(here, fakes, small_spec, moved):
     shutil.rmtree(here / "published/store/world_model")
     moved(COMMON)
     # The world model would be another one: what was trained on the states of the first one does not go with it.
@@ -158,13 +144,13 @@ def test_results_of_two_codes_are_never_mixed_behind_one_node(
     assert done.plan.count("published", "evaluate") == len({node.key for _, node in done.plan.grid.cells}) - 2 * 3
 
 
-def test_with_the_same_code_a_missing_part_is_computed_and_the_rest_is_used(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_with_the_same_code_a_missing_part_is_computed_and_the_rest_is_used(here, fakes, small_spec):
     shutil.rmtree(here / "published/store/world_model")
     run(small_spec, here, MORE)
     assert kinds(fakes.executions()) == {"world_model": 2, "evaluate": 2 * 3}
 
 
-def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+def test_a_sweep_follows_its_spec(here, fakes, small_spec, moved):
     moved(COMMON)
     swept = read_sweep(small_spec, "wasp.tau_c=0.3,1.0", ("human", "wasp"), ("reuse=published",))
     done, _ = run_sweep(swept, here, RunOptions(jobs=0))
@@ -181,7 +167,7 @@ def slimmed(manifest: dict[str, object]) -> None:
     manifest["slim"] = {"_steps.pq": {"left_out": "steps of all episodes but the first", "sha256": "0" * 64}}
 
 
-def test_a_cell_without_its_steps_stands_for_its_rows_and_never_for_what_reads_steps(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_a_cell_without_its_steps_stands_for_its_rows_and_never_for_what_reads_steps(here, fakes, small_spec):
     """Branches of interventions begin in the steps of a cell: where they are left out, the cell is computed again for them, whole."""
     rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), slimmed)
     run(small_spec, here)
@@ -192,7 +178,7 @@ def test_a_cell_without_its_steps_stands_for_its_rows_and_never_for_what_reads_s
     assert kinds(fakes.executions())["evaluate"] == 1
 
 
-def test_a_cell_without_its_steps_in_the_store_is_computed_again_when_they_are_needed(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_a_cell_without_its_steps_in_the_store_is_computed_again_when_they_are_needed(here, fakes, small_spec):
     rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), slimmed)
     run(small_spec, here)
     run(small_spec, here, JUDGED)

@@ -1,7 +1,5 @@
 """Published results that are damaged or untrusted: they make us compute, and no more."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -10,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.run.harness import Fakes
-from tests.run.layered import COMMON, MORE, fresh_console, here, kinds, moved, plan, published_manifest, rewrite, run
+from tests.run.layered import COMMON, MORE, fresh_console, kinds, plan, published_manifest, rewrite, run
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
@@ -19,10 +16,10 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import import_artifact
 
-__all__ = ["fresh_console", "here", "moved"]
+__all__ = ["fresh_console"]
 
 
-def test_a_corrupt_file_is_not_used_and_named(here: Path, fakes: Fakes, small_spec: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):
     manifest = published_manifest(here, "goal1 s0 human noisy=0.2")
     data = manifest.with_name("data.bin")
     data.write_bytes(bytes(len(data.read_bytes())))
@@ -39,7 +36,7 @@ def test_a_corrupt_file_is_not_used_and_named(here: Path, fakes: Fakes, small_sp
     assert not [step for step in plan(small_spec, here).steps if step.runs]
 
 
-def test_what_breaks_in_the_store_is_brought_in_again(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+def test_what_breaks_in_the_store_is_brought_in_again(here, fakes, small_spec, moved):
     moved(COMMON)
     run(small_spec, here)
     (here / "store/evaluate").rename(here / "gone")
@@ -91,7 +88,7 @@ HARMS: dict[str, Callable[[Path, dict[str, Any]], object]] = {
 
 
 @pytest.mark.parametrize("harm", HARMS)
-def test_untrusted_results_can_make_us_compute_and_no_more(harm: str, here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_untrusted_results_can_make_us_compute_and_no_more(harm, here, fakes, small_spec):
     path = published_manifest(here, "goal1 s1 human laggy=0.7")
     manifest = json.loads(path.read_text())
     (here / "secret.bin").write_bytes(b"mine")
@@ -108,7 +105,7 @@ def test_untrusted_results_can_make_us_compute_and_no_more(harm: str, here: Path
     }  # fmt: skip
 
 
-def test_two_artifacts_of_one_key_take_nobodys_place(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_two_artifacts_of_one_key_take_nobodys_place(here, fakes, small_spec):
     one = published_manifest(here, "goal1 s0 human noisy=0.2").parent
     other = published_manifest(here, "goal1 s0 diagnostics").parent
     taken = other.with_name(one.name)
@@ -123,9 +120,7 @@ def test_two_artifacts_of_one_key_take_nobodys_place(here: Path, fakes: Fakes, s
     assert len({step.node.key for step in found.steps}) == len(lay_out(load(small_spec).spec).nodes)
 
 
-def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
-    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]
-) -> None:
+def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(here, fakes, small_spec, moved):
     moved(COMMON)
     for number, kind in enumerate(("world_model", "policies")):
         for path in here.glob(f"published/store/{kind}/*/_manifest.json"):
@@ -135,7 +130,7 @@ def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
     assert kinds(fakes.executions())["world_model"] == 2
 
 
-def test_what_changes_after_the_plan_was_made_is_not_brought_in(here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, small_spec):
     offer = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())).offer
     (offer.source.artifact(offer.kind, offer.key) / "data.bin").write_bytes(b"something else")
     with pytest.raises(ArtifactError, match="has other bytes than"):

@@ -1,7 +1,5 @@
 """What the surroundings of a run can do to it: folders that cannot be read, readers that go away, plugins that break."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -11,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import ROOT, Fakes, prepared
+from tests.run.harness import ROOT, prepared
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError
 from wasp_cli.plan.schedule import durations, simulated
@@ -22,7 +20,7 @@ from wasp_cli.run.session import useful_jobs
 from wasp_cli.run.worker import execute
 
 
-def test_results_that_cannot_be_read_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="file name too long"):
         results_of(tmp_path / ("x" * 300))
 
@@ -34,7 +32,7 @@ def test_results_that_cannot_be_read_are_refused(tmp_path: Path, monkeypatch: py
         results_of(tmp_path)
 
 
-def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_looks_and_creates_nothing(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "absent" / "far")
     (tmp_path / "old").mkdir()
@@ -52,7 +50,7 @@ def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     assert not (tmp_path / "absent").exists()
 
 
-def test_no_more_workers_than_nodes_side_by_side(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_no_more_workers_than_nodes_side_by_side(fakes, small_spec, tmp_path):
     _, _, plan = prepared(small_spec, tmp_path / "results")
     nodes = plan.to_run()
     lasting = durations(nodes, plan.seconds)
@@ -62,7 +60,7 @@ def test_no_more_workers_than_nodes_side_by_side(fakes: Fakes, small_spec: Path,
     assert simulated(nodes, lasting, most) == simulated(nodes, lasting, 64)
 
 
-def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     job = Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
@@ -85,34 +83,30 @@ def wasp(*arguments: str | Path, stdout: int, program: tuple[str, ...] = ("-m", 
         os.close(stdout)
 
 
-@pytest.mark.parametrize(("behave", "code"), [({}, 0), ({"s1 critics": "refuse"}, 1)], ids=["complete", "one fails"])
-def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(
-    behave: dict[str, str], code: int, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
-    fakes.set(behave=behave)
+def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spec, tmp_path):
+    fakes.set(behave={"s1 critics": "refuse"})
     arguments = ("run", small_spec, "--results", tmp_path / "results", "-j", "0")
     done = wasp(*arguments, stdout=closed_pipe(), program=("tests/run/fake_wasp.py",))
-    assert done.returncode == code
-    assert ("1 failed:" in done.stderr) == bool(behave)
+    assert done.returncode == 1
+    assert "1 failed:" in done.stderr
     assert "Traceback" not in done.stderr
     assert "BrokenPipe" not in done.stderr
 
 
-def test_a_reader_that_goes_away_ends_other_output_quietly() -> None:
-    done = wasp("plan", "specs/table1.yaml", "--json", stdout=closed_pipe())
+def test_a_reader_that_goes_away_ends_other_output_quietly():
+    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=closed_pipe())
     assert (done.returncode, done.stderr) == (141, "")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("options", [(), ("--json",)])
-def test_output_to_a_full_disk_is_one_message(options: tuple[str, ...]) -> None:
-    done = wasp("plan", "specs/smoke.yaml", *options, stdout=os.open("/dev/full", os.O_WRONLY))
+def test_output_to_a_full_disk_is_one_message():
+    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=os.open("/dev/full", os.O_WRONLY))
     assert done.returncode == 1
     assert done.stderr.startswith("error: no space left on device")
     assert "Exception" not in done.stderr
 
 
 @pytest.mark.parametrize("arguments", [("plan", "specs/smoke.yaml", "--results", ""), ("report", ""), ("doctor", "--results", " ")])
-def test_an_empty_name_is_no_results_folder(arguments: tuple[str, ...]) -> None:
+def test_an_empty_name_is_no_results_folder(arguments):
     done = run_here(*arguments, columns=200)
     assert (done.exit_code, "the name of the folder is empty" in done.stderr) == (2, True)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import random
 import threading
@@ -7,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
+from tests.run.harness import data_of, prepared, run, start, wait_until
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.pool import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run
@@ -18,7 +16,7 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.plain import read_json_lines
 
 
-def test_a_run_computes_every_node_once_and_a_second_run_none(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     _, _, plan = prepared(small_spec, results)
     summary = run(small_spec, results)
@@ -26,10 +24,12 @@ def test_a_run_computes_every_node_once_and_a_second_run_none(fakes: Fakes, smal
     assert summary.done == len(plan.steps) == len(fakes.executions()) == len(set(fakes.executions()))
     _, _, again = prepared(small_spec, results)
     assert again.count("cached") == len(again.steps)
+    (folder,) = (results / "runs").iterdir()
+    assert not [left for place in (results / "tmp", results / "work", folder / "running") for left in place.iterdir()]
     assert run(small_spec, results).done == 0
 
 
-def test_a_renamed_and_reordered_spec_finds_everything_computed(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_renamed_and_reordered_spec_finds_everything_computed(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     run(small_spec, results)
     text = small_spec.read_text(encoding="utf-8")
@@ -38,15 +38,13 @@ def test_a_renamed_and_reordered_spec_finds_everything_computed(fakes: Fakes, sm
     assert run(small_spec, results).done == 0
 
 
-def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "raise"})
     summary = run(small_spec, results)
     assert [failure.node.kind for failure in summary.failed] == ["ida_q"]
-    assert {(node.kind, node.axes["method"], node.seed) for node, _ in summary.blocked} == {
-        ("calibration", "ida", 0),
-        ("evaluate", "ida", 0),
-    }
+    blocked = {(node.kind, node.axes["method"], node.seed) for node, _ in summary.blocked}
+    assert blocked == {("calibration", "ida", 0), ("evaluate", "ida", 0)}
     result = summary.failed[0].result
     assert result.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
     assert "Traceback" in Path(result.log).read_text(encoding="utf-8")
@@ -63,14 +61,14 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes: Fakes, small
     assert not list(layout.failures.iterdir())
 
 
-def test_a_stage_that_exits_fails_and_nothing_else(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_stage_that_exits_fails_and_nothing_else(fakes, small_spec, tmp_path):
     fakes.set(behave={"evaluate human {} noisy": "exit"})
     summary = run(small_spec, tmp_path / "results")
     assert len(summary.failed) == 2
     assert not summary.blocked
 
 
-def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path):
     run(small_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
     (path,) = [path for path in layout.store.glob("critics/*/_manifest.json") if json.loads(path.read_text())["seed"] == 1]
@@ -86,16 +84,7 @@ def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, t
     assert manifest["sources"]
 
 
-def test_nothing_is_left_lying_about(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    run(small_spec, tmp_path / "results")
-    layout = Layout(tmp_path / "results")
-    assert not list(layout.tmp.iterdir())
-    assert not list((layout.root / "work").iterdir())
-    (folder,) = layout.runs.iterdir()
-    assert not list((folder / "running").iterdir())
-
-
-def test_the_journal_and_the_record_tell_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, tmp_path):
     fakes.set(behave={"s0 ida_q": "refuse"})
     summary = run(small_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
@@ -111,10 +100,9 @@ def test_the_journal_and_the_record_tell_the_run(fakes: Fakes, small_spec: Path,
     assert recorded.cells == [(cell, node.key) for cell, node in plan.grid.cells]
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_workers_give_the_same_bytes_as_this_process(fakes, small_spec, tmp_path):
     run(small_spec, tmp_path / "inline")
-    pool = LokyPool(jobs)
+    pool = LokyPool(2)
     try:
         summary = run(small_spec, tmp_path / "workers", pool)
     finally:
@@ -126,20 +114,17 @@ def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, sm
     assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_order_of_the_work_changes_no_byte(
-    seed: int, fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_order_of_the_work_changes_no_byte(fakes, small_spec, tmp_path, monkeypatch):
     run(small_spec, tmp_path / "calm")
     calm = fakes.executions()
-    chance = random.Random(seed)
+    chance = random.Random(1)
     monkeypatch.setattr("wasp_cli.run.runner.durations", lambda nodes, seconds: {node.key: chance.random() for node in nodes})
     run(small_spec, tmp_path / "shuffled")
     assert fakes.executions()[len(calm) :] != calm
     assert data_of(tmp_path / "shuffled") == data_of(tmp_path / "calm")
 
 
-def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes, small_spec, tmp_path):
     """The other one goes on for a while: meanwhile everything is done that does not need it."""
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     first = plan.to_run()[0]
@@ -148,7 +133,7 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     def other() -> None:
         with held(layout.lock(first.key), lambda: True, {"pid": 1}):
             started.set()
-            finish.wait(30)
+            finish.wait(600)
 
     thread = threading.Thread(target=other)
     thread.start()
@@ -167,8 +152,8 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
 
 
-@pytest.mark.parametrize("behaviour", ["sleep", "hang"])
-def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("behaviour", ["sleep", pytest.param("hang", marks=pytest.mark.slow)])
+def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour, fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1 s0 world_model": behaviour})
     results = tmp_path / "results"
     _, _, plan = prepared(small_spec, results)

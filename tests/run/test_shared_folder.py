@@ -1,7 +1,5 @@
 """The results folder as workers see it: another one under the same path, one that shows files late, one that is moved away."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading
@@ -14,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.run.fake_stages import Fake
-from tests.run.harness import Fakes, prepared, run
+from tests.run.harness import prepared, run
 from wasp_cli.errors import StoreError
 from wasp_cli.run import runner
 from wasp_cli.run.job import NodeJob, NodeResult
@@ -51,7 +49,7 @@ class Late(InlinePool):
         return found
 
 
-def test_a_worker_that_does_not_see_the_folder_refuses_and_makes_none(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_worker_that_does_not_see_the_folder_refuses_and_makes_none(fakes, small_spec, tmp_path):
     with pytest.raises(StoreError, match="does not see the results folder") as refused:
         run(small_spec, tmp_path / "results", Elsewhere(tmp_path / "local"))
     assert refused.value.hint is not None
@@ -60,9 +58,7 @@ def test_a_worker_that_does_not_see_the_folder_refuses_and_makes_none(fakes: Fak
     assert fakes.executions() == []
 
 
-def test_a_node_is_done_only_when_its_artifact_is_here(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_is_done_only_when_its_artifact_is_here(fakes, small_spec, tmp_path, monkeypatch):
     """The worker has a copy of the folder, the journal too."""
     monkeypatch.setattr(runner, "ARRIVAL_SECONDS", 0.0)
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
@@ -77,16 +73,14 @@ def test_a_node_is_done_only_when_its_artifact_is_here(
     assert not list(layout.store.glob("*/*"))
 
 
-def test_an_artifact_may_arrive_late(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_an_artifact_may_arrive_late(fakes, small_spec, tmp_path):
     summary = run(small_spec, tmp_path / "results", Late())
     assert summary.complete
     assert summary.done == len(fakes.executions())
 
 
 @pytest.mark.parametrize("moment", ["while a node runs", "between two nodes"])
-def test_a_folder_that_is_moved_away_is_not_made_again(
-    moment: str, fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_is_moved_away_is_not_made_again(moment, fakes, small_spec, tmp_path, monkeypatch):
     results, moved = tmp_path / "results", tmp_path / "moved"
     real = Fake.run
 

@@ -1,7 +1,5 @@
 """`wasp status` and `wasp logs`, beside a real run and on folders written by hand."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -10,8 +8,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-
-import pytest
 
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
@@ -23,20 +19,13 @@ from wasp_cli.store.layout import Layout
 RUN = "20260501-120000-small-0001"
 
 
-@pytest.fixture
-def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
-
-
 def status(layout: Layout, *options: str) -> str:
     done = run_here("status", layout.root, *options, columns=120)
     assert done.exit_code == 0, done.output
     return done.stdout
 
 
-def test_a_run_that_died(layout: Layout) -> None:
+def test_a_run_that_died(layout):
     events = [(0.0, "run started", {"nodes": 3, **process(dead_pid())}), (60.0, "done", {"key": key(1), "label": "a"})]
     events.append((61.0, "failed", {"key": key(2), "label": "b", "message": "no [memory]", "log": "/x/b.log"}))
     write_run(layout, RUN, [planned(n, "abc"[n - 1]) for n in (1, 2, 3)], events, {3: {"label": "c", "share": 0.5, "text": "step 7"}})
@@ -48,7 +37,7 @@ def test_a_run_that_died(layout: Layout) -> None:
     assert lines[4:] == ["FAILED b: no [memory]", "       log: /x/b.log"]
 
 
-def test_failures_are_counted_where_they_are_many(layout: Layout) -> None:
+def test_failures_are_counted_where_they_are_many(layout):
     failed = [(float(n), "failed", {"key": key(n), "label": f"n{n}", "message": "x"}) for n in range(20)]
     write_run(layout, RUN, [planned(n, f"n{n}") for n in range(20)], [(0.0, "run started", process(dead_pid())), *failed])
     shown = status(layout)
@@ -57,13 +46,13 @@ def test_failures_are_counted_where_they_are_many(layout: Layout) -> None:
     assert len(json.loads(status(layout, "--json"))[0]["failed"]) == 20
 
 
-def test_silence_is_told(layout: Layout) -> None:
+def test_silence_is_told(layout):
     running = {1: {"label": "a", "started": at(0), "at": at(0), **process(os.getpid())}}
     write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", process(os.getpid()))], running)
     assert "silent for" in status(layout)
 
 
-def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, small_spec, tmp_path):
     layout = Layout(tmp_path / "results")
     fakes.set(free=6, behave={"s1 ida_q": "refuse"})
     process = start("run", small_spec, "--results", layout.root, "-j", "2")
@@ -101,7 +90,7 @@ def executed(fakes: Fakes, label: str) -> str:
     return next(line for line in fakes.executions() if line.startswith(f"{task} {seed} {kind}"))
 
 
-def test_results_without_runs_are_refused(layout: Layout, tmp_path: Path) -> None:
+def test_results_without_runs_are_refused(layout, tmp_path):
     for folder in (tmp_path / "absent", layout.root):
         done = run_here("status", folder, columns=80)
         assert done.exit_code == 1
@@ -111,7 +100,7 @@ def test_results_without_runs_are_refused(layout: Layout, tmp_path: Path) -> Non
     assert run_here("status", layout.root, "--run", "0002", columns=80).exit_code == 2
 
 
-def test_the_log_of_any_node(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_log_of_any_node(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})
     run(small_spec, results)
@@ -131,7 +120,7 @@ def test_the_log_of_any_node(fakes: Fakes, small_spec: Path, tmp_path: Path) -> 
     assert "did you mean 'goal1 s0 ida_q'" in unknown.stderr
 
 
-def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout: Layout) -> None:
+def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     for run_id, number in ((RUN, 1), ("20260501-130000-small-0002", 1), ("20260501-140000-small-0003", 2)):
         write_run(layout, run_id, [planned(number, "a"), planned(7, "b", "cached")])
         layout.log(run_id, "a", key(number)).write_text(f"of {run_id}\n")
@@ -151,7 +140,7 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout: Layout) -> 
     assert "'0000' names 3 nodes" in several.stderr
 
 
-def test_a_log_commands_no_terminal(layout: Layout) -> None:
+def test_a_log_commands_no_terminal(layout):
     """A pipe gets a log as it is; a terminal its colours, and of a bar that redraws itself the last state."""
     write_run(layout, RUN, [planned(1, "a")])
     layout.log(RUN, "a", key(1)).write_bytes(b"\x1b]0;title\x07\x1b[31mred\x1b[0m \xff\n10 %\r20 %\nend")
@@ -169,14 +158,29 @@ def test_a_log_commands_no_terminal(layout: Layout) -> None:
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
 
 
-@pytest.mark.parametrize("command", ["status {0}", "logs a --results {0}", "show a --results {0}", "gc {0} --dry-run"])
-def test_who_looks_imports_nothing_heavy(command: str, layout: Layout) -> None:
+LOOKS = """
+import json, sys
+from wasp_cli.cli.app import main
+
+for command in json.loads(sys.argv[1]):
+    sys.argv[1:], code = command, None
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code
+    heavy = [name for name in ("torch", "mujoco", "joblib", "matplotlib", "gymnasium") if name in sys.modules]
+    print(f"after {command[0]}: {code} {heavy}")
+"""
+
+
+def test_who_looks_imports_nothing_heavy(layout):
     write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", {})])
     layout.log(RUN, "a", key(1)).write_text("log\n")
     manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
     write_record(layout.manifest("world_model", key(1)), manifest)
-    code = "import sys\nfrom wasp_cli.cli.app import main\ntry: main()\nexcept SystemExit as end: code = end.code\n"
-    code += "print(code, [name for name in ('torch', 'mujoco', 'joblib', 'matplotlib', 'gymnasium') if name in sys.modules])"
-    arguments = command.format(layout.root).split()
-    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
+    commands = [["status", "R"], ["logs", "a", "--results", "R"], ["show", "a", "--results", "R"], ["gc", "R", "--dry-run"]]
+    asked = [[str(layout.root) if word == "R" else word for word in command] for command in commands]
+    done = subprocess.run([sys.executable, "-c", LOOKS, json.dumps(asked)], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert [line for line in done.stdout.splitlines() if line.startswith("after ")] == [f"after {c[0]}: 0 []" for c in commands], (
+        done.stderr
+    )

@@ -1,14 +1,12 @@
 """A sweep over fake stages: what its values share is computed once, and what fails takes no other value along."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, group_is_gone, start, wait_until
+from tests.run.harness import group_is_gone, start, wait_until
 from tests.run.layered import fresh_console
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
 from wasp_cli.report.provenance import last_runs
@@ -27,7 +25,7 @@ def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] 
     return run_sweep(read_sweep(spec, vary, methods, settings), results, RunOptions(jobs=0))[0]
 
 
-def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, capsys):
     done = swept(small_spec, tmp_path / "results")
     executions = fakes.executions()
     assert done.summary.complete
@@ -46,9 +44,7 @@ def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, 
     assert swept(small_spec, tmp_path / "results").summary.done == 0
 
 
-def test_what_must_be_trained_for_each_value_is_told(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_must_be_trained_for_each_value_is_told(fakes, small_spec, tmp_path, capsys):
     swept(small_spec, tmp_path / "results", "critics.updates=10,20", ("human", "wasp"))
     told = capsys.readouterr().err
     assert "; trained for each: critics\n" in told
@@ -57,7 +53,7 @@ def test_what_must_be_trained_for_each_value_is_told(
     assert sum(" world_model" in line for line in executions) == 2
 
 
-def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_value_that_fails_leaves_the_others(fakes, small_spec, tmp_path):
     fakes.set(behave={"'ratio': 0.4": "refuse"})
     done, grids = run_sweep(read_sweep(small_spec, VARY), tmp_path / "results", RunOptions(jobs=0))
     assert {failure.node.axes["method_config"]["ratio"] for failure in done.summary.failed} == {0.4}
@@ -73,7 +69,7 @@ def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tm
     assert swept(small_spec, tmp_path / "results").summary.done == 4
 
 
-def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_every_value_is_a_run_that_reports_find(fakes, small_spec, tmp_path):
     swept(small_spec, tmp_path / "results", settings=("episodes=7",))
     layout = Layout(tmp_path / "results")
     runs, damaged = last_runs(layout)
@@ -102,9 +98,7 @@ def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, 
         ("critics.updates=1,2", (), ("methods=[]",), "there is nothing to compare"),
     ],
 )
-def test_a_sweep_without_effect_is_refused_before_anything_is_written(
-    vary: str, methods: tuple[str, ...], settings: tuple[str, ...], message: str, fakes: Fakes, small_spec: Path, tmp_path: Path
-) -> None:
+def test_a_sweep_without_effect_is_refused_before_anything_is_written(vary, methods, settings, message, fakes, small_spec, tmp_path):
     with pytest.raises(UsageError) as caught:
         swept(small_spec, tmp_path / "results", vary, methods, settings)
     assert message in caught.value.message
@@ -112,7 +106,7 @@ def test_a_sweep_without_effect_is_refused_before_anything_is_written(
     assert not (tmp_path / "results").exists()
 
 
-def test_one_task_of_several(fakes: Fakes, small_spec: Path) -> None:
+def test_one_task_of_several(fakes, small_spec):
     two = ("tasks=[goal1, race1]",)
     assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two).points} == {("goal1", "race1")}
     assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two, tasks=["race1"]).points} == {("race1",)}
@@ -120,7 +114,7 @@ def test_one_task_of_several(fakes: Fakes, small_spec: Path) -> None:
         read_sweep(small_spec, VARY, settings=two, tasks=["goal2"])
 
 
-def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_an_interrupted_sweep_keeps_what_is_finished(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(free=6)
     process = start("sweep", small_spec, "--vary", VARY, "--results", results, "-j", "0")

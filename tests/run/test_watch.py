@@ -1,11 +1,8 @@
 """How far a run is, from its folder alone."""
 
-from __future__ import annotations
-
 import os
 import platform
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,13 +24,7 @@ NODES = [
     planned(5, "f", needs=[4]),
 ]
 HERE = process(os.getpid())
-
-
-@pytest.fixture
-def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    return layout
+RUN = "20260501-120000-small-0001"
 
 
 def started(**facts: Any) -> tuple[float, str, dict[str, Any]]:
@@ -49,7 +40,7 @@ def only(layout: Layout, seconds: float = 120.0) -> RunState:
     return state_of(layout, run, START + timedelta(seconds=seconds))
 
 
-def test_a_run_that_goes_on(layout: Layout) -> None:
+def test_a_run_that_goes_on(layout):
     events = [
         started(),
         ended("done", 1, 60),
@@ -61,7 +52,7 @@ def test_a_run_that_goes_on(layout: Layout) -> None:
         2: {"label": "c", "kind": "expert", "share": 0.25, "text": "step 5", "started": at(60), "at": at(119), "memory_mb": 512, **HERE},
         1: {"label": "b", "share": 1.0, "text": "left behind by a node that has ended", **HERE},
     }
-    write_run(layout, "20260501-120000-small-0001", NODES, events, running)
+    write_run(layout, RUN, NODES, events, running)
     state = only(layout)
     assert (state.state, state.spec, state.total) == ("running", "small", 5)
     assert (state.done, state.shared, len(state.failed), state.blocked, state.running, state.waiting) == (1, 0, 1, 1, 1, 1)
@@ -74,21 +65,21 @@ def test_a_run_that_goes_on(layout: Layout) -> None:
     assert state.unknown == 0
 
 
-def test_workers_share_what_does_not_wait(layout: Layout) -> None:
+def test_workers_share_what_does_not_wait(layout):
     nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
-    write_run(layout, "20260501-120000-small-0001", nodes, [started(jobs=2)])
+    write_run(layout, RUN, nodes, [started(jobs=2)])
     assert only(layout).left_seconds == pytest.approx(180)
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
-def test_a_running_node_has_less_left(share: float, left: float, layout: Layout) -> None:
+def test_a_running_node_has_less_left(share, left, layout):
     running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=100.0)], [started()], running)
+    write_run(layout, RUN, [planned(1, "b", seconds=100.0)], [started()], running)
     assert only(layout).left_seconds == pytest.approx(left)
 
 
-def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
+def test_nodes_without_an_estimate_are_counted(layout):
+    write_run(layout, RUN, [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
     assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
 
 
@@ -101,8 +92,8 @@ def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:
         ({"host": "elsewhere", "pid": dead_pid()}, "running"),  # cannot be seen from here
     ],
 )
-def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(**facts), ended("done", 1, 60)])
+def test_the_death_of_a_run_shows(facts, state, layout):
+    write_run(layout, RUN, NODES, [started(**facts), ended("done", 1, 60)])
     found = only(layout)
     assert found.state == state
     assert (found.ended == moment(at(60))) == (state == "died")
@@ -110,35 +101,35 @@ def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Lay
 
 
 @pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
-def test_a_run_that_is_over_says_so(event: str, state: str, layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
+def test_a_run_that_is_over_says_so(event, state, layout):
+    write_run(layout, RUN, NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
     found = only(layout)
     assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
 
 
-def test_a_node_whose_process_is_gone(layout: Layout) -> None:
+def test_a_node_whose_process_is_gone(layout):
     running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
-    write_run(layout, "20260501-120000-small-0001", NODES, [started()], running)
+    write_run(layout, RUN, NODES, [started()], running)
     state = only(layout)
     assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
     assert (state.running, state.waiting) == (1, 4)
 
 
-def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
+def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout):
+    write_run(layout, RUN, NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
     state = only(layout)
     assert (state.done, state.failed, state.finished) == (1, (), 1)
 
 
-def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "a", "cached")])
+def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout):
+    write_run(layout, RUN, [planned(1, "a", "cached")])
     write_run(layout, "20260501-130000-small-0002", NODES)
     later, earlier = (state_of(layout, run) for run in planned_runs(layout))
     assert (earlier.state, earlier.total, earlier.done, earlier.idle) == ("ended", 1, 1, True)
     assert (later.state, later.total) == ("not started", 5)
 
 
-def test_the_runs_that_go_on_are_shown_or_else_the_last(layout: Layout) -> None:
+def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
     over = [started(), (9, "run ended", {})]
     write_run(layout, "20260501-120000-a-0001", NODES, over, spec="a")
     write_run(layout, "20260501-130000-b-0002", NODES, over, spec="b")
@@ -149,7 +140,7 @@ def test_the_runs_that_go_on_are_shown_or_else_the_last(layout: Layout) -> None:
     assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004"]
 
 
-def test_a_sweep_is_one_run(layout: Layout) -> None:
+def test_a_sweep_is_one_run(layout):
     for number in (1, 2):
         write_run(layout, f"20260501-120000-s-value-000{number}", [planned(number, f"n{number}")], spec="s-value")
     write_run(layout, "20260501-120001-s-sweep-0003", [], [started(nodes=2), ended("done", 1, 4)])
@@ -161,14 +152,14 @@ def test_a_sweep_is_one_run(layout: Layout) -> None:
     assert (state.spec, state.total, state.done) == ("s --vary wasp.tau_c", 2, 1)
 
 
-def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
+def test_what_is_odd_in_a_folder_is_left_out(layout):
     odd: list[Any] = [7, {**planned(1, "x"), "key": "../../x"}, {"key": key(1)}, {**planned(1, "x"), "needs": 5}]
     odd.append({**planned(1, "x"), "seconds": 10**400})
     for number, entry in enumerate(odd):
         write_run(layout, f"20260501-110000-small-100{number}", [planned(2, "c"), entry], [started()])
     events = [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})]
-    write_run(layout, "20260501-120000-small-0001", [planned(2, "c", needs=[99]), planned(3, "d")], events)
-    folder = layout.run("20260501-120000-small-0001") / "running"
+    write_run(layout, RUN, [planned(2, "c", needs=[99]), planned(3, "d")], events)
+    folder = layout.run(RUN) / "running"
     (folder / "nonsense.json").write_text("{}")
     (folder / f"{key(2)}.json").write_text('{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}')
     state = only(layout)
@@ -176,19 +167,15 @@ def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
     assert [(node.label, node.share, node.started) for node in state.active] == [(key(2), 0.0, None)]
 
 
-def test_a_circle_ends(layout: Layout) -> None:
-    write_run(
-        layout,
-        "20260501-120000-small-0001",
-        [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)],
-        [started()],
-    )
+def test_a_circle_ends(layout):
+    nodes = [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)]
+    write_run(layout, RUN, nodes, [started()])
     assert only(layout).left_seconds is not None
     (run,) = planned_runs(layout)
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
 
 
-def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:
+def test_runs_are_found_by_the_end_of_their_name(layout):
     write_run(layout, "20260501-120000-small-00aa", NODES)
     write_run(layout, "20260501-130000-small-00bb", NODES)
     runs = planned_runs(layout)
@@ -199,7 +186,7 @@ def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:
             named_run(runs, unknown)
 
 
-def test_processes(layout: Layout) -> None:
+def test_processes(layout):
     assert not is_gone(HERE)
     assert not is_gone({**process(1)})  # somebody else's, perhaps
     assert is_gone(process(dead_pid()))
@@ -207,9 +194,9 @@ def test_processes(layout: Layout) -> None:
         assert not is_gone({"host": platform.node(), **odd})
 
 
-def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout: Layout) -> None:
+def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):
     events = [started(backend="dask"), (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"})]
-    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0)], events)
+    write_run(layout, RUN, [planned(1, "b", seconds=10.0)], events)
     state = only(layout)
     assert state.deserted == "all dask workers are gone; the run waits, and goes on when one is there: dask worker tcp://a:1"
     assert (state.state, state.left_seconds) == ("running", None)

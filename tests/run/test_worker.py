@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.run.fake_stages import Fake
-from tests.run.harness import Fakes, prepared
+from tests.run.harness import prepared
 from wasp_cli.run import worker
 from wasp_cli.run.job import NodeJob, forget
 from wasp_cli.run.pool import InlinePool
@@ -19,13 +17,12 @@ from wasp_cli.store.layout import Layout
 
 
 @pytest.fixture
-def job(fakes: Fakes, small_spec: Path, tmp_path: Path) -> NodeJob:
-    """The job for the first node of a run."""
+def job(fakes, small_spec, tmp_path) -> NodeJob:
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     return Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
 
 
-def test_what_c_libraries_print_goes_to_the_log(job: NodeJob, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):
     monkeypatch.setattr(Fake, "run", lambda self, job: {"written": os.write(1, b"one") + os.write(2, b"two")})
     result = execute(job)
     assert result.summary == {"written": 6}
@@ -36,32 +33,32 @@ def test_what_c_libraries_print_goes_to_the_log(job: NodeJob, capfd: pytest.Capt
     assert capfd.readouterr() == ("restored", "")
 
 
-def test_a_node_that_is_there_already_is_not_computed_again(job: NodeJob, fakes: Fakes) -> None:
+def test_a_node_that_is_there_already_is_not_computed_again(job, fakes):
     execute(job)
     assert execute(job).state == "shared"
     assert len(fakes.executions()) == 1
 
 
-def test_a_result_of_changed_source_is_not_published(job: NodeJob) -> None:
+def test_a_result_of_changed_source_is_not_published(job):
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}))
     assert result.state == "failed"
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert not exists(Layout(Path(job.root)), job.kind, job.key)
 
 
-def test_a_stage_that_returns_what_json_lacks_fails(job: NodeJob, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_that_returns_what_json_lacks_fails(job, monkeypatch):
     monkeypatch.setattr(Fake, "run", lambda self, job: {"model": object()})
     assert execute(job).message == "the stage returned object as 'model'; only JSON values can be stored"
 
 
-def test_numbers_of_numpy_and_nested_ones_become_plain() -> None:
+def test_numbers_of_numpy_and_nested_ones_become_plain():
     import numpy as np
 
     summary = {"a": np.float32(0.5), "b": [np.int64(2), float("inf")], "c": {"d": True}}
     assert worker._finite(summary) == {"a": 0.5, "b": [2, None], "c": {"d": True}}
 
 
-def test_an_order_that_cannot_even_start_fails_without_raising(job: NodeJob, tmp_path: Path) -> None:
+def test_an_order_that_cannot_even_start_fails_without_raising(job, tmp_path):
     (tmp_path / "file").write_text("")
     assert execute(replace(job, root=str(tmp_path / "file"))).state == "unseen"
     log = Layout(Path(job.root)).log(job.run_id, job.label, job.key)
@@ -71,7 +68,7 @@ def test_an_order_that_cannot_even_start_fails_without_raising(job: NodeJob, tmp
     assert "IsADirectoryError" in result.message
 
 
-def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path: Path) -> None:
+def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
     """A process can be killed between writing the next heartbeat and giving it its name."""
     ours, partial, other = (tmp_path / name for name in ("f077.json", ".f077.json-8848987e", ".f078.json-8848987e"))
     for path in (ours, partial, other):

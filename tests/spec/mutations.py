@@ -1,7 +1,5 @@
 """Specs with mistakes of all kinds, for tests of how they are refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any
@@ -52,7 +50,6 @@ BASES: dict[str, str | bytes] = {
 
 
 def lay_out_bases(folder: Path) -> None:
-    """Write the files that mutated specs may extend."""
     for name, content in BASES.items():
         (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     (folder / "folder.yaml").mkdir()
@@ -143,5 +140,4 @@ def _settings() -> list[tuple[str, ...]]:
 
 
 def anything() -> st.SearchStrategy[str]:
-    """Texts that somebody might take for a spec."""
     return st.one_of(characters(), further_lines(), replaced_values(), st.text(max_size=60))

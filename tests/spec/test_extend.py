@@ -1,7 +1,5 @@
 """A spec over another one: what is in force, where mistakes are shown, and what a run records."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -30,7 +28,7 @@ FAST = "extends: base.yaml\nname: fast\n"
 
 
 @pytest.fixture
-def base(tmp_path: Path) -> Path:
+def base(tmp_path) -> Path:
     return written(tmp_path, "base", BASE)
 
 
@@ -53,7 +51,7 @@ def places(path: Path, *settings: str) -> list[tuple[str, tuple[int, int] | None
     return found
 
 
-def test_sections_merge_and_everything_else_replaces(base: Path) -> None:
+def test_sections_merge_and_everything_else_replaces(base):
     path = written(base.parent, "fast", FAST + "seeds: [7]\noperators:\n  noisy: {mild: 0.3}\n  laggy: {x: 0.5}\nwasp: {elites: 3}\n")
     spec = load(path).spec
     assert (spec.name, spec.tasks, spec.seeds) == ("fast", ("goal1", "race1"), (7,))
@@ -61,14 +59,14 @@ def test_sections_merge_and_everything_else_replaces(base: Path) -> None:
     assert {"candidates": 10, "elites": 3, "iterations": 2}.items() <= spec.method("wasp").model_dump().items()
 
 
-def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base: Path) -> None:
+def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
     text = FAST + "operators:\n  noisy: {moderate: 0.4}\n  laggy: {weak: 0.7, strong: 0.4}\n"
     operators = load(written(base.parent, "fast", text)).spec.operators
     assert list(operators["noisy"].items()) == [("mild", 0.2), ("moderate", 0.4), ("severe", 0.6)]
     assert list(operators["laggy"]) == ["weak", "strong"], "other names stay as they are written"
 
 
-def test_the_preset_of_the_nearest_file_is_in_force(base: Path) -> None:
+def test_the_preset_of_the_nearest_file_is_in_force(base):
     assert load(written(base.parent, "a", FAST)).spec.preset == "smoke"
     spec = load(written(base.parent, "b", FAST + "preset: quick\n")).spec
     # Its values lie under both files.
@@ -76,7 +74,7 @@ def test_the_preset_of_the_nearest_file_is_in_force(base: Path) -> None:
     assert spec.preset == "quick"
 
 
-def test_the_short_form_replaces_the_list_and_the_list_the_short_form(base: Path) -> None:
+def test_the_short_form_replaces_the_list_and_the_list_the_short_form(base):
     fast = written(base.parent, "fast", FAST + "task: race1\n")
     assert load(fast).spec.tasks == ("race1",)
     again = written(base.parent, "again", "extends: fast.yaml\nname: again\ntasks: [goal1, goal2]\n")
@@ -85,14 +83,14 @@ def test_the_short_form_replaces_the_list_and_the_list_the_short_form(base: Path
     assert places(fast) == [("fast.yaml", (3, 7), "unknown task 'goal7'")]
 
 
-def test_a_chain_goes_through_folders(base: Path) -> None:
+def test_a_chain_goes_through_folders(base):
     middle = written(base.parent / "below", "middle", "extends: ../base.yaml\nname: middle\nseeds: [5]\n")
     last = written(base.parent, "last", f"extends: {middle}\nname: last\nepisodes: 4\n")
     spec = load(last).spec
     assert (spec.name, spec.seeds, spec.episodes, spec.methods) == ("last", (5,), 4, ("human", "wasp"))
 
 
-def test_every_mistake_stands_in_the_file_that_wrote_it(base: Path) -> None:
+def test_every_mistake_stands_in_the_file_that_wrote_it(base):
     base.write_text(BASE.replace("race1", "rase1").replace("elites: 4", "elites: 4, alhpa: 1").replace("0.6", "6"), encoding="utf-8")
     path = written(base.parent, "fast", FAST + "operators:\n  noisy: {mild: 2}\nwasp: {elites: x}\nseeds: [-1]\n")
     assert places(path) == [
@@ -105,17 +103,17 @@ def test_every_mistake_stands_in_the_file_that_wrote_it(base: Path) -> None:
     ]
 
 
-def test_what_a_nearer_file_replaces_is_no_mistake(base: Path) -> None:
+def test_what_a_nearer_file_replaces_is_no_mistake(base):
     base.write_text(BASE.replace("[0, 1]", "[-3]").replace("name: base", "name: '?'").replace("elites: 4", "elites: 0"), encoding="utf-8")
     assert load(written(base.parent, "fast", FAST + "seeds: [0]\nwasp: {elites: 3}\n")).spec.seeds == (0,)
 
 
-def test_what_is_missing_in_all_files_is_missing_in_the_nearest(base: Path) -> None:
+def test_what_is_missing_in_all_files_is_missing_in_the_nearest(base):
     base.write_text(BASE.replace("seeds: [0, 1]\n", ""), encoding="utf-8")
     assert places(written(base.parent, "fast", FAST)) == [("fast.yaml", (1, 1), "missing key 'seeds'")]
 
 
-def test_the_name_is_said_by_the_file_itself(base: Path) -> None:
+def test_the_name_is_said_by_the_file_itself(base):
     path = written(base.parent, "fast", "preset: quick\nextends: base.yaml\n")
     assert places(path) == [("fast.yaml", (2, 1), "missing key 'name'")]
     assert load(path, ["name=other"]).spec.name == "other"
@@ -142,14 +140,14 @@ def test_the_name_is_said_by_the_file_itself(base: Path) -> None:
         ("2020-01-01", "a date is no value of a spec"),
     ],
 )
-def test_what_cannot_be_extended_is_refused_where_it_is_said(base: Path, value: str, message: str) -> None:
+def test_what_cannot_be_extended_is_refused_where_it_is_said(base, value, message):
     path = written(base.parent, "fast", f"name: fast\nextends: {value}\n")
     ((file, place, found),) = places(path)
     assert (file, found) == ("fast.yaml", message.format(folder=base.parent))
     assert place in ((2, 10), (2, 1))
 
 
-def test_a_base_that_does_not_read_shows_its_own_place(base: Path) -> None:
+def test_a_base_that_does_not_read_shows_its_own_place(base):
     path = written(base.parent, "fast", FAST)
     base.write_text("name: }\n", encoding="utf-8")
     assert places(path)[0][0] == "base.yaml"
@@ -160,7 +158,7 @@ def test_a_base_that_does_not_read_shows_its_own_place(base: Path) -> None:
     assert places(path) == [("base.yaml", (1, 1), "is a folder, not a spec file")]
 
 
-def test_a_chain_that_comes_back_is_refused_where_it_does(tmp_path: Path) -> None:
+def test_a_chain_that_comes_back_is_refused_where_it_does(tmp_path):
     for name, other in (("a", "b"), ("b", "c"), ("c", "sub/../b")):
         written(tmp_path, name, f"name: {name}\nextends: {other}.yaml\n")
     (tmp_path / "sub").mkdir()
@@ -171,7 +169,7 @@ def test_a_chain_that_comes_back_is_refused_where_it_does(tmp_path: Path) -> Non
     assert [place[:2] for place in places(itself)] == [("self.yaml", (2, 10))]
 
 
-def test_a_chain_has_a_longest_length(base: Path) -> None:
+def test_a_chain_has_a_longest_length(base):
     for number in range(2, LONGEST_CHAIN + 2):
         before = "base" if number == 2 else f"s{number - 1}"
         written(base.parent, f"s{number}", f"name: s{number}\nextends: {before}.yaml\n")
@@ -179,14 +177,14 @@ def test_a_chain_has_a_longest_length(base: Path) -> None:
     assert places(base.parent / f"s{LONGEST_CHAIN + 1}.yaml") == [("s2.yaml", (2, 10), "a chain of more than 8 files")]
 
 
-def test_extends_stands_at_the_top_of_a_file(base: Path) -> None:
+def test_extends_stands_at_the_top_of_a_file(base):
     path = written(base.parent, "fast", FAST + "wasp:\n  extends: base.yaml\n")
     assert places(path) == [("fast.yaml", (4, 3), "unknown key 'extends'")]
     assert places(written(base.parent, "typo", "extend: base.yaml\n" + BASE)) == [("typo.yaml", (1, 1), "unknown key 'extend'")]
     assert places(base, "extends=base.yaml") == [("--set extends=base.yaml", None, "extends: unknown key 'extends'")]
 
 
-def test_options_lie_over_all_files(base: Path) -> None:
+def test_options_lie_over_all_files(base):
     path = written(base.parent, "fast", FAST + "wasp: {elites: 3}\n")
     assert load(path, ["operators.noisy.mild=0.1"]).spec.operators == {"noisy": {"mild": 0.1, "severe": 0.6}}
     assert places(path, "wasp.elites=x", "operators.noisy={mild: 3}", "wasp.candidates=0") == [
@@ -198,7 +196,7 @@ def test_options_lie_over_all_files(base: Path) -> None:
         load(path, ["wasp.elites"])
 
 
-def test_a_run_records_every_file(base: Path, tmp_path: Path) -> None:
+def test_a_run_records_every_file(base, tmp_path):
     path = written(base.parent, "fast", FAST + "seeds: [0]  # one is enough\n")
     layout = Layout(tmp_path / "results")
 

@@ -1,7 +1,5 @@
 """Every mistake that one can put right by a word has that word as its hint."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.spec.test_load import GOOD, only
@@ -37,7 +35,7 @@ from wasp_cli.tasks.registry import TASKS
         ("residual: {operators: {nosiy: [0.3]}}\n", "did you mean 'noisy'?"),
     ],
 )  # fmt: skip
-def test_keys_and_values_have_suggestions(addition: str, hint: str | None) -> None:
+def test_keys_and_values_have_suggestions(addition, hint):
     assert only(GOOD + addition).hint == hint
 
 
@@ -52,7 +50,7 @@ def test_keys_and_values_have_suggestions(addition: str, hint: str | None) -> No
         ("preset: smoke", "preset: Quik", "did you mean 'quick'?"),
     ],
 )
-def test_values_of_another_type_are_shown_with_the_right_one(old: str, new: str, hint: str) -> None:
+def test_values_of_another_type_are_shown_with_the_right_one(old, new, hint):
     assert old in GOOD
     assert only(GOOD.replace(old, new)).hint == hint
 
@@ -67,7 +65,7 @@ def test_values_of_another_type_are_shown_with_the_right_one(old: str, new: str,
         (assistant_variants(), "variants: [{name}]"),
     ],
 )
-def test_every_registered_name_is_suggested_for_a_slip(known: list[str], text: str) -> None:
+def test_every_registered_name_is_suggested_for_a_slip(known, text):
     for name in known:
         slip = name + "x" if len(name) < 6 else name[:2] + name[3:]
         key = text.partition(":")[0]
@@ -77,6 +75,6 @@ def test_every_registered_name_is_suggested_for_a_slip(known: list[str], text: s
         assert f"'{name}'" in (only(spec + "\n").hint or ""), slip
 
 
-def test_control_characters_of_a_value_do_not_reach_the_terminal() -> None:
+def test_control_characters_of_a_value_do_not_reach_the_terminal():
     shown = str(only(GOOD.replace("[goal1]", '["\\e[31mred\\a"]')))
     assert all(character.isprintable() or character == "\n" for character in shown)

@@ -1,7 +1,5 @@
 """What of a configuration enters a key; `python -m tests.spec.test_identity` writes the defaults anew after a change that is wanted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, ClassVar, get_args
@@ -34,18 +32,18 @@ class Raised(Inner):
     edition: ClassVar[int] = 2
 
 
-def test_only_values_that_are_not_their_defaults_enter_the_identity() -> None:
+def test_only_values_that_are_not_their_defaults_enter_the_identity():
     assert Outer().identity() == {"larger": {"size": 4}}
     assert Outer(every=6).identity() == Outer().identity()
     changed = Outer(inner=Inner(later=1), bars={"goal1": 2})
     assert changed.identity() == {"inner": {"later": 1}, "larger": {"size": 4}, "bars": {"goal1": 2}}
 
 
-def test_a_section_at_its_defaults_is_not_the_same_as_no_section() -> None:
+def test_a_section_at_its_defaults_is_not_the_same_as_no_section():
     assert Outer(perhaps=Inner()).identity()["perhaps"] == {}
 
 
-def test_a_raised_edition_is_another_identity() -> None:
+def test_a_raised_edition_is_another_identity():
     assert Raised().identity() == {"edition": 2}
 
 
@@ -75,7 +73,7 @@ def kinds(annotation: Any) -> set[type[Config]]:
     return set().union(*map(kinds, get_args(annotation)))
 
 
-def test_a_changed_default_raises_the_edition() -> None:
+def test_a_changed_default_raises_the_edition():
     """Keys do not see defaults. Where this fails: a new field is fine, a changed default needs another `edition` of its class."""
     golden, now = json.loads(GOLDEN.read_text()), json.loads(json.dumps(defaults(), default=str))
     changed = [

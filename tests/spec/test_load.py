@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -29,16 +27,15 @@ def only(text: str) -> Problem:
 
 
 def at(problem: Problem) -> tuple[int, int]:
-    assert problem.position is not None
     return problem.position.line, problem.position.column
 
 
 @pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
-def test_shipped_specs_are_valid(path: Path) -> None:
+def test_shipped_specs_are_valid(path):
     assert load(path).spec.name == path.stem
 
 
-def test_presets_lie_under_the_file() -> None:
+def test_presets_lie_under_the_file():
     spec = read(GOOD + "wasp: {candidates: 10}\nworld_model: {updates: 7}\n").spec
     assert spec.method("wasp").model_dump()["candidates"] == 10
     assert spec.method("wasp").model_dump()["iterations"] == 2
@@ -46,7 +43,7 @@ def test_presets_lie_under_the_file() -> None:
     assert spec.stage("world_model").model_dump()["deter"] == 32
 
 
-def test_episodes_at_the_top_reach_the_evaluation() -> None:
+def test_episodes_at_the_top_reach_the_evaluation():
     assert read(GOOD + "episodes: 9\n").spec.stage("evaluate").model_dump()["episodes"] == 9
     assert read(GOOD).spec.stage("evaluate").model_dump()["episodes"] == 2
 
@@ -103,7 +100,7 @@ def test_episodes_at_the_top_reach_the_evaluation() -> None:
         ("training_seed: -1\n", (8, 16), "should be greater than or equal to 0, not -1", None),
     ],
 )  # fmt: skip
-def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int, int], message: str, hint: str | None) -> None:
+def test_mistakes_have_a_place_and_a_suggestion(addition, place, message, hint):
     problem = only(GOOD + addition)
     assert (at(problem), problem.message, problem.hint) == (place, message, hint)
 
@@ -143,29 +140,27 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
         ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
     ],
 )  # fmt: skip
-def test_wrong_names_and_values_are_told_where_they_stand(
-    old: str, new: str, place: tuple[int, int], message: str, hint: str | None
-) -> None:
+def test_wrong_names_and_values_are_told_where_they_stand(old, new, place, message, hint):
     assert old in GOOD
     problem = only(GOOD.replace(old, new))
     assert (at(problem), problem.message, problem.hint) == (place, message, hint)
 
 
-def test_operators_may_be_absent_when_nobody_is_impaired() -> None:
+def test_operators_may_be_absent_when_nobody_is_impaired():
     assert read("name: x\ntasks: [goal1]\nmethods: [expert]\nseeds: [0]\n").spec.operators == {}
 
 
-def test_a_spec_may_train_and_evaluate_nothing() -> None:
+def test_a_spec_may_train_and_evaluate_nothing():
     spec = read("name: x\ntasks: [goal1]\nmethods: []\nstages: [critics, heldout]\nseeds: [0]\n").spec
     assert (spec.methods, spec.stages, spec.operators) == ((), ("critics", "heldout"), {})
 
 
-def test_all_problems_come_at_once_in_file_order() -> None:
+def test_all_problems_come_at_once_in_file_order():
     text = GOOD.replace("goal1", "goal7").replace("0.2", "7").replace("[0]", "[0, 0]") + "extra: 1\nwasp: {alpha: x}\n"
     assert [at(problem) for problem in problems(text)] == [(3, 9), (6, 17), (7, 8), (8, 1), (9, 15)]
 
 
-def test_stages_mix_known_operators_at_known_values() -> None:
+def test_stages_mix_known_operators_at_known_values():
     text = GOOD + "residual: {operators: {nosy: [0.1], noisy: [2], limited-skill: [0.3]}}\n"
     assert [problem.message.split(",")[0] for problem in problems(text)] == [
         "unknown operator variant 'nosy'",
@@ -197,7 +192,7 @@ def test_stages_mix_known_operators_at_known_values() -> None:
         ("[" * 600, (1, 1), "nested too deeply"),
     ],
 )
-def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tuple[int, int], message: str) -> None:
+def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text, place, message):
     problem = only(text)
     assert at(problem) == place
     assert problem.message.startswith(message)
@@ -219,17 +214,17 @@ def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tu
         ("[" * 40 + "]" * 40, "nested too deeply"),
     ],
 )
-def test_values_without_a_plain_form_are_refused(value: str, message: str) -> None:
+def test_values_without_a_plain_form_are_refused(value, message):
     assert any(problem.message.startswith(message) for problem in problems(f"{GOOD}extra: {value}\n"))
 
 
-def test_the_excerpt_puts_a_caret_under_the_mistake() -> None:
+def test_the_excerpt_puts_a_caret_under_the_mistake():
     assert str(only(GOOD.replace("[goal1]", "[goal7]"))) == (
         "x.yaml:3:9: unknown task 'goal7'\n    3 | tasks: [goal7]\n      |         ^\n    did you mean 'goal0', 'goal1' or 'goal2'?"
     )
 
 
-def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path: Path) -> None:
+def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
     path = tmp_path / "good.yaml"
     path.write_text(GOOD, encoding="utf-8")
     spec = load(path, ["wasp.candidates=16", "seeds=[3, 4]", "operators.noisy.mild=0.3", "training_seed=null"]).spec
@@ -242,14 +237,14 @@ def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"])
-def test_settings_of_another_form_are_usage_errors(text: str, tmp_path: Path) -> None:
+def test_settings_of_another_form_are_usage_errors(text, tmp_path):
     path = tmp_path / "good.yaml"
     path.write_text(GOOD, encoding="utf-8")
     with pytest.raises(UsageError, match="--set #1"):
         load(path, [text])
 
 
-def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_say_so(tmp_path):
     (tmp_path / "a.yaml").write_text(GOOD, encoding="utf-8")
     (tmp_path / "binary").write_bytes(b"name: x\nno: \xff\xfe")
     for path, message in (
@@ -263,7 +258,7 @@ def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
     assert at(caught.value.problems[0]) == (2, 5)
 
 
-def test_windows_files_are_read_too(tmp_path: Path) -> None:
+def test_windows_files_are_read_too(tmp_path):
     path = tmp_path / "good.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
     assert load(path).spec.name == "good"

@@ -1,7 +1,5 @@
 """Any text at all is a spec or a refusal with places; never another exception."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -16,14 +14,13 @@ from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("mutated")
     lay_out_bases(path)
     return path
 
 
 def problems(path: Path) -> tuple[Problem, ...]:
-    """What is wrong with a spec, asked as `wasp check` does."""
     try:
         list(cells_of(load(path).spec))
     except InvalidSpec as error:
@@ -35,7 +32,6 @@ def problems(path: Path) -> tuple[Problem, ...]:
 
 
 def is_place(file: str, line: int | None, column: int | None) -> bool:
-    """Whether a file has such a line with such a column."""
     path = Path(file)
     lines = lines_of(path.read_bytes().decode("utf-8-sig", errors="replace") if path.is_file() else "")
     return line is not None and column is not None and 1 <= line <= len(lines) and 1 <= column <= len(lines[line - 1]) + 1
@@ -74,12 +70,12 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.filterwarnings("error")  # Python would print them behind the message
 @settings(max_examples=200, deadline=None)
 @given(text=anything())
-def test_mutated_specs_are_specs_or_refusals_with_places(folder: Path, text: str) -> None:
+def test_mutated_specs_are_specs_or_refusals_with_places(folder, text):
     assert misplaced(written(folder, text)) == []
 
 
 @pytest.mark.filterwarnings("error")
 @settings(max_examples=10, deadline=None)
 @given(text=anything())
-def test_the_command_ends_with_0_or_3(folder: Path, text: str) -> None:
+def test_the_command_ends_with_0_or_3(folder, text):
     assert exit_code_of(written(folder, text)) in (0, 3)

@@ -1,7 +1,5 @@
 """Specs that name an environment of one's own: what they may write, where mistakes are shown, and what a changed environment re-runs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -10,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.run.record import read_run
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.run.record import new_run, read_run
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded, override
 from wasp_cli.spec.read import InvalidSpec, Problem, parse
+from wasp_cli.store.layout import Layout
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -40,7 +41,7 @@ def only(line: str, *settings: str) -> Problem:
     return problem
 
 
-def test_one_task_may_be_written_without_a_list() -> None:
+def test_one_task_may_be_written_without_a_list():
     for line in ("task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]", "tasks:\n  - puddle:Puddle-v0"):
         assert read(line).spec.tasks == ("puddle:Puddle-v0",)
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
@@ -53,7 +54,7 @@ def test_one_task_may_be_written_without_a_list() -> None:
         ("tasks: [goal1, gaol1]", 16, "unknown task 'gaol1'", "did you mean 'goal"),
         ("task: puddle:Pudle-v0", 7, "module 'puddle' registers no 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
         ("tasks: [goal1, puddle:Pudle-v0]", 16, "module 'puddle' registers no 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
-        ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "pip install -e ."),
+        ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "run in the folder that holds 'nowhere'"),
         ("task: json:MyEnv-v0", 7, "module 'json' registers no 'MyEnv-v0'", "gymnasium.register('MyEnv-v0'"),
         ("task: CartPole-v1", 7, "environment 'CartPole-v1': its action space is Discrete(2)", "float Box"),
         ("task: unlimited:Puddle-v1", 7, "environment 'unlimited:Puddle-v1': it has no time limit", "max_episode_steps=500"),
@@ -70,9 +71,7 @@ def test_one_task_may_be_written_without_a_list() -> None:
         ("task: 7", 7, "should be a string, not 7", ""),
     ],
 )
-def test_mistakes_have_a_place_and_a_remedy(
-    line: str, column: int, message: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_have_a_place_and_a_remedy(line, column, message, hint, tmp_path, monkeypatch):
     module = """\
 import gymnasium
 import puddle
@@ -85,60 +84,58 @@ gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
     (tmp_path / "unlimited.py").write_text(module, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     problem = only(line)
-    assert problem.position is not None
     assert (problem.position.line, problem.position.column) == (3, column)
     assert message in problem.message
     assert hint in (problem.hint or "")
 
 
-# -- what a changed environment re-runs --------------------------------------------------------------------------------------------------
+PLAN = """
+import json, sys
+from pathlib import Path
+from tests.plugins import forget
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.spec.load import load
+
+sys.dont_write_bytecode = True
+found = []
+for files in json.load(sys.stdin):
+    for name, text in files.items():
+        Path("my_env", name).write_text(text, encoding="utf-8")
+    forget("my_env")
+    found.append({node.label: node.key for node in lay_out(load(Path("spec.yaml")).spec).nodes})
+print(json.dumps(found))
+"""
 
 
-def keys(folder: Path) -> dict[str, str]:
-    """The key of every node, planned in a process of its own, as a changed module needs."""
-    command = [sys.executable, "-m", "wasp_cli", "plan", "spec.yaml", "--json"]
-    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=variables)
-    assert done.returncode == 0, done.stderr
-    return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
-
-
-def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path: Path) -> None:
+def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path):
     text = (EXAMPLES / "puddle.py").read_text(encoding="utf-8").replace("puddle:Puddle", "my_env.puddle:Puddle")
-    package = tmp_path / "my_env"
-    package.mkdir()
-    (package / "__init__.py").write_text("from my_env import puddle\n", encoding="utf-8")
-    (package / "tools.py").write_text("X = 1\n", encoding="utf-8")
-    (tmp_path / "spec.yaml").write_text(SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8")
-
-    def planned(source: str) -> dict[str, str]:
-        (package / "puddle.py").write_text(source, encoding="utf-8")
-        return keys(tmp_path)
-
-    before = planned(text)
-    own = {label for label in before if label.startswith("my_env:Puddle-v0 ")}
-    assert len(own) == len(before) / 2
-    assert planned("# a comment\n" + text) == before
+    with_tools = text.replace("import gymnasium\n", "import gymnasium\nfrom my_env.tools import X\n", 1)
     changes = (
         text.replace("WET, REACHED, STEP = 0.3,", "WET, REACHED, STEP = 0.31,"),
         text.replace("max_episode_steps=200", "max_episode_steps=100"),
-        text.replace("WET, REACHED", "print('noise for those who read JSON')\nWET, REACHED", 1),
-        text.replace("import gymnasium\n", "import gymnasium\nfrom my_env.tools import X\n", 1),
+        text.replace("WET, REACHED", "print('noise for those who read JSON', file=__import__('sys').stderr)\nWET, REACHED", 1),
+        with_tools,
     )
-    for changed in changes:
-        after = planned(changed)
-        assert {label for label in after if after[label] != before[label]} == own, "its own nodes run again, all of them, and no other"
-    with_tools = planned(changes[-1])
-    (package / "tools.py").write_text("X = 2\n", encoding="utf-8")
-    assert {label for label, key in keys(tmp_path).items() if key != with_tools[label]} == own
+    (tmp_path / "my_env").mkdir()
+    (tmp_path / "my_env" / "__init__.py").write_text("from my_env import puddle\n", encoding="utf-8")
+    (tmp_path / "my_env" / "tools.py").write_text("X = 1\n", encoding="utf-8")
+    (tmp_path / "spec.yaml").write_text(SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8")
+    asked = [{"puddle.py": each} for each in (text, "# a comment\n" + text, *changes)]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PLAN], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
+        input=json.dumps([*asked, {"tools.py": "X = 2\n"}]), capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    before, commented, *after, tools = json.loads(done.stdout)
+    own = {label for label in before if label.startswith("my_env:Puddle-v0 ")}
+    assert len(own) == len(before) / 2
+    assert commented == before
+    for found in after:
+        assert {label for label in found if found[label] != before[label]} == own, "its own nodes run again, all of them, and no other"
+    assert {label for label in tools if tools[label] != after[-1][label]} == own
 
 
-def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path: Path) -> None:
-    from wasp_cli.plan.grid import lay_out
-    from wasp_cli.plan.plan import plan_against
-    from wasp_cli.run.record import new_run
-    from wasp_cli.store.layout import Layout
-
+def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path):
     (tmp_path / "spec.yaml").write_text(SPEC.format(line="task: puddle:Puddle-v0"), encoding="utf-8")
     found, layout = load(tmp_path / "spec.yaml"), Layout(tmp_path / "results")
     run_id = new_run(layout, found, plan_against(lay_out(found.spec), layout))

@@ -1,10 +1,5 @@
 """The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 from tests.commands import run_here
@@ -23,7 +18,7 @@ def paper() -> Paper:
     return load_paper()
 
 
-def test_every_row_of_both_tables_is_there(paper: Paper) -> None:
+def test_every_row_of_both_tables_is_there(paper):
     first, second = paper.tables
     assert first.columns == second.columns == COLUMNS
     assert {task: list(rows) for task, rows in first.rows.items()} == {
@@ -47,7 +42,7 @@ def test_every_row_of_both_tables_is_there(paper: Paper) -> None:
         ("formula1", "wasp/no-rollout", "int_rate", Printed(0.45, 0.35)),
     ],
 )
-def test_numbers_are_those_of_the_paper(paper: Paper, task: str, who: str, column: str, printed: Printed) -> None:
+def test_numbers_are_those_of_the_paper(paper, task, who, column, printed):
     method, _, variant = who.partition("/")
     assert paper.printed(task, Who(method, variant or "full"), column) == printed
 
@@ -68,7 +63,7 @@ def so_in_print(paper: Paper, asked: Comparison) -> bool | None:
     }[asked.relation]  # fmt: skip
 
 
-def test_claims_are_what_the_printed_numbers_show(paper: Paper) -> None:
+def test_claims_are_what_the_printed_numbers_show(paper):
     """Only two sentences say more than the tables do; everything else that was read into a sentence is in the tables."""
     against: dict[str, set[tuple[str, str]]] = {}
     for claim in paper.claims:
@@ -82,7 +77,7 @@ def test_claims_are_what_the_printed_numbers_show(paper: Paper) -> None:
     }
 
 
-def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper: Paper) -> None:
+def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper):
     assert len({claim.id for claim in paper.claims}) == len(paper.claims) >= 20
     for claim in paper.claims:
         for asked in (asked for question in claim.questions() for asked in question):
@@ -91,7 +86,7 @@ def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper: Paper) -> N
             assert asked.task == "race1" or asked.column in COLUMNS
 
 
-def test_a_statement_asks_every_pair() -> None:
+def test_a_statement_asks_every_pair():
     statement = Statement.model_validate(
         {"tasks": ("race1", "goal1"), "columns": ("cost", "viol"), "left": ("wasp",), "relation": "lower", "right": ("ida", "human")}
     )
@@ -108,7 +103,6 @@ def problems(text: str) -> list[tuple[int, int, str, str | None]]:
         paper_of(parse(text, "paper.yaml"))
     found = []
     for problem in caught.value.problems:
-        assert problem.position is not None
         found.append((problem.position.line, problem.position.column, problem.message, problem.hint))
     return found
 
@@ -153,22 +147,22 @@ claims:
         ("[human]}", "[human], margin: 1}", (14, 98, "should be less than 1", None)),
     ],
 )  # fmt: skip
-def test_a_mistake_has_its_place_and_its_remedy(old: str, new: str, expected: tuple[int, int, str, str | None]) -> None:
+def test_a_mistake_has_its_place_and_its_remedy(old, new, expected):
     assert expected in problems(GOOD.replace(old, new, 1))
 
 
-def test_an_id_stands_once() -> None:
+def test_an_id_stands_once():
     again = GOOD + GOOD[GOOD.index("  - id: first") :]
     assert problems(again) == [(16, 9, "an earlier claim has this id", None)]
 
 
-def test_a_list_of_wrong_entries_is_not_called_empty() -> None:
+def test_a_list_of_wrong_entries_is_not_called_empty():
     found = problems(GOOD.replace("lower", "lowr").replace("at_most", "atmost"))
     assert [line for line, *_ in found] == [14, 15]
 
 
 @pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])
-def test_check_takes_a_paper(tmp_path: Path, change: Callable[[str], str], code: int) -> None:
+def test_check_takes_a_paper(tmp_path, change, code):
     path = tmp_path / "paper.yaml"
     path.write_text(change(SHIPPED), encoding="utf-8")
     done = run_here("check", path, columns=200)

@@ -1,7 +1,5 @@
 """The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that an editor should mark."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +43,14 @@ def document(text: str) -> dict[str, Any]:
     return source.document
 
 
-def test_the_committed_file_is_current() -> None:
+def test_the_committed_file_is_current():
     done = run_here("schema", columns=80)
     assert done.exit_code == 0
     assert FILE.read_text(encoding="utf-8") == done.stdout, "wasp schema > specs/wasp.schema.json"
 
 
 @pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
-def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsonschema.Draft202012Validator) -> None:
+def test_shipped_specs_validate_and_name_the_schema(path, validator):
     validator.validate(read(path).document)
     assert path.read_text(encoding="utf-8").startswith(MODELINE + "\n")
 
@@ -70,7 +68,7 @@ def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsons
         GOOD + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
     ],
 )
-def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft202012Validator) -> None:
+def test_what_specs_may_write_validates(text, validator):
     assert list(validator.iter_errors(document(text))) == []
 
 
@@ -100,7 +98,7 @@ def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft20
         ("{mild: 0.2}", "0.2"),
     ],
 )
-def test_typical_mistakes_do_not_validate(old: str, new: str, validator: jsonschema.Draft202012Validator) -> None:
+def test_typical_mistakes_do_not_validate(old, new, validator):
     assert old in GOOD
     assert not validator.is_valid(document(GOOD.replace(old, new)))
 
@@ -110,12 +108,12 @@ def test_typical_mistakes_do_not_validate(old: str, new: str, validator: jsonsch
     | st.text(max_size=12)
     | st.sampled_from(["wasp/", "wasp_cli.tasks.gym:wasp/", "m:wasp/"]).map("{}X-v0".format)
 )
-def test_a_gymnasium_id_is_what_the_registry_takes_for_one(name: str) -> None:
+def test_a_gymnasium_id_is_what_the_registry_takes_for_one(name):
     assume(not name.endswith("\n"))  # before which `$` matches too, in Python and not in a schema
     assert jsonschema.Draft202012Validator({"pattern": FOREIGN}).is_valid(name) == is_foreign(name)
 
 
-def test_fields_say_what_they_mean_and_no_default_that_presets_change() -> None:
+def test_fields_say_what_they_mean_and_no_default_that_presets_change():
     schema = spec_schema()
     wasp, printed = (schema["$defs"][f"{name}Config"]["properties"] for name in ("WASP", "Printed"))
     assert printed["tau_r_quantile"] == {
@@ -125,7 +123,7 @@ def test_fields_say_what_they_mean_and_no_default_that_presets_change() -> None:
     assert set(schema["properties"]) == {*spec_type().model_fields, "extends", "task"}
 
 
-def test_names_of_plugins_are_only_there_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_of_plugins_are_only_there_when_asked_for(monkeypatch):
     committed = spec_schema()
     plugin = MethodInfo("mine", "Mine", "mine:Mine", "wasp_cli.methods.configs:IDAConfig", variants=("full", "half"))
     monkeypatch.setattr(METHODS, "_all", {**METHODS, "mine": plugin})

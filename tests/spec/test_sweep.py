@@ -1,7 +1,5 @@
 """The values of `--vary`: how they are read, and what is refused before anything runs."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -48,7 +46,7 @@ def single_quoted(value: Any) -> str:
 
 
 @pytest.fixture
-def spec(tmp_path: Path) -> Path:
+def spec(tmp_path) -> Path:
     path = tmp_path / "little.yaml"
     path.write_text(SPEC, encoding="utf-8")
     return path
@@ -62,7 +60,7 @@ def read(vary: str) -> list[Override] | UsageError:
 
 
 @given(VALUES, st.sampled_from([",", " , ", ",  "]))
-def test_any_list_of_values_is_read_as_it_was_written(values: list[Any], comma: str) -> None:
+def test_any_list_of_values_is_read_as_it_was_written(values, comma):
     for write in (lambda value: json.dumps(value, ensure_ascii=False), single_quoted):
         options = values_of("wasp.x=" + comma.join(map(write, values)))
         assert [option.path for option in options] == [("wasp", "x")] * len(values)
@@ -89,14 +87,14 @@ def test_any_list_of_values_is_read_as_it_was_written(values: list[Any], comma: 
         ("operators.laggy.moderate=0.5,0.7", "'operators' decides which cells there are"),
     ],
 )
-def test_what_is_no_sweep_is_refused(vary: str, message: str) -> None:
+def test_what_is_no_sweep_is_refused(vary, message):
     with pytest.raises(UsageError) as caught:
         values_of(vary)
     assert message in caught.value.message
     assert caught.value.hint or "YAML" in message or "finite" in message
 
 
-def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path) -> None:
+def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     spec.write_text(SPEC.replace("goal1", "gaol1"), encoding="utf-8")
     with pytest.raises(InvalidSpec) as caught:
         read_sweep(spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9"])
@@ -117,7 +115,7 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path
         ("nothing.at.all=1,2", "unknown key 'nothing'"),
     ],
 )
-def test_a_value_is_refused_as_in_a_file(spec: Path, vary: str, message: str) -> None:
+def test_a_value_is_refused_as_in_a_file(spec, vary, message):
     with pytest.raises(InvalidSpec) as caught:
         read_sweep(spec, vary)
     assert message in caught.value.message
@@ -138,17 +136,17 @@ def methods(found: Sweep) -> set[tuple[str, ...]]:
         ("wasp.tau_c=0.3,1", ("wasp", "ida"), ("ida", "wasp")),
     ],
 )
-def test_which_methods_run(spec: Path, vary: str, wanted: tuple[str, ...], expected: tuple[str, ...]) -> None:
+def test_which_methods_run(spec, vary, wanted, expected):
     assert methods(read_sweep(spec, vary, wanted)) == {expected}
 
 
-def test_only_methods_of_the_spec_are_named(spec: Path) -> None:
+def test_only_methods_of_the_spec_are_named(spec):
     with pytest.raises(UnknownName, match="unknown method of this spec 'wsap'") as caught:
         read_sweep(spec, "wasp.tau_c=0.3,1", ["wsap"])
     assert caught.value.hint == "did you mean 'wasp'?"
 
 
-def test_each_value_has_a_spec_and_a_name_of_its_own(spec: Path) -> None:
+def test_each_value_has_a_spec_and_a_name_of_its_own(spec):
     found = read_sweep(spec, " ida.vote = 0.5, 0.99 ", settings=["episodes=3", "ida.vote=0"])
     assert (found.name, found.spec, found.key) == ("little-sweep-ida.vote", "little", "ida.vote")
     assert [(point.text, point.value, point.loaded.spec.name) for point in found.points] == [
@@ -161,7 +159,7 @@ def test_each_value_has_a_spec_and_a_name_of_its_own(spec: Path) -> None:
 
 
 @given(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", fullmatch=True), st.lists(st.text(max_size=80), min_size=1, max_size=6))
-def test_names_are_those_of_specs_and_differ(head: str, tails: list[str]) -> None:
+def test_names_are_those_of_specs_and_differ(head, tails):
     taken: list[str] = []
     for tail in tails:
         taken.append(spec_name(head, tail, taken))

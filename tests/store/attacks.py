@@ -1,7 +1,5 @@
 """What an untrusted results folder may hold."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -39,32 +37,10 @@ def files_elsewhere(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def files_of_no_form(it: UntrustedStore, outside: Path) -> None:
-    it.manifest(files=["x"])
-
-
-@attack
-def upstream_elsewhere(it: UntrustedStore, outside: Path) -> None:
-    it.manifest(upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}}, upstream_kinds={"b": "../../outside", "d": 7})
-
-
-@attack
-def a_manifest_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    it.manifest(
-        upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
-    )
-
-
-@attack
 def numbers_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     provenance = {"seconds": "long", "started_at": 5, "attempt": [], "git": "x", "versions": 7}
     for path in it.layout.store.glob("*/*/_manifest.json"):
         it.change(path, provenance=provenance, summary={"a": [1, {"b": None}]})
-
-
-@attack
-def other_tasks_and_methods(it: UntrustedStore, outside: Path) -> None:
-    it.manifest(task="evil_module:X-v0", axes={"method": "evil_module:run", "method_config": {"a": 1}}, kind="evil_module:run")
 
 
 @attack
@@ -81,34 +57,9 @@ def a_cell_of_a_task_that_would_be_imported(it: UntrustedStore, outside: Path) -
 
 
 @attack
-def a_name_that_is_a_path(it: UntrustedStore, outside: Path) -> None:
-    it.specification(name="../../outside")
-
-
-@attack
-def a_plan_for_a_path(it: UntrustedStore, outside: Path) -> None:
-    it.plan(spec="../../outside", nodes=[{**node, "key": "../..", "kind": "../../outside", "label": "../../x"} for node in it.nodes()])
-
-
-@attack
 def needs_that_are_paths(it: UntrustedStore, outside: Path) -> None:
     it.plan(nodes=[{**node, "needs": {"a": "../../outside", "b": 7, "c": node["key"]}, "seconds": "x"} for node in it.nodes()])
     it.fails()
-
-
-@attack
-def cells_that_are_paths(it: UntrustedStore, outside: Path) -> None:
-    it.plan(cells=[{**it.cell, "key": "../../../outside"}])
-
-
-@attack
-def cells_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    it.plan(cells=[{**it.cell, "value": "x", "task": ["goal1"], "seed": {}}])
-
-
-@attack
-def cells_of_no_form(it: UntrustedStore, outside: Path) -> None:
-    it.plan(cells=7, parts="x", nodes={"a": 1})
 
 
 @attack
@@ -120,11 +71,6 @@ def labels_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
     with (it.layout.run(RUN) / "journal.jsonl").open("a") as file:
         file.writelines(json.dumps(event) + "\n" for event in events)
     write_record(it.layout.running(RUN, it.key), {"label": ESCAPE, "text": ESCAPE, "share": ESCAPE, "pid": 0, "host": ESCAPE})
-
-
-@attack
-def rows_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
-    it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE])
 
 
 @attack
@@ -152,50 +98,10 @@ def a_chain_without_end(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def a_linked_artifact(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact, outside)
-
-
-@attack
-def a_linked_manifest(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact / "_manifest.json", outside / "_manifest.json")
-
-
-@attack
-def a_linked_table(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE)
-
-
-@attack
-def linked_steps(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact / STEPS_FILE, outside / STEPS_FILE)
-
-
-@attack
-def a_linked_kind(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.kind("evaluate"), outside)
-
-
-@attack
-def a_linked_run(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.run(RUN), outside)
-
-
-@attack
 def a_pipe_for_steps(it: UntrustedStore, outside: Path) -> None:
     path = it.artifact / STEPS_FILE
     path.unlink()
     os.mkfifo(path)
-
-
-@attack
-def linked_logs(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json")
-
-
-@attack
-def a_linked_folder_of_logs(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.run(RUN) / "logs", outside / "inner")
 
 
 @attack
@@ -205,21 +111,6 @@ def linked_records(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.lock(it.key), outside / "secret.json")
     link(it.layout.work(it.key), outside / "inner")
     link(it.layout.tmp / f"{it.key}-left", outside / "inner")
-
-
-@attack
-def a_linked_plan(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.run(RUN) / "plan.json", outside / "secret.json")
-
-
-@attack
-def a_linked_spec(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.run(RUN) / "spec.json", outside / "secret.json")
-
-
-@attack
-def a_linked_report(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.root / "reports", outside)
 
 
 @attack
@@ -233,11 +124,6 @@ def a_linked_page(it: UntrustedStore, outside: Path) -> None:
     it.layout.reports("tiny").mkdir(parents=True)
     for name in ("report.md", "table1.csv", "cost_return.png"):
         link(it.layout.reports("tiny") / name, outside / "report.md")
-
-
-@attack
-def a_linked_store(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.store, outside)
 
 
 @attack
@@ -255,24 +141,9 @@ def a_table_of_another_version(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def a_table_without_columns(it: UntrustedStore, outside: Path) -> None:
-    it.rows(cost=None)
-
-
-@attack
-def a_table_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    it.rows(cost=["x"], tau_c=["y"])
-
-
-@attack
 def steps_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     count = pq.read_metadata(it.artifact / STEPS_FILE).num_rows
     it.rows(STEPS_FILE, cost=["x"] * count, safe=[7] * count, a=[{"b": 1}] * count, episode=["y"] * count)
-
-
-@attack
-def steps_without_columns(it: UntrustedStore, outside: Path) -> None:
-    it.rows(STEPS_FILE, a=None, episode=None)
 
 
 @attack
@@ -304,8 +175,44 @@ def names_of_runs_and_kinds(it: UntrustedStore, outside: Path) -> None:
 
 
 def link(path: Path, target: Path) -> None:
-    """Put a link in the place of a file or a folder."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)
     path.symlink_to(target)
+
+
+ATTACKS |= {
+    "files_of_no_form": lambda it, outside: it.manifest(files=["x"]),
+    "upstream_elsewhere": lambda it, outside: it.manifest(
+        upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}}, upstream_kinds={"b": "../../outside", "d": 7}
+    ),
+    "a_manifest_of_wrong_types": lambda it, outside: it.manifest(
+        upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
+    ),
+    "other_tasks_and_methods": lambda it, outside: it.manifest(
+        task="evil_module:X-v0", axes={"method": "evil_module:run", "method_config": {"a": 1}}, kind="evil_module:run"
+    ),
+    "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
+    "a_plan_for_a_path": lambda it, outside: it.plan(
+        spec="../../outside", nodes=[{**node, "key": "../..", "kind": "../../outside", "label": "../../x"} for node in it.nodes()]
+    ),
+    "cells_that_are_paths": lambda it, outside: it.plan(cells=[{**it.cell, "key": "../../../outside"}]),
+    "cells_of_wrong_types": lambda it, outside: it.plan(cells=[{**it.cell, "value": "x", "task": ["goal1"], "seed": {}}]),
+    "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
+    "rows_that_command_the_terminal": lambda it, outside: it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]),
+    "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
+    "a_linked_manifest": lambda it, outside: link(it.artifact / "_manifest.json", outside / "_manifest.json"),
+    "a_linked_table": lambda it, outside: link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE),
+    "linked_steps": lambda it, outside: link(it.artifact / STEPS_FILE, outside / STEPS_FILE),
+    "a_linked_kind": lambda it, outside: link(it.layout.kind("evaluate"), outside),
+    "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
+    "linked_logs": lambda it, outside: link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json"),
+    "a_linked_folder_of_logs": lambda it, outside: link(it.layout.run(RUN) / "logs", outside / "inner"),
+    "a_linked_plan": lambda it, outside: link(it.layout.run(RUN) / "plan.json", outside / "secret.json"),
+    "a_linked_spec": lambda it, outside: link(it.layout.run(RUN) / "spec.json", outside / "secret.json"),
+    "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
+    "a_linked_store": lambda it, outside: link(it.layout.store, outside),
+    "a_table_without_columns": lambda it, outside: it.rows(cost=None),
+    "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
+    "steps_without_columns": lambda it, outside: it.rows(STEPS_FILE, a=None, episode=None),
+}

@@ -1,7 +1,5 @@
 """What an untrusted results folder may hold against who draws it: films, maps, the page of a report, episodes played again."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

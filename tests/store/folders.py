@@ -1,7 +1,5 @@
 """A results folder of invented cells, as `wasp run` leaves them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +15,6 @@ KEYS = [f"{number:020x}" for number in range(3)]
 
 
 def folder_of_cells(root: Path, method: str = "ida") -> Layout:
-    """Commit three cells of a method, seeds 0 to 2."""
     layout = Layout(root)
     layout.prepare()
     for seed, key in enumerate(KEYS):

@@ -1,7 +1,5 @@
 """A cell as an earlier version wrote it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow.parquet as pq

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess
@@ -26,13 +24,6 @@ from wasp_cli.store.lock import held, is_held
 KEY, OTHER = "a" * 20, "b" * 20
 
 
-@pytest.fixture
-def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path)
-    layout.prepare()
-    return layout
-
-
 def staged(layout: Layout, content: str) -> Path:
     folder = staging_folder(layout, KEY)
     (folder / "deep").mkdir()
@@ -40,7 +31,7 @@ def staged(layout: Layout, content: str) -> Path:
     return folder
 
 
-def test_an_artifact_appears_whole(layout: Layout) -> None:
+def test_an_artifact_appears_whole(layout):
     assert stored_keys(layout, "expert") == set()
     place = commit(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
     assert (place / "deep" / "data").read_text() == "one"
@@ -50,14 +41,14 @@ def test_an_artifact_appears_whole(layout: Layout) -> None:
     assert not list(layout.tmp.iterdir())
 
 
-def test_the_first_of_two_stays(layout: Layout) -> None:
+def test_the_first_of_two_stays(layout):
     commit(layout, "expert", KEY, staged(layout, "one"), {})
     place = commit(layout, "expert", KEY, staged(layout, "two"), {})
     assert (place / "deep" / "data").read_text() == "one"
     assert not list(layout.tmp.iterdir())
 
 
-def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
+def test_rubbish_in_the_place_gives_way(layout):
     place = layout.artifact("expert", KEY)
     place.mkdir(parents=True)
     (place / "rubbish").write_text("x")
@@ -69,7 +60,7 @@ def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
 
 
 @pytest.mark.parametrize("harm", ["remove", "cut", "manifest", "empty manifest"])
-def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> None:
+def test_a_damaged_artifact_is_none_and_gives_way(harm, layout):
     place = commit(layout, "expert", KEY, staged(layout, "one"), {})
     assert exists(layout, "expert", KEY)
     if harm == "remove":
@@ -86,13 +77,13 @@ def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> 
     assert not list(layout.tmp.iterdir())
 
 
-def test_a_manifest_without_a_json_form_publishes_nothing(layout: Layout) -> None:
+def test_a_manifest_without_a_json_form_publishes_nothing(layout):
     with pytest.raises(ValueError, match="JSON"):
         commit(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
     assert not layout.artifact("expert", KEY).exists()
 
 
-def test_links_are_no_artifacts(layout: Layout) -> None:
+def test_links_are_no_artifacts(layout):
     folder = staged(layout, "one")
     (folder / "link").symlink_to("/etc/hostname")
     with pytest.raises(ArtifactError, match="is a link"):
@@ -100,14 +91,14 @@ def test_links_are_no_artifacts(layout: Layout) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "\x00", "[" * 20000])
-def test_damaged_records_are_told(text: str, layout: Layout) -> None:
+def test_damaged_records_are_told(text, layout):
     path = layout.failure(KEY)
     path.write_text(text)
     with pytest.raises(ArtifactError, match="is damaged"):
         read_record(path)
 
 
-def test_records_come_and_go(layout: Layout) -> None:
+def test_records_come_and_go(layout):
     assert read_record(layout.failure(KEY)) is None
     write_record(layout.failure(KEY), {"message": "x"})
     assert read_record(layout.failure(KEY)) == {"message": "x"}
@@ -116,7 +107,7 @@ def test_records_come_and_go(layout: Layout) -> None:
         read_manifest(layout, "expert", KEY)
 
 
-def test_a_lock_is_held_by_one_and_ends_with_its_process(layout: Layout) -> None:
+def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):
     path = layout.lock(KEY)
     assert not is_held(path)
     with held(path, lambda: None):
@@ -128,7 +119,7 @@ def test_a_lock_is_held_by_one_and_ends_with_its_process(layout: Layout) -> None
     assert not is_held(path)
 
 
-def test_sweeping_spares_what_is_being_written(layout: Layout) -> None:
+def test_sweeping_spares_what_is_being_written(layout):
     staged(layout, "left behind")
     mine = staging_folder(layout, OTHER)
     (layout.tmp / "unknown").mkdir()
@@ -138,12 +129,12 @@ def test_sweeping_spares_what_is_being_written(layout: Layout) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "..", ".hidden", "a/b", "a\\b", "a b", "x" * 200, "\x00"])
-def test_names_never_become_paths_unchecked(name: str, layout: Layout) -> None:
+def test_names_never_become_paths_unchecked(name, layout):
     for make in (layout.kind, layout.reports, layout.run, lambda key: layout.artifact("expert", key), layout.work, layout.failure):
         with pytest.raises(StoreError):
             make(name)
 
 
-def test_labels_become_file_names() -> None:
+def test_labels_become_file_names():
     assert slug("goal1 s0 wasp/no-case2 noisy=0.4") == "goal1-s0-wasp-no-case2-noisy=0.4"
     assert slug("../..") == "node"

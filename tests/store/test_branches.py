@@ -1,10 +1,7 @@
 """The table of branches: what is written comes back, and what is no such table is refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +26,7 @@ def row(episode: int, t: int, branch: str, steps: int = 4) -> BranchRow:
 ROWS = [row(e, t, name) for e, t in ((0, 2), (0, 5), (3, 0)) for name in (ASSISTED, ALONE)] + [row(6, 9, ASSISTED, 2), row(6, 9, ALONE, 1)]
 
 
-def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path: Path) -> None:
+def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path):
     write_branches(tmp_path / "b.parquet", CELL, ROWS)
     found = read_branches(tmp_path / "b.parquet")
     assert found.cell == CELL
@@ -45,20 +42,20 @@ def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path: Path) -
             assert not found.reward[name][place, steps:].any()
 
 
-def test_the_order_in_which_branches_came_does_not_show(tmp_path: Path) -> None:
+def test_the_order_in_which_branches_came_does_not_show(tmp_path):
     write_branches(tmp_path / "a.parquet", CELL, ROWS)
     write_branches(tmp_path / "b.parquet", CELL, ROWS[::-1])
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
 
 
-def test_a_cell_without_branches_keeps_its_identity(tmp_path: Path) -> None:
+def test_a_cell_without_branches_keeps_its_identity(tmp_path):
     write_branches(tmp_path / "b.parquet", CELL, [])
     found = read_branches(tmp_path / "b.parquet")
     assert found.cell == CELL
     assert found.cost[ALONE].shape == (0, 4)
 
 
-def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
     (tmp_path / "b.parquet").mkdir()
     with pytest.raises(StoreError, match="cannot write"):
         write_branches(tmp_path / "b.parquet", CELL, ROWS)
@@ -100,7 +97,7 @@ def marked(**marks: str) -> Callable[[pa.Table], pa.Table]:
         (changed("costs", 0, [None, True, True, True]), "not finite"),
     ],
 )
-def test_what_is_no_table_of_branches_is_refused(tmp_path: Path, change: Callable[[pa.Table], pa.Table], what: str) -> None:
+def test_what_is_no_table_of_branches_is_refused(tmp_path, change, what):
     path = tmp_path / "b.parquet"
     write_branches(path, CELL, ROWS)
     pq.write_table(change(pq.read_table(path)), path)
@@ -108,7 +105,7 @@ def test_what_is_no_table_of_branches_is_refused(tmp_path: Path, change: Callabl
         read_branches(path)
 
 
-def test_a_file_that_is_not_there_or_cut_off_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_or_cut_off_is_refused(tmp_path):
     path = tmp_path / "b.parquet"
     with pytest.raises(StoreError, match="does not exist"):
         read_branches(path)
@@ -120,7 +117,7 @@ def test_a_file_that_is_not_there_or_cut_off_is_refused(tmp_path: Path) -> None:
             read_branches(path)
 
 
-def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
+def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path):
     path = tmp_path / "b.parquet"
     write_branches(path, CELL, ROWS)
     data = path.read_bytes()
@@ -137,7 +134,7 @@ def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path: P
     assert noticed > 5
 
 
-def test_former_names_of_columns_are_read(tmp_path: Path) -> None:
+def test_former_names_of_columns_are_read(tmp_path):
     path, former = tmp_path / "b.parquet", tmp_path / "former.parquet"
     write_branches(path, CELL, ROWS)
     table = pq.read_table(path)
@@ -150,7 +147,7 @@ def test_former_names_of_columns_are_read(tmp_path: Path) -> None:
     assert (found.t.tolist(), found.deviation.tolist()) == (now.t.tolist(), now.deviation.tolist())
 
 
-def test_other_tools_see_the_columns() -> None:
+def test_other_tools_see_the_columns():
     assert SCHEMA.names == [
         "task", "method", "variant", "operator", "value", "seed", "episode", "t", "branch", "steps", "costs", "cost_env",
         "rewards", "deviation", "gate", "tau_R", "window",

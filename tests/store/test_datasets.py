@@ -1,8 +1,5 @@
 """A folder of cells is a dataset of episodes to everybody's reader."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.store.folders import KEYS, folder_of_cells
-from wasp_cli.store.artifact import (
-    invalidate,
-    why_invalid,
-)
+from wasp_cli.store.artifact import invalidate, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import STEPS_FILE
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def layout(tmp_path) -> Layout:
     return folder_of_cells(tmp_path / "results")
 
 
@@ -61,18 +55,18 @@ READERS = (pandas_folder, polars_glob, polars_deep_glob, polars_folder, duckdb_g
 
 
 @pytest.mark.parametrize("read", READERS)
-def test_a_folder_of_cells_reads_as_their_episodes(read: Callable[[Path], Any], layout: Layout) -> None:
+def test_a_folder_of_cells_reads_as_their_episodes(read, layout):
     assert len(read(layout.kind("evaluate"))) == 9
 
 
 @pytest.mark.parametrize("read", READERS)
-def test_what_an_invalidated_cell_leaves_is_no_obstacle(read: Callable[[Path], Any], layout: Layout) -> None:
+def test_what_an_invalidated_cell_leaves_is_no_obstacle(read, layout):
     invalidate(layout, "evaluate", KEYS[0], "its bytes changed")
     assert why_invalid(layout, "evaluate", KEYS[0]) == "its bytes changed"
     assert len(read(layout.kind("evaluate"))) == 9
 
 
-def test_no_column_is_a_reserved_word(layout: Layout) -> None:
+def test_no_column_is_a_reserved_word(layout):
     """Of DuckDB, whose grammar is that of PostgreSQL."""
     names = pq.read_schema(layout.artifact("evaluate", KEYS[0]) / "episodes.parquet").names
     names += pq.read_schema(layout.artifact("evaluate", KEYS[0]) / STEPS_FILE).names

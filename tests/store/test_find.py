@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,7 @@ def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def layout(tmp_path) -> Layout:
     layout = Layout(tmp_path / "results")
     layout.prepare()
     for key, label in KEYS.items():
@@ -35,14 +33,14 @@ def layout(tmp_path: Path) -> Layout:
 
 
 @pytest.mark.parametrize("text", ["01234", "0123456789abcdef0123", "  01234 ", "012345678"])
-def test_the_beginning_of_a_key(layout: Layout, text: str) -> None:
+def test_the_beginning_of_a_key(layout, text):
     found = find_cell(layout, text)
     assert found.key == "0123456789abcdef0123"
     assert found.path == layout.store / "evaluate" / "0123456789abcdef0123" / "episodes.parquet"
     assert (found.label, found.date) == ("goal1 s0 wasp laggy=0.7", "2026-05-01 12:34")
 
 
-def test_capitals_of_a_key_do_not_count(layout: Layout) -> None:
+def test_capitals_of_a_key_do_not_count(layout):
     assert find_cell(layout, "AAAA").key == "aaaa0000000000000000"
 
 
@@ -56,16 +54,16 @@ def test_capitals_of_a_key_do_not_count(layout: Layout) -> None:
         ("goal1 wasp/no-case2 laggy=0.7 seed 0", "0123ffffffffffffffff"),  # as reports name it
     ],
 )
-def test_a_label(layout: Layout, text: str, key: str) -> None:
+def test_a_label(layout, text, key):
     assert find_cell(layout, text).key == key
 
 
-def test_a_label_is_not_a_part_of_one(layout: Layout) -> None:
+def test_a_label_is_not_a_part_of_one(layout):
     with pytest.raises(UnknownName):
         find_cell(layout, "goal1 s0 wasp")
 
 
-def test_several_are_listed_newest_first(layout: Layout) -> None:
+def test_several_are_listed_newest_first(layout):
     store(layout, "cccc0000000000000000", "goal1 s0 wasp laggy=0.7", "2026-06-01T00:00:00+00:00")
     with pytest.raises(UsageError) as caught:
         find_cell(layout, "goal1 s0 wasp laggy=0.7")
@@ -84,7 +82,7 @@ def test_several_are_listed_newest_first(layout: Layout) -> None:
         find_cell(layout, "dddd")
 
 
-def test_paths(layout: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths(layout, tmp_path, monkeypatch):
     folder = layout.artifact("evaluate", "aaaa0000000000000000")
     for path in (folder, folder / "episodes.parquet", f"{folder}/"):
         found = find_cell(Layout(tmp_path / "nowhere"), str(path))
@@ -102,18 +100,18 @@ def test_paths(layout: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     "text", ["../../x", "../evaluate/0123456789abcdef0123/../x", "/etc/shadow/x", "\0", "x" * 5000, "", "  ", "~", "*"]
 )
-def test_what_names_nothing_opens_nothing(layout: Layout, text: str) -> None:
+def test_what_names_nothing_opens_nothing(layout, text):
     with pytest.raises(UsageError) as caught:
         find_cell(layout, text)
     assert caught.value.exit_code == 2
 
 
-def test_a_label_that_looks_like_a_path_stays_a_label(layout: Layout) -> None:
+def test_a_label_that_looks_like_a_path_stays_a_label(layout):
     store(layout, "eeee0000000000000000", "../../x")
     assert find_cell(layout, "../../x").path == layout.artifact("evaluate", "eeee0000000000000000") / "episodes.parquet"
 
 
-def test_a_folder_that_is_no_key_is_no_cell(layout: Layout) -> None:
+def test_a_folder_that_is_no_key_is_no_cell(layout):
     odd = layout.kind("evaluate") / "zzzz-odd"
     odd.mkdir()
     write_record(odd / "_manifest.json", {"label": "odd"})
@@ -122,7 +120,7 @@ def test_a_folder_that_is_no_key_is_no_cell(layout: Layout) -> None:
             find_cell(layout, text)
 
 
-def test_suggestions(layout: Layout) -> None:
+def test_suggestions(layout):
     with pytest.raises(UnknownName) as caught:
         find_cell(layout, "goal1 s0 wasp lagy=0.7")
     assert "did you mean 'goal1 s0 wasp laggy=0.7'" in str(caught.value.hint)
@@ -133,7 +131,7 @@ def test_suggestions(layout: Layout) -> None:
         find_cell(layout, "012")
 
 
-def test_nothing_there(tmp_path: Path) -> None:
+def test_nothing_there(tmp_path):
     with pytest.raises(UsageError, match="holds none"):
         find_cell(Layout(tmp_path / "results"), "goal1 s0 wasp laggy=0.7")
     (tmp_path / "results").write_text("")
@@ -141,7 +139,7 @@ def test_nothing_there(tmp_path: Path) -> None:
         find_cell(Layout(tmp_path / "results"), "0123")
 
 
-def test_a_cell_that_failed_says_why(layout: Layout) -> None:
+def test_a_cell_that_failed_says_why(layout):
     write_record(layout.failure("ffff0000000000000000"), {"kind": "evaluate", "label": "goal1 s2 ida noisy=0.4", "message": "out of disk"})
     layout.failure("ffff0000000000000001").write_text("{", encoding="utf-8")
     for text in ("goal1 s2 ida noisy=0.4", "ffff0000000000000000"):
@@ -149,14 +147,14 @@ def test_a_cell_that_failed_says_why(layout: Layout) -> None:
             find_cell(layout, text)
 
 
-def test_a_damaged_manifest_hides_no_other_cell(layout: Layout) -> None:
+def test_a_damaged_manifest_hides_no_other_cell(layout):
     layout.manifest("evaluate", "bbbb0000000000000000").write_text("{", encoding="utf-8")
     assert find_cell(layout, "goal1 s1 wasp laggy=0.7").key == "aaaa0000000000000000"
     with pytest.raises(ArtifactError, match="damaged"):
         find_cell(layout, "bbbb")
 
 
-def test_odd_manifests_are_read_with_care(layout: Layout) -> None:
+def test_odd_manifests_are_read_with_care(layout):
     store(layout, "eeee0000000000000000", "odd", started_at="", axes=["wasp"])
     found = find_cell(layout, "eeee")
     assert found.setting("axes", "method_config", "horizon") is None

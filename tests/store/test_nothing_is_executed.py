@@ -1,7 +1,5 @@
 """No module of the package executes what it reads from a file."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,11 +39,11 @@ def unsafe(tree: ast.AST) -> Iterator[str]:
         "YAML()", "eval(x)", "subprocess.run(x, shell=True)", "PPO.load(p)", "yaml.load(x)",
     ],
 )  # fmt: skip
-def test_the_rule_sees_what_it_should(source: str) -> None:
+def test_the_rule_sees_what_it_should(source):
     assert list(unsafe(ast.parse(source)))
 
 
-def test_no_module_executes_what_it_reads() -> None:
+def test_no_module_executes_what_it_reads():
     root = Path(wasp_cli.__file__).parent
     modules = sorted(root.rglob("*.py"))
     found = {str(path.relative_to(root)): list(unsafe(ast.parse(path.read_text(encoding="utf-8")))) for path in modules}

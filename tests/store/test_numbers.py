@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,10 +21,9 @@ def cell(folder: Path, identity: CellIdentity = WASP) -> Path:
 
 
 @pytest.mark.parametrize("identity", [WASP, EXPERT, NEUTRAL], ids=lambda identity: identity.method)
-def test_the_same_as_reading_all_rows(tmp_path: Path, identity: CellIdentity) -> None:
+def test_the_same_as_reading_all_rows(tmp_path, identity):
     path = cell(tmp_path, identity)
     found, rows = read_numbers(path, COLUMNS), read_episodes([path])
-    assert found is not None
     assert found.table.equals(rows.select(COLUMNS))
     assert found.identity == identity
     assert found.thresholds == Thresholds(*(rows[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q")))
@@ -53,7 +50,7 @@ def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
     ],
     ids=["methods", "values", "thresholds", "nan", "less", "older", "odd", "empty", "types"],
 )  # fmt: skip
-def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path, change):
     path = cell(tmp_path)
     table = pq.read_table(path)
     pq.write_table(table, path, write_page_checksum=True)
@@ -62,14 +59,14 @@ def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path: Path, change
     assert read_numbers(path, COLUMNS) is None
 
 
-def test_in_parts(tmp_path: Path) -> None:
+def test_in_parts(tmp_path):
     path = cell(tmp_path)
     table = pq.read_table(path)
     pq.write_table(table, path, row_group_size=2)
     assert read_numbers(path, COLUMNS) is None
 
 
-def test_damage_is_left_to_who_names_it(tmp_path: Path) -> None:
+def test_damage_is_left_to_who_names_it(tmp_path):
     path = cell(tmp_path)
     assert read_numbers(tmp_path / "nothing", COLUMNS) is None
     whole = path.read_bytes()

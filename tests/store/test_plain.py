@@ -1,10 +1,7 @@
 """Small files that others have written."""
 
-from __future__ import annotations
-
 import json
 import os
-from pathlib import Path
 
 import pytest
 
@@ -27,7 +24,7 @@ from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
 KEY = "a" * 20
 
 
-def test_a_link_is_not_read(tmp_path: Path) -> None:
+def test_a_link_is_not_read(tmp_path):
     (tmp_path / "secret").write_text("{}")
     (tmp_path / "link").symlink_to(tmp_path / "secret")
     with pytest.raises(OSError, match="it is a link"):
@@ -36,13 +33,13 @@ def test_a_link_is_not_read(tmp_path: Path) -> None:
         read_record(tmp_path / "link")
 
 
-def test_a_pipe_holds_nobody(tmp_path: Path) -> None:
+def test_a_pipe_holds_nobody(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="not a regular file"):
         read_plain(tmp_path / "pipe")
 
 
-def test_what_does_not_fit_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_not_fit_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(plain, "LARGEST", 3)
     (tmp_path / "large").write_text("1234")
     with pytest.raises(OSError, match="4 bytes"):
@@ -53,7 +50,7 @@ def nested(depth: int) -> str:
     return '{"a": ' * depth + "1" + "}" * depth
 
 
-def test_depth_has_an_end() -> None:
+def test_depth_has_an_end():
     assert parse(nested(DEEPEST)) == json.loads(nested(DEEPEST))
     for depth in (DEEPEST + 1, 900, 100_000):
         with pytest.raises((ValueError, RecursionError)):
@@ -64,7 +61,7 @@ def test_depth_has_an_end() -> None:
 
 @pytest.mark.parametrize("bad", ["\x1b]0;title\x07", "\x1b[31m", "\x9b31m", "\u202etxt", "\ud800"])
 @pytest.mark.parametrize("escaped", [True, False])
-def test_nothing_that_a_terminal_obeys_is_read(bad: str, escaped: bool) -> None:
+def test_nothing_that_a_terminal_obeys_is_read(bad, escaped):
     said = parse(json.dumps({"a" + bad: [bad]})) if escaped or bad < " " else parse(json.dumps({"a" + bad: [bad]}, ensure_ascii=False))
     ((name, (value,)),) = said.items()
     for text in (name, value):
@@ -74,7 +71,7 @@ def test_nothing_that_a_terminal_obeys_is_read(bad: str, escaped: bool) -> None:
     assert parse('{"a": "line\\nline\\t\\u00e9 \\u00b1"}') == {"a": "line\nline\té ±"}
 
 
-def test_lines_that_are_no_objects_are_left_out(tmp_path: Path) -> None:
+def test_lines_that_are_no_objects_are_left_out(tmp_path):
     path = tmp_path / "lines"
     path.write_text('{"a": 1}\n[1]\n7\n' + "[" * 100_000 + '\n{"b": 2}\n{"cut": ')
     assert read_json_lines(path) == [{"a": 1}, {"b": 2}]
@@ -83,13 +80,13 @@ def test_lines_that_are_no_objects_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "/etc/passwd", "..", "../x", "a/../../x", "a//b", "./a", "a\0", "a" * 5000])
-def test_an_artifact_has_no_files_elsewhere(name: str) -> None:
+def test_an_artifact_has_no_files_elsewhere(name):
     assert not is_file_name(name)
     assert is_file_name("deep/data.bin")
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def layout(tmp_path) -> Layout:
     layout = Layout(tmp_path / "results")
     layout.prepare()
     staging = staging_folder(layout, KEY)
@@ -99,7 +96,7 @@ def layout(tmp_path: Path) -> Layout:
     return layout
 
 
-def test_an_artifact_that_became_a_link_is_none(layout: Layout, tmp_path: Path) -> None:
+def test_an_artifact_that_became_a_link_is_none(layout, tmp_path):
     place = layout.artifact("expert", KEY)
     place.rename(tmp_path / "elsewhere")
     place.symlink_to(tmp_path / "elsewhere")
@@ -115,7 +112,7 @@ def test_an_artifact_that_became_a_link_is_none(layout: Layout, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("part", ["deep", "deep/data"])
-def test_a_part_of_an_artifact_that_became_a_link_is_damage(part: str, layout: Layout, tmp_path: Path) -> None:
+def test_a_part_of_an_artifact_that_became_a_link_is_damage(part, layout, tmp_path):
     place = layout.artifact("expert", KEY)
     (place / part).rename(tmp_path / "elsewhere")
     (place / part).symlink_to(tmp_path / "elsewhere")
@@ -123,7 +120,7 @@ def test_a_part_of_an_artifact_that_became_a_link_is_damage(part: str, layout: L
 
 
 @pytest.mark.parametrize("folder", ["store", "runs", "reports", "locks", "tmp"])
-def test_links_in_the_place_of_folders_are_refused(folder: str, tmp_path: Path) -> None:
+def test_links_in_the_place_of_folders_are_refused(folder, tmp_path):
     layout = Layout(tmp_path / "results")
     layout.root.mkdir()
     (tmp_path / "elsewhere").mkdir()
@@ -135,7 +132,7 @@ def test_links_in_the_place_of_folders_are_refused(folder: str, tmp_path: Path) 
     Layout(link).prepare()  # the results themselves may lie on another disk
 
 
-def test_what_a_link_leads_to_is_not_discarded(tmp_path: Path) -> None:
+def test_what_a_link_leads_to_is_not_discarded(tmp_path):
     (tmp_path / "precious").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "precious")
     for path in (tmp_path / "link", tmp_path / "absent"):
@@ -144,7 +141,7 @@ def test_what_a_link_leads_to_is_not_discarded(tmp_path: Path) -> None:
     assert (tmp_path / "precious").is_dir()
 
 
-def test_a_file_elsewhere_is_no_part_of_an_artifact(layout: Layout, tmp_path: Path) -> None:
+def test_a_file_elsewhere_is_no_part_of_an_artifact(layout, tmp_path):
     (tmp_path / "elsewhere").write_text("1")
     for name in ("../../../../elsewhere", str(tmp_path / "elsewhere")):
         write_record(layout.manifest("expert", KEY), {"files": {name: {"size": 1}}})

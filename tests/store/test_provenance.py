@@ -1,7 +1,5 @@
 """Where an artifact came from: two states of the source are told apart, and looking costs little."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -21,8 +19,7 @@ def git(root: Path, *arguments: str) -> str:
 
 
 @pytest.fixture
-def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository that holds a package of our name."""
+def checkout(tmp_path, monkeypatch) -> Path:
     package = tmp_path / "wasp_cli"
     (package / "deep").mkdir(parents=True)
     for name in ("__init__.py", "one.py", "deep/two.py"):
@@ -38,17 +35,16 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def changes(text: str, path: Path) -> str | None:
     path.write_text(text)
     state = git_state()
-    assert state is not None
     assert state["dirty"]
     found: str | None = state["changes"]
     return found
 
 
-def test_a_clean_checkout_is_its_commit(checkout: Path) -> None:
+def test_a_clean_checkout_is_its_commit(checkout):
     assert git_state() == {"sha": git(checkout, "rev-parse", "HEAD"), "dirty": False, "changes": None}
 
 
-def test_each_change_of_the_package_has_a_hash_of_its_own(checkout: Path) -> None:
+def test_each_change_of_the_package_has_a_hash_of_its_own(checkout):
     package = checkout / "wasp_cli"
     found = [
         changes("x = 2\n", package / "one.py"),
@@ -59,38 +55,36 @@ def test_each_change_of_the_package_has_a_hash_of_its_own(checkout: Path) -> Non
     ]
     (package / "one.py").unlink()
     state = git_state()
-    assert state is not None
     found.append(state["changes"])
     assert len(set(found)) == len(found)
     assert all(text is not None and len(text) == 16 for text in found)
 
 
-def test_the_same_change_has_the_same_hash_whether_staged_or_not(checkout: Path) -> None:
+def test_the_same_change_has_the_same_hash_whether_staged_or_not(checkout):
     first = changes("x = 2\n", checkout / "wasp_cli" / "one.py")
     git(checkout, "add", ".")
     assert changes("x = 2\n", checkout / "wasp_cli" / "one.py") == first
 
 
-def test_what_is_not_the_package_is_dirty_and_no_change_of_it(checkout: Path) -> None:
+def test_what_is_not_the_package_is_dirty_and_no_change_of_it(checkout):
     assert changes("other\n", checkout / "README.md") is None
 
 
-def test_files_that_are_no_source_do_not_count(checkout: Path) -> None:
+def test_files_that_are_no_source_do_not_count(checkout):
     (checkout / "notes.py").write_text("x = 1\n")
     (checkout / "wasp_cli" / "cache.bin").write_text("x\n")
     state = git_state()
-    assert state is not None
     assert not state["dirty"]
 
 
-def test_outside_of_a_checkout_there_is_nothing_to_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outside_of_a_checkout_there_is_nothing_to_say(tmp_path, monkeypatch):
     monkeypatch.setattr(wasp_cli, "__file__", str(tmp_path / "wasp_cli" / "__init__.py"))
     assert git_state() is None
     (tmp_path / ".git").mkdir()  # a damaged one
     assert git_state() is None
 
 
-def test_git_is_asked_once_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_git_is_asked_once_a_process(monkeypatch):
     asked: list[tuple[str, ...]] = []
 
     def counted(root: Path, *arguments: str) -> str:
@@ -107,12 +101,12 @@ def test_git_is_asked_once_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/sys/kernel/random/boot_id").exists(), reason="Linux only")
-def test_the_boot_of_this_machine_has_a_name() -> None:
+def test_the_boot_of_this_machine_has_a_name():
     assert boot_id() == boot_id()
     assert len(boot_id() or "") == 36
 
 
-def test_devices_are_named_only_where_this_process_computes_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_devices_are_named_only_where_this_process_computes_on_them(monkeypatch):
     def fake(initialized: bool) -> SimpleNamespace:
         cuda = SimpleNamespace(is_initialized=lambda: initialized, device_count=lambda: 2, get_device_name=lambda index: f"GPU {index}")
         return SimpleNamespace(cuda=cuda)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +15,12 @@ EPISODES = [invent(0, 5), invent(1, 1), invent(2, 9)]
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path) -> Path:
     rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in EPISODES]
     return write_cell(tmp_path, CELL, EPISODES, rows, Thresholds(), [np.ones(t.steps) for t in EPISODES], [11, 12, 13])
 
 
-def test_commands_actions_and_rewards_come_back_episode_by_episode(path: Path) -> None:
+def test_commands_actions_and_rewards_come_back_episode_by_episode(path):
     recorded = read_recorded(path)
     assert recorded["layouts"] == [11, 12, 13]
     for e, trajectory in enumerate(EPISODES):
@@ -32,7 +30,7 @@ def test_commands_actions_and_rewards_come_back_episode_by_episode(path: Path) -
 
 
 @pytest.mark.parametrize("damage", ["no episode", "an episode is missing", "steps are missing", "no actions"])
-def test_rows_that_are_no_whole_episodes_are_refused(path: Path, damage: str) -> None:
+def test_rows_that_are_no_whole_episodes_are_refused(path, damage):
     table = pq.read_table(path)
     if damage == "no episode":
         table = table.slice(0, 0)

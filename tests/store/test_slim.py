@@ -1,7 +1,5 @@
 """Smaller published copies: what is left out is said, and nothing else changes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -24,7 +22,7 @@ def cell(folder: Path, episodes: int = 4) -> Path:
     )
 
 
-def test_weights_of_half_size_load_into_the_same_module_and_say_what_was_left_out(tmp_path: Path) -> None:
+def test_weights_of_half_size_load_into_the_same_module_and_say_what_was_left_out(tmp_path):
     module = torch.nn.Linear(40, 30)
     path = tmp_path / "m.safetensors"
     save_file({**module.state_dict(), "count": torch.arange(3)}, path)
@@ -41,18 +39,18 @@ def test_weights_of_half_size_load_into_the_same_module_and_say_what_was_left_ou
     assert slim(tmp_path, "critics", Slimming(half=True)) == {}
 
 
-def test_a_weight_that_half_precision_cannot_hold_is_refused(tmp_path: Path) -> None:
+def test_a_weight_that_half_precision_cannot_hold_is_refused(tmp_path):
     save_file({"w": torch.tensor([1e6])}, tmp_path / "m.safetensors")
     with pytest.raises(ArtifactError, match="half precision cannot hold 'w'"):
         slim(tmp_path, "critics", Slimming(half=True))
 
 
-def test_recorded_data_keeps_its_precision(tmp_path: Path) -> None:
+def test_recorded_data_keeps_its_precision(tmp_path):
     save_file({"h": torch.rand(9)}, tmp_path / "heldout.safetensors")
     assert slim(tmp_path, "heldout", Slimming(half=True)) == {}
 
 
-def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touched(tmp_path: Path) -> None:
+def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touched(tmp_path):
     assert STEPS_FILE == TABLES_STEPS_FILE
     path = cell(tmp_path / "cell")
     rows, steps = path.read_bytes(), read_steps(path)
@@ -67,7 +65,7 @@ def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touch
     assert slim(tmp_path / "cell", "evaluate", Slimming(steps=1)) == {}
 
 
-def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_else(tmp_path: Path) -> None:
+def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_else(tmp_path):
     (tmp_path / "images.parquet").write_bytes(b"frames")
     (tmp_path / "diagnostics.json").write_text("{}")
     assert slim(tmp_path, "diagnostics", Slimming()) == {}

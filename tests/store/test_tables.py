@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -61,7 +59,7 @@ def invent(seed: int, steps: int) -> Trajectory:
 
 
 @pytest.fixture
-def write(tmp_path: Path) -> Callable[..., Path]:
+def write(tmp_path) -> Callable[..., Path]:
     def make(name: str = "cell", cell: CellIdentity = CELL, seed: int = 0, slowness: float = 1.0) -> Path:
         trajectories = [invent(seed, 5), invent(seed + 1, 1), invent(seed + 2, 9)]
         rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in trajectories]
@@ -72,7 +70,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     return make
 
 
-def test_episodes_round_trip(write: Callable[..., Path]) -> None:
+def test_episodes_round_trip(write):
     table = read_episodes([write()])
     assert table.num_rows == 3
     assert "steps" not in table.column_names
@@ -90,7 +88,7 @@ def test_episodes_round_trip(write: Callable[..., Path]) -> None:
     assert rows[1]["smoothness"] is None
 
 
-def test_steps_round_trip(write: Callable[..., Path]) -> None:
+def test_steps_round_trip(write):
     steps = read_steps(write()).to_pylist()
     assert [(step["episode"], step["t"]) for step in steps] == [(0, t) for t in range(5)] + [(1, 0)] + [(2, t) for t in range(9)]
     episode = invent(2, 9)
@@ -112,9 +110,8 @@ def test_steps_round_trip(write: Callable[..., Path]) -> None:
         assert [step[name] for name in planned[3:]] == [t / 8 + i for i in range(4)]
 
 
-def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path: Path) -> None:
+def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path):
     episode = invent(0, 5)
-    assert episode.plans is not None
     planned = ~np.isnan(episode.plans.residuals).any((1, 2))
     assert planned.any()
     assert not planned.all()
@@ -126,36 +123,36 @@ def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path: Path) -> N
     assert read_episodes([path])["case2"].to_pylist() == [None]
 
 
-def test_the_unimpaired_operator_has_no_value(write: Callable[..., Path]) -> None:
+def test_the_unimpaired_operator_has_no_value(write):
     table = read_episodes([write(cell=CellIdentity("goal1", "expert", "full", "none", None, 0))])
     assert table["value"].null_count == 3
 
 
-def test_many_cells_in_order(write: Callable[..., Path]) -> None:
+def test_many_cells_in_order(write):
     paths = [write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed) for seed in (2, 0, 1)]
     assert read_episodes(paths)["seed"].to_pylist() == [2] * 3 + [0] * 3 + [1] * 3
     assert read_episodes([]).num_rows == 0
 
 
-def test_same_input_same_bytes(write: Callable[..., Path]) -> None:
+def test_same_input_same_bytes(write):
     first, second = write("a"), write("b")
     assert first.read_bytes() == second.read_bytes()
     assert first.with_name(STEPS_FILE).read_bytes() == second.with_name(STEPS_FILE).read_bytes()
 
 
-def test_times_are_those_of_the_decisions_of_each_episode(write: Callable[..., Path]) -> None:
+def test_times_are_those_of_the_decisions_of_each_episode(write):
     path = write()
     assert [times.tolist() for times in read_times(path)] == [[1, 2, 3, 4, 5], [1], [1, 2, 3, 4, 5, 6, 7, 8, 9]]
 
 
-def test_same_rows_leaves_timing_out(write: Callable[..., Path]) -> None:
+def test_same_rows_leaves_timing_out(write):
     first = write("a")
     assert same_rows(first, write("b", slowness=2.0))
     assert not same_rows(first, write("c", seed=1))
     assert not same_rows(first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
 
 
-def test_other_steps_are_other_rows(write: Callable[..., Path]) -> None:
+def test_other_steps_are_other_rows(write):
     first, second = write("a"), write("b")
     path = second.with_name(STEPS_FILE)
     steps = pq.read_table(path)
@@ -165,7 +162,7 @@ def test_other_steps_are_other_rows(write: Callable[..., Path]) -> None:
     assert not same_rows(first, second)
 
 
-def test_every_column_is_written_from_its_own_field() -> None:
+def test_every_column_is_written_from_its_own_field():
     """The schema and the dataclasses name the same things, so that a new metric cannot be forgotten in one of them."""
     metrics = {"return" if name == "return_" else name for name in tables.EpisodeMetrics.__dataclass_fields__}
     assert {field.name for field in tables.METRICS} == metrics
@@ -173,7 +170,7 @@ def test_every_column_is_written_from_its_own_field() -> None:
     assert set(PLANNED.values()) == set(Plans.__dataclass_fields__)
 
 
-def test_truncated_file(write: Callable[..., Path]) -> None:
+def test_truncated_file(write):
     path = write()
     for file, reads in ((path.with_name(STEPS_FILE), (read_steps, read_times)), (path, (lambda _: read_episodes([path]),))):
         file.write_bytes(file.read_bytes()[:-100])
@@ -182,7 +179,7 @@ def test_truncated_file(write: Callable[..., Path]) -> None:
                 read(path)
 
 
-def test_steps_that_are_gone_or_a_link_are_named(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_steps_that_are_gone_or_a_link_are_named(write, tmp_path):
     path = write()
     steps = path.with_name(STEPS_FILE)
     steps.rename(tmp_path / "elsewhere.parquet")
@@ -196,7 +193,7 @@ def test_steps_that_are_gone_or_a_link_are_named(write: Callable[..., Path], tmp
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"not a table at all, only text"])
-def test_not_parquet(tmp_path: Path, content: bytes) -> None:
+def test_not_parquet(tmp_path, content):
     path = tmp_path / EPISODES_FILE
     path.write_bytes(content)
     with pytest.raises(StoreError, match=r"episodes\.parquet is damaged"):
@@ -204,7 +201,7 @@ def test_not_parquet(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("file", [EPISODES_FILE, STEPS_FILE])
-def test_a_flipped_bit_never_becomes_a_number(write: Callable[..., Path], file: str) -> None:
+def test_a_flipped_bit_never_becomes_a_number(write, file):
     whole, hit = write("whole"), write("hit")
     path = hit.with_name(file)
     content = path.read_bytes()
@@ -219,12 +216,12 @@ def test_a_flipped_bit_never_becomes_a_number(write: Callable[..., Path], file: 
     assert noticed > 100
 
 
-def test_missing_file(tmp_path: Path) -> None:
+def test_missing_file(tmp_path):
     with pytest.raises(StoreError, match=r"nowhere\.parquet does not exist"):
         read_episodes([tmp_path / "nowhere.parquet"])
 
 
-def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newer_version_is_refused(write, monkeypatch):
     monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"6"}))
     path = write()
     with pytest.raises(StoreError, match="table version 6, this wasp reads up to 5") as caught:
@@ -233,14 +230,14 @@ def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytes
     assert "upgrade" in caught.value.hint
 
 
-def test_another_parquet_file_is_refused(tmp_path: Path) -> None:
+def test_another_parquet_file_is_refused(tmp_path):
     path = tmp_path / "other.parquet"
     pq.write_table(pa.table({"episode": [1]}), path)
     with pytest.raises(StoreError, match="not the table of a cell"):
         read_episodes([path])
 
 
-def test_no_partial_file(write: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_partial_file(write, tmp_path, monkeypatch):
     def fail(*args: Any, **kwargs: Any) -> None:
         raise OSError(28, "No space left on device")
 
@@ -250,50 +247,29 @@ def test_no_partial_file(write: Callable[..., Path], tmp_path: Path, monkeypatch
     assert not list((tmp_path / "cell").iterdir())
 
 
-def test_lengths_must_agree(tmp_path: Path) -> None:
+def test_lengths_must_agree(tmp_path):
     trajectory = invent(0, 3)
     with pytest.raises(ValueError, match="1 trajectories, 0 rows"):
         write_cell(tmp_path, CELL, [trajectory], [], Thresholds(), [np.ones(3)], [0])
 
 
-@pytest.mark.parametrize("reader", ["duckdb", "pyarrow", "pandas"])
-def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tmp_path: Path, reader: str) -> None:
-    for seed in range(3):
-        write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed)
-    for file, count in ((EPISODES_FILE, 9), (STEPS_FILE, 45)):
-        paths = [str(path) for path in sorted(tmp_path.glob(f"*/{file}"))]
-        if reader == "duckdb":
-            import duckdb
-
-            found = duckdb.sql(
-                f"select seed, count(*) from read_parquet('{tmp_path}/*/{file}') where method = 'ida' group by seed"
-            ).fetchall()
-            assert sorted(found) == [(seed, count // 3) for seed in range(3)]
-        elif reader == "pyarrow":
-            assert pq.read_table(paths).num_rows == count
-        else:
-            assert len(pytest.importorskip("pandas").read_parquet(paths)) == count
-
-
-def test_former_names_of_columns_are_read(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_former_names_of_columns_are_read(write, tmp_path):
     path = write()
     former = with_former_names(path, tmp_path / "former")
     assert "assistant_variant" in pq.read_table(former).column_names
     assert (read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (4, True)
     found, now = (read_numbers(each, ("cost",)) for each in (former, path))
-    assert found is not None
-    assert found == now
+    assert found == now is not None
     assert first_rows(former.parent, 1).steps.equals(first_rows(path.parent, 1).steps)
     assert same_rows(former, path)
 
 
-def test_published_rows_do_not_define_what_later_versions_added() -> None:
+def test_published_rows_do_not_define_what_later_versions_added():
     """They are read, by the quick reader too, and tables say n/a."""
     path = next(iter(sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))))
     assert read_version(path) < ADDED_IN
     rows = read_episodes([path])
     numbers = read_numbers(path, (*ADDED, "int_rate"))
-    assert numbers is not None
     assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in ADDED)
     assert numbers.table["int_rate"].equals(rows["int_rate"])
     frame = read_frame([Wanted(numbers.identity, "a published cell", path)])

@@ -1,7 +1,5 @@
 """A whole results folder, to be made hostile."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -21,14 +19,7 @@ from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity
 
 RUN = "20260501-120000-tiny-0000"
 LABEL = "goal1 s0 human noisy=0.2"
-SPEC = {
-    "name": "tiny",
-    "preset": "smoke",
-    "tasks": ["goal1"],
-    "methods": ["human"],
-    "operators": {"noisy": {"mild": 0.2}},
-    "seeds": [0],
-}
+SPEC = {"name": "tiny", "preset": "smoke", "tasks": ["goal1"], "methods": ["human"], "operators": {"noisy": {"mild": 0.2}}, "seeds": [0]}
 
 
 class UntrustedStore:
@@ -81,7 +72,6 @@ class UntrustedStore:
         write_record(self.layout.failure(expert), {"kind": "expert", "label": "goal1 s0 expert", "message": "x", **facts})
 
     def rows(self, file: str = EPISODES_FILE, **columns: Any) -> None:
-        """Rewrite a table of the cell with other columns."""
         path = self.artifact / file
         table = pq.read_table(path)
         for name, values in columns.items():
@@ -98,7 +88,6 @@ class UntrustedStore:
         self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "operator": "noisy", "value": 0.2})
 
     def steps(self, **numbers: Any) -> None:
-        """Rewrite fields of every decision of the cell."""
         table = pq.read_table(self.artifact / STEPS_FILE)
         columns = {name: pa.array([value] * table.num_rows, table.schema.field(name).type) for name, value in numbers.items()}
         self.rows(STEPS_FILE, **columns)

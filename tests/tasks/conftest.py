@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,6 @@ DATA = Path(__file__).parent / "data"
 
 
 def load_recording(name: str) -> dict[str, NDArray[Any]]:
-    """A recording as a dictionary of its own."""
     with np.load(DATA / name, allow_pickle=False) as archive:
         return {field: archive[field] for field in archive.files}
 

@@ -1,7 +1,5 @@
 """A small environment of somebody else's, for tests of tasks that come by their gymnasium id."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -12,7 +10,6 @@ NUMBER = itertools.count()
 
 
 def registered(env: Any, **options: Any) -> str:
-    """The id of an environment class that is registered for one test."""
     name = f"Foreign{next(NUMBER)}-v0"
     gymnasium.register(name, entry_point=env, **{"max_episode_steps": 20, **options})
     return name

@@ -1,7 +1,5 @@
 """Race and Formula One: rules of their episodes, and that leaving out distant walls and barrels changes nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.formula.task import Formula
-from wasp_cli.tasks.frames import distance, yaw_quaternion
+from wasp_cli.tasks.frames import distance
 from wasp_cli.tasks.outline import distance_to_segments, inside
 from wasp_cli.tasks.race.task import GOAL_XY, HAZARD_RADIUS, SIDES, Race
 
@@ -34,9 +32,6 @@ def far_from_barrels(task: Formula) -> None:
     task.restore(state)
 
 
-# -- the car ----------------------------------------------------------------------------------------------------------------------
-
-
 def test_left_is_the_drivers_right_and_the_front_is_minus_y():
     task = Race(3, action_repeat=10, observe=())
     task.reset([0, 0, 0])
@@ -56,9 +51,6 @@ def test_torque_saturates():
     task.reset([0, 0])
     step = task.step(np.array([[0.02, 0.02], [1.0, 1.0]]))
     assert step.observation.state[0].tobytes() == step.observation.state[1].tobytes()
-
-
-# -- Race -------------------------------------------------------------------------------------------------------------------------
 
 
 def test_the_goal_pays_ten_and_ends_the_race():
@@ -131,9 +123,6 @@ def test_leaving_out_distant_scenery_changes_no_motion(monkeypatch):
         quick.step(action)
         np.testing.assert_allclose(quick.snapshot()["qpos"], whole.snapshot()["qpos"], atol=1e-9)
     assert left_out > 60
-
-
-# -- Formula One ------------------------------------------------------------------------------------------------------------------
 
 
 def test_stages_follow_each_other_around_the_lap():
@@ -335,15 +324,6 @@ def test_the_scripted_driver_wins_the_race_and_passes_stages():
     # From starts 3 and 5 (first goals 4 and 6) no stage can be reached in an episode.
     for goal, count in zip(first.tolist(), passed.tolist(), strict=True):
         assert count == 0 if goal in (4, 6) else count >= 1
-
-
-def test_quaternions_of_placed_barrels_are_their_yaws():
-    task = Formula(1, observe=())
-    task.reset([2])
-    quaternions = task.snapshot()["bodies"][0, :, 3:]
-    yaw = 2.0 * np.arctan2(quaternions[:, 3], quaternions[:, 0])
-    np.testing.assert_allclose(quaternions, yaw_quaternion(yaw), atol=1e-12)
-    assert np.ptp(yaw) > 5.0
 
 
 def test_a_lying_barrel_is_met_at_its_top():

@@ -1,7 +1,5 @@
 """Gymnasium environments of others as tasks: what the adapter makes of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium
@@ -19,10 +17,8 @@ from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
 
 SEEDS = [3, 4]
 
-# -- what it makes of them --------------------------------------------------------------------------------------------------------------
 
-
-def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit() -> None:
+def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
     native, through = make_task("goal1", 2), make_task(name, 2)
     assert isinstance(through, GymTask)
@@ -46,7 +42,7 @@ def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit() -> None:
     assert cost > 0
 
 
-def test_commands_in_unit_bounds_reach_the_environments_own() -> None:
+def test_commands_in_unit_bounds_reach_the_environments_own():
     task = GymTask(registered(Lights), 3, action_repeat=2)
     assert (task.action_low.tolist(), task.action_high.tolist()) == ([-1, -1], [1, 1])
     task.reset([0, 1, 2])
@@ -56,7 +52,7 @@ def test_commands_in_unit_bounds_reach_the_environments_own() -> None:
         np.testing.assert_array_equal(row, [expected] * 2)
 
 
-def test_an_action_of_any_shape_and_type_is_given_as_the_space_has_it() -> None:
+def test_an_action_of_any_shape_and_type_is_given_as_the_space_has_it():
     class Shaped(Lights):
         action_space = gymnasium.spaces.Box(-0.1, 0.1, (2, 3), np.float32)
 
@@ -70,7 +66,7 @@ def test_an_action_of_any_shape_and_type_is_given_as_the_space_has_it() -> None:
     np.testing.assert_allclose(action.ravel(), np.linspace(-0.1, 0.1, 6), atol=1e-7)
 
 
-def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision() -> None:
+def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision():
     task = GymTask(registered(Lights, max_episode_steps=10), 1, action_repeat=4)
     assert (task.max_decisions, task.decision_seconds) == (3, 0.16)
     task.reset([0])
@@ -84,7 +80,7 @@ def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision() ->
         task.step(np.zeros((1, 2)))
 
 
-def test_the_environments_own_end_is_a_termination() -> None:
+def test_the_environments_own_end_is_a_termination():
     class Short(Lights):
         ends_at = 3
 
@@ -104,7 +100,7 @@ def test_the_environments_own_end_is_a_termination() -> None:
     ],
     ids=["goals", "a success that passes", "a success that stays", "nothing"],
 )
-def test_goals_and_success(told: Any, expected: list[int]) -> None:
+def test_goals_and_success(told, expected):
     class Scoring(Lights):
         def info(self):
             return super().info() | told(self.clock)
@@ -115,7 +111,7 @@ def test_goals_and_success(told: Any, expected: list[int]) -> None:
         assert [task.step(np.zeros((1, 2))).goals[0] for _ in range(3)] == expected
 
 
-def test_several_cost_sources_are_counted_one_by_one() -> None:
+def test_several_cost_sources_are_counted_one_by_one():
     class Two(Lights):
         def info(self):
             return {"cost": float(self.clock > 1), "cost_sources": {"wet": self.clock > 1, "cold": 0.5 * (self.clock > 2)}}
@@ -135,7 +131,7 @@ def test_several_cost_sources_are_counted_one_by_one() -> None:
         ({"cost_limit": 25.0}, ("cost",)),  # a number like another
     ],
 )
-def test_costs_may_be_told_flat(costs: dict[str, float], sources: tuple[str, ...]) -> None:
+def test_costs_may_be_told_flat(costs, sources):
     class Flat(Lights):
         def info(self):
             return {"cost": 1.0, **costs}
@@ -146,8 +142,6 @@ def test_costs_may_be_told_flat(costs: dict[str, float], sources: tuple[str, ...
     assert task.cost_sources == sources
     assert {name: int(count[0]) for name, count in step.sources.items()} == {name: 4 * (name != "cold") for name in sources}
 
-
-# -- observations -----------------------------------------------------------------------------------------------------------------------
 
 BOX = gymnasium.spaces.Box
 RANDOM = np.random.default_rng(0).integers(0, 256, (64, 64, 6), np.uint8)
@@ -168,7 +162,7 @@ RANDOM = np.random.default_rng(0).integers(0, 256, (64, 64, 6), np.uint8)
         ),
     ],
 )
-def test_every_form_of_an_image_becomes_the_same_pixels(space: Any, observation: Any, rear: bool) -> None:
+def test_every_form_of_an_image_becomes_the_same_pixels(space, observation, rear):
     views = views_of(space)
     expected = np.moveaxis(RANDOM, -1, 0).copy()
     if not rear:
@@ -178,32 +172,28 @@ def test_every_form_of_an_image_becomes_the_same_pixels(space: Any, observation:
 
 
 @pytest.mark.parametrize("size", [(128, 128), (192, 64), (256, 320)])
-def test_larger_images_are_averaged_over_areas(size: tuple[int, int]) -> None:
+def test_larger_images_are_averaged_over_areas(size):
     image = np.random.default_rng(1).integers(0, 256, (*size, 3), np.uint8)
     seen = views_of(BOX(0, 255, image.shape, np.uint8)).pixels(image)[:3]
     blocks = image.reshape(64, size[0] // 64, 64, size[1] // 64, 3).mean((1, 3))
     np.testing.assert_allclose(np.moveaxis(seen, 0, -1), blocks, atol=1.01)  # Pillow rounds after each direction
 
 
-def test_without_vectors_a_coarse_image_and_its_change_stand_in() -> None:
+def test_without_vectors_a_coarse_image_and_its_change_stand_in():
     task = GymTask(registered(Lights), 2)
     first = task.reset([0, 1])
-    assert first.privileged is not None
     assert first.privileged.shape == (2, 384)
     assert (first.privileged == 0).all()
     second = task.step(np.zeros((2, 2))).observation
-    assert second.privileged is not None
-    assert second.state is not None
     np.testing.assert_allclose(second.privileged[0], 4 / 255, rtol=1e-6)
     third = task.step(np.zeros((2, 2))).observation.privileged
-    assert third is not None
     np.testing.assert_allclose(third[0, :192], 8 / 255, rtol=1e-6)
     np.testing.assert_allclose(third[0, 192:], 4 / 255, rtol=1e-5)
     assert (second.state == second.privileged).all()
 
 
 @pytest.mark.parametrize(("entries", "privileged", "state"), [(("privileged", "state"), 5, 7), (("privileged",), 5, 5), (("state",), 7, 7)])
-def test_vectors_of_a_dictionary_are_taken_by_name(entries: tuple[str, ...], privileged: int, state: int) -> None:
+def test_vectors_of_a_dictionary_are_taken_by_name(entries, privileged, state):
     sizes = {"privileged": 5, "state": 7}
     spaces = {"image": BOX(0, 255, (64, 64, 3), np.uint8)} | {name: BOX(-np.inf, np.inf, (sizes[name],), np.float64) for name in entries}
 
@@ -220,17 +210,14 @@ def test_vectors_of_a_dictionary_are_taken_by_name(entries: tuple[str, ...], pri
     np.testing.assert_array_equal(seen.state, np.full((1, state), state))
 
 
-def test_episodes_can_be_recorded() -> None:
+def test_episodes_can_be_recorded():
     task = make_task("puddle:Puddle-v0", 2, observe=("pixels", "privileged"))
     replay = record(task, SEEDS, lambda privileged: np.sign(privileged[:, :2]) * 0.5, ["straight"] * 2, 0)
     assert replay.terminal.sum() == 2, "both drive to the flag"
     assert replay.cost.sum() > 0, "through puddles"
 
 
-# -- snapshots --------------------------------------------------------------------------------------------------------------------------
-
-
-def test_an_environment_without_snapshots_works_and_says_so_when_asked() -> None:
+def test_an_environment_without_snapshots_works_and_says_so_when_asked():
     task = GymTask(registered(Lights), 1)
     task.reset([0])
     task.step(np.zeros((1, 2)))
@@ -243,11 +230,8 @@ def test_an_environment_without_snapshots_works_and_says_so_when_asked() -> None
         other.restore({"goals": np.zeros(5)})
 
 
-# -- names ------------------------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["my_pkg:MyEnv-v0", "my.pkg:space/My-Env-v12", "MyEnv-v0", "space/MyEnv", "pkg:MyEnv"])
-def test_gymnasium_ids_are_names_of_tasks(name: str) -> None:
+def test_gymnasium_ids_are_names_of_tasks(name):
     assert is_foreign(name)
     info = TASKS[name]
     assert (info.name, info.title) == (name, name.rpartition(":")[2])
@@ -257,11 +241,11 @@ def test_gymnasium_ids_are_names_of_tasks(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["goal", "my pkg:MyEnv-v0", "pkg:My|Env-v0", "pkg:[red]-v0", "wasp/Other-v0", "pkg:", ":MyEnv-v0", "é-v0", ""]
 )
-def test_other_texts_are_not(name: str) -> None:
+def test_other_texts_are_not(name):
     with pytest.raises(UnknownName):
         TASKS[name]
 
 
-def test_our_own_ids_have_their_own_names() -> None:
+def test_our_own_ids_have_their_own_names():
     for text in ("goal1", "wasp/SafetyPointGoal1-v0", "SafetyPointGoal1-v0", "wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0"):
         assert task_named(text) == "goal1"

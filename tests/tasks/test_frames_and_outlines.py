@@ -1,7 +1,5 @@
 """Changes of frame, and outlines against brute force."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation

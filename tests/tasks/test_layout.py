@@ -1,7 +1,5 @@
 """Layouts are drawn as the reference package draws them, and seeds name them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -10,7 +10,7 @@ from wasp_cli.tasks.registry import TASKS
 
 
 @pytest.mark.parametrize("task", ["race1", "formula1", "goal1"])
-def test_actions_of_the_same_force_move_the_robot_alike_and_others_do_not(task: str) -> None:
+def test_actions_of_the_same_force_move_the_robot_alike_and_others_do_not(task):
     motors = TASKS[task].motors
     assert motors.saturation is not None
     random = np.random.default_rng(3)
@@ -29,7 +29,7 @@ def test_actions_of_the_same_force_move_the_robot_alike_and_others_do_not(task: 
     assert (np.abs(after[0] - after[2])[differs].max(1) > 1e-4).all()
 
 
-def test_the_least_correction_is_the_closest_action_of_the_same_force() -> None:
+def test_the_least_correction_is_the_closest_action_of_the_same_force():
     motors = Motors((0.3, 1.0))
     line = np.linspace(-1, 1, 41).round(2)
     every = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
@@ -41,7 +41,7 @@ def test_the_least_correction_is_the_closest_action_of_the_same_force() -> None:
         assert np.linalg.norm(least - command) <= np.linalg.norm(alike - command, axis=1).min() + 1e-5
 
 
-def test_where_no_motor_is_known_an_action_is_its_own_force() -> None:
+def test_where_no_motor_is_known_an_action_is_its_own_force():
     action = np.array([[0.3, -1.0]])
     assert Motors().force(action) is action
     wanted = torch.tensor([[0.5, 0.5]])

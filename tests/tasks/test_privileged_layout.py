@@ -1,7 +1,5 @@
 """Where the groups of a privileged vector lie, and what it is in a mirror: both against the tasks that write it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from wasp_cli.tasks.registry import TASKS
         ("formula1", "goal", {"goal"}), ("formula1", "bodies", {"things"}),
     ],
 )  # fmt: skip
-def test_groups_lie_where_the_task_writes_them(name: str, moved: str, wanted: set[str]) -> None:
+def test_groups_lie_where_the_task_writes_them(name, moved, wanted):
     """Another place of one thing changes the entries of its own group, and of no other."""
     task = make_task(name, 1, action_repeat=4, observe=("privileged",), threads=1)
     before = task.reset([3]).privileged
@@ -28,15 +26,13 @@ def test_groups_lie_where_the_task_writes_them(name: str, moved: str, wanted: se
     snapshot[moved] = snapshot[moved].copy()
     snapshot[moved][..., :2] *= 0.5
     after = task.restore(snapshot).privileged
-    assert before is not None
-    assert after is not None
     groups = privileged_groups(name, task.privileged_size)
     del groups["all"]
     assert {group for group, part in groups.items() if not np.array_equal(before[:, part], after[:, part])} == wanted
 
 
 @pytest.mark.parametrize("name", list(LAYOUTS))
-def test_groups_cover_the_vector_one_after_the_other(name: str) -> None:
+def test_groups_cover_the_vector_one_after_the_other(name):
     size = make_task(name, 1, action_repeat=4, observe=("privileged",), threads=1).privileged_size
     groups = privileged_groups(name, size)
     assert groups.pop("all") == slice(0, size)
@@ -44,12 +40,12 @@ def test_groups_cover_the_vector_one_after_the_other(name: str) -> None:
     assert list(groups.values())[-1].stop == size
 
 
-def test_every_vector_is_known() -> None:
+def test_every_vector_is_known():
     assert set(TASKS) == set(LAYOUTS)
 
 
 @pytest.mark.parametrize("name", ["goal1", "goal1-two", "goal2"])
-def test_a_mirrored_vector_is_that_of_the_mirrored_episode(name: str) -> None:
+def test_a_mirrored_vector_is_that_of_the_mirrored_episode(name):
     task, twin = (make_task(name, 6, action_repeat=4, observe=("privileged",), threads=1) for _ in range(2))
     task.reset(range(6))
     twin.reset(range(6))
@@ -59,19 +55,15 @@ def test_a_mirrored_vector_is_that_of_the_mirrored_episode(name: str) -> None:
     random = np.random.default_rng(0)
     for _ in range(4):
         seen, original = twin.restore(reflected(task.snapshot())).privileged, task.restore(task.snapshot()).privileged
-        assert seen is not None
-        assert original is not None
         # Without what is measured over a step: speed and turn rate are not in a snapshot's observation.
         np.testing.assert_allclose(seen[:, 3:], (original[:, order] * sign)[:, 3:], atol=1e-5)
         assert np.abs(original[:, order] * sign - original).max() > 0.1
         action = random.uniform(-1, 1, (6, 2))
         step, other = task.step(action).observation.privileged, twin.step(action * [1, -1]).observation.privileged
-        assert step is not None
-        assert other is not None
         np.testing.assert_allclose(other[:, :3], (step[:, order] * sign)[:, :3], atol=0.02)
 
 
-def test_rays_turn_round_in_a_mirror() -> None:
+def test_rays_turn_round_in_a_mirror():
     """As the tracks' vectors have them: circles and walls about a car that stands and looks askew."""
     random = np.random.default_rng(1)
     origin, heading = random.uniform(-1, 1, (5, 2)), random.uniform(-3, 3, 5)
@@ -81,7 +73,6 @@ def test_rays_turn_round_in_a_mirror() -> None:
     seen = nearness(ray_distances(origin * over, -heading, circles * over, 0.2, walls * over, 4.0))
     for name in ("race1", "formula1"):
         mirror = privileged_mirror(name)
-        assert mirror is not None
         groups = privileged_groups(name, len(mirror[0]))
         for group in (WALLS, THINGS):
             part = groups[group]
@@ -89,15 +80,14 @@ def test_rays_turn_round_in_a_mirror() -> None:
             np.testing.assert_allclose(seen, near[:, mirror[0][part] - part.start], atol=1e-6)
 
 
-def test_where_a_track_leads_is_not_known_in_a_mirror() -> None:
+def test_where_a_track_leads_is_not_known_in_a_mirror():
     for name in ("race1", "formula1"):
         mirror = privileged_mirror(name)
-        assert mirror is not None
         for group, part in list(privileged_groups(name, len(mirror[0])).items())[1:]:
             assert (mirror[1][part] == 0).all() == (group in {"goal", "way"}), group
 
 
-def test_tasks_of_others_are_judged_as_a_whole_and_have_no_mirror() -> None:
+def test_tasks_of_others_are_judged_as_a_whole_and_have_no_mirror():
     assert privileged_groups("pkg:Own-v0", 12) == {"all": slice(0, 12)}
     assert privileged_mirror("pkg:Own-v0") is None
     assert list(privileged_groups("goal0", 7)) == ["all", "motion", "goal"], "there is nothing that costs"

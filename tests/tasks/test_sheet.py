@@ -1,7 +1,5 @@
 """The picture of an episode: which moments it shows, and that nothing in it is blank."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +66,11 @@ def decisions(path: Path) -> list[int]:
     ],
     ids=["as asked", "few", "no longer than an episode", "an early end"],
 )
-def test_the_moments_are_spread_over_what_was_driven(task: str, steps: int, expected: list[int], tmp_path: Path) -> None:
+def test_the_moments_are_spread_over_what_was_driven(task, steps, expected, tmp_path):
     assert decisions(draw_sheet(task, 0, steps, tmp_path / "a.png")) == expected
 
 
-def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(sheet, "KEPT", 32)
     found = decisions(draw_sheet("SheetLong-v0", 0, 240, tmp_path / "a.png"))
     assert len(found) == MOMENTS
@@ -80,7 +78,7 @@ def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path: Path,
     np.testing.assert_allclose(np.diff(found), 240 / 7, atol=12)
 
 
-def test_an_episode_is_driven_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_episode_is_driven_once(tmp_path, monkeypatch):
     resets: list[object] = []
 
     def made(*arguments: Any, **options: Any) -> Any:
@@ -95,7 +93,7 @@ def test_an_episode_is_driven_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("steps", [0, 40])
-def test_a_sheet_of_one_camera_has_no_room_for_another(steps: int, tmp_path: Path) -> None:
+def test_a_sheet_of_one_camera_has_no_room_for_another(steps, tmp_path):
     picture = read(draw_sheet("SheetClock-v0", 0, steps, tmp_path / "a.png"))
     assert (picture.reshape(-1, 3) != 0).any(1).all(), "the rear image that is not there is black"
     blank = (picture == 255).all((1, 2))
@@ -112,12 +110,12 @@ def test_a_sheet_of_one_camera_has_no_room_for_another(steps: int, tmp_path: Pat
         ([0], 0.08, ["0.00"]),
     ],
 )
-def test_no_two_moments_have_the_same_time(decisions: list[int], seconds: float, expected: list[str]) -> None:
+def test_no_two_moments_have_the_same_time(decisions, seconds, expected):
     pixels = np.zeros((6, 64, 64), np.uint8)
     assert sheet._times([sheet._Moment(decision, pixels, 0, 0) for decision in decisions], seconds) == expected
 
 
-def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):
     monkeypatch.setattr(sheet, "make_task", lambda *_, **__: pytest.fail("driven"))
     with pytest.raises(UsageError) as caught:
         draw_sheet("goal1", 0, 3, tmp_path / "missing" / "x.png")

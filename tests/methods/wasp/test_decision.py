@@ -1,7 +1,5 @@
 """WASP's decision against a literal reading: the command, then the expert, beside the expert now, then the expert."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -25,15 +23,7 @@ GAMMA_R, GAMMA_C, LAM, GOES_ON = 0.9, 0.8, 0.7, 0.9
 LOW, HIGH, JITTER = 0.3, 0.6, 0.05
 H, L, M = 6, 3, 4
 SEED = 11
-SIZES: dict[str, Any] = {
-    "horizon": H,
-    "residual_steps": L,
-    "candidates": 24,
-    "elites": 6,
-    "feasible": 5,
-    "iterations": 3,
-    "rollouts": M,
-}
+SIZES: dict[str, Any] = {"horizon": H, "residual_steps": L, "candidates": 24, "elites": 6, "feasible": 5, "iterations": 3, "rollouts": M}
 COARSE = Motors((0.2,))
 
 
@@ -96,7 +86,7 @@ def drawn(seed: int) -> Tensor:
 
 def decided(assistant: WASP, x: float, a_h: float, operator: Operator | None = None) -> Decision:
     model = assistant.imagination.model
-    return assistant.decide(model.at(x), torch.tensor([[a_h]]), operator or unimpaired())  # type: ignore[attr-defined]
+    return assistant.decide(model.at(x), torch.tensor([[a_h]]), operator or unimpaired())
 
 
 CASES = [(-2.0, -0.9), (-2.0, 0.99), (0.1, 1.0), (0.1, 0.2), (0.25, 0.9), (0.45, 0.9), (0.45, -0.5), (0.22, 0.5)]
@@ -105,12 +95,11 @@ CASES = [(-2.0, -0.9), (-2.0, 0.99), (0.1, 1.0), (0.1, 0.2), (0.25, 0.9), (0.45,
 @pytest.mark.parametrize(("tau_c", "tau_r"), [(0.3, 0.05), (0.05, 0.05), (1.0, 0.15), (0.3, 9.0)])
 @pytest.mark.parametrize("variant", ["full", "safety-only", "task-only"])
 @pytest.mark.parametrize(("x", "a_h"), CASES)
-def test_the_gates_compare_two_futures(x: float, a_h: float, variant: str, tau_c: float, tau_r: float) -> None:
+def test_the_gates_compare_two_futures(x, a_h, variant, tau_c, tau_r):
     noise = drawn(SEED)
     (g_r, g_c), (better, safer) = future(x, a_h, noise), future(x, expert(x), noise)
     decision = decided(ready(tau_c=tau_c, tau_r=tau_r, variant=variant), x, a_h)
     record = decision.record
-    assert record is not None
     assert float(record.g_cost) == pytest.approx(g_c, abs=1e-5)
     assert float(record.g_return) == pytest.approx(g_r, abs=1e-5)
     assert float(record.delta_g) == pytest.approx(better - g_r, abs=1e-5)
@@ -124,52 +113,47 @@ def test_the_gates_compare_two_futures(x: float, a_h: float, variant: str, tau_c
         assert float(decision.action) == np.float32(a_h)
     elif safer <= tau_c:
         assert float(decision.action) == pytest.approx(expert(x), abs=1e-6)
-    assert decision.planned is not None
     searched = gate == GATE_SAFETY and safer > tau_c
     assert (decision.planned.safe[0] >= 0).all() == searched
 
 
-def test_the_cases_above_hold_every_outcome() -> None:
+def test_the_cases_above_hold_every_outcome():
     seen = set()
     for x, a_h in CASES:
         for tau_c, tau_r in [(0.3, 0.05), (0.05, 0.05)]:
             decision = decided(ready(tau_c=tau_c, tau_r=tau_r), x, a_h)
-            assert decision.record is not None
-            assert decision.planned is not None
             seen.add((int(decision.record.gate), bool((decision.planned.safe >= 0).any())))
     assert seen == {(GATE_NONE, False), (GATE_SAFETY, False), (GATE_SAFETY, True), (GATE_TASK, False)}
 
 
-def test_nothing_of_the_operator_is_imagined() -> None:
+def test_nothing_of_the_operator_is_imagined():
     laggy = LaggyOperator(policy, 1, EpisodeNoise([0]), 1)
     laggy.p, laggy.memory = 1.0, {"last": torch.tensor([[1.0]]), "started": torch.ones(1, 1, dtype=torch.bool)}
     records = []
     for operator in (laggy, unimpaired()):  # who repeats full throttle runs into the hazard
         record = decided(ready(tau_c=9.0, tau_r=9.0), -0.3, 1.0, operator).record
-        assert record is not None
         records.append(float(record.g_cost))
     assert records[0] == records[1]
 
 
-def test_the_correction_is_the_least_of_its_force_and_without_another_force_there_is_none() -> None:
+def test_the_correction_is_the_least_of_its_force_and_without_another_force_there_is_none():
     """At x = -2 the expert commands 1; from .2 on every command is the same force."""
     settings = {"tau_c": 9.0, "tau_r": 0.0}
     wide, least = decided(ready(**settings), -2.0, -0.5), decided(ready(COARSE, **settings), -2.0, -0.5)
     assert float(wide.action) == pytest.approx(1.0)
     assert float(least.action) == pytest.approx(0.2, abs=1e-5)
     stands = decided(ready(COARSE, **settings), -2.0, 0.3)
-    assert stands.record is not None
     assert int(stands.record.gate) == GATE_NONE
     assert float(stands.action) == np.float32(0.3)
-    assert int(decided(ready(**settings), -2.0, 0.3).record.gate) == GATE_TASK  # type: ignore[union-attr]
+    assert int(decided(ready(**settings), -2.0, 0.3).record.gate) == GATE_TASK
 
 
-def test_an_ended_episode_is_left_alone_and_changes_nothing_of_the_others() -> None:
+def test_an_ended_episode_is_left_alone_and_changes_nothing_of_the_others():
     places, commands = [0.1, 0.25, -2.0], torch.tensor([[1.0], [0.9], [-0.9]])
 
     def run(resting: bool) -> list[Decision]:
         assistant = ready(rows=3, tau_c=0.3, tau_r=0.05)
-        at = assistant.imagination.model.at(*places)  # type: ignore[attr-defined]
+        at = assistant.imagination.model.at(*places)
         found = []
         for _ in range(2):
             found.append(assistant.decide(at, commands, unimpaired(3)))
@@ -178,13 +162,12 @@ def test_an_ended_episode_is_left_alone_and_changes_nothing_of_the_others() -> N
         return found
 
     (_, awake), (_, resting) = run(False), run(True)
-    assert resting.record is not None
     assert int(resting.record.gate[1]) == GATE_NONE
     assert float(resting.action[1]) == np.float32(0.9)
     torch.testing.assert_close(resting.action[[0, 2]], awake.action[[0, 2]], rtol=0, atol=0)
 
 
-def test_without_rollouts_one_step_and_both_critics_decide() -> None:
+def test_without_rollouts_one_step_and_both_critics_decide():
     assistant = ready(variant="no-rollout")
     assistant.tau_c, assistant.tau_r = 9.0, 9.0
     record = decided(assistant, 0.1, 1.0).record
@@ -194,19 +177,18 @@ def test_without_rollouts_one_step_and_both_critics_decide() -> None:
     places = [0.1 + 0.1 + JITTER * shift for shift in shifts]
     cost = np.mean([(1.0 if LOW < x < HIGH else 0.0) + GAMMA_C * GOES_ON * 0.25 * abs(x) for x in places])
     reward = np.mean([0.1 + GAMMA_R * GOES_ON * 0.5 * x for x in places])
-    assert record is not None
     assert float(record.g_cost) == pytest.approx(cost, abs=1e-5)
     assert float(record.g_return) == pytest.approx(reward, abs=1e-5)
 
 
 @pytest.mark.parametrize(("motors", "share"), [(UNKNOWN, 1.0), (COARSE, 0.5)])
-def test_tau_r_is_what_putting_right_a_random_command_gains_on_average(motors: Motors, share: float) -> None:
+def test_tau_r_is_what_putting_right_a_random_command_gains_on_average(motors, share):
     count, tau_c = 70, 0.3
     places = torch.linspace(-1.0, 0.25, count).tolist()
     assistant = ready(motors, tau_c=tau_c, tau_r_share=share)
     zeros = torch.zeros(count)
     a_h = torch.tensor([[expert(x)] for x in places])
-    heldout = Heldout(assistant.imagination.model.at(*places), a_h, zeros, zeros, zeros.long(), zeros)  # type: ignore[attr-defined]
+    heldout = Heldout(assistant.imagination.model.at(*places), a_h, zeros, zeros, zeros.long(), zeros)
     found = assistant.calibrate(heldout, zeros, unimpaired(count), 5)
     random = np.random.default_rng(5)
     gains = []

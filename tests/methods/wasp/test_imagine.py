@@ -1,7 +1,5 @@
 """Imagined rollouts against plain loops: composition, the operator's memory, common draws, and the packed steps' reference."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor
@@ -31,7 +29,7 @@ def laggy(p: float) -> LaggyOperator:
 
 
 def started(operator: LaggyOperator) -> Situation:
-    at = IMAGINATION.model.at(*PLACES)  # type: ignore[attr-defined]
+    at = IMAGINATION.model.at(*PLACES)
     return Situation(at, operator.memory["last"].clone(), operator, torch.arange(B))
 
 
@@ -43,7 +41,7 @@ def drawn() -> Draws:
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_every_candidate_equals_the_literal_rollout(held: bool) -> None:
+def test_every_candidate_equals_the_literal_rollout(held):
     """Corrections of the commands of the moment, and of the held first one (Eq. 13 as printed)."""
     residuals = 1.5 * torch.randn(B, N, L, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     operator, draws = laggy(0.5), drawn()
@@ -66,14 +64,14 @@ def test_every_candidate_equals_the_literal_rollout(held: bool) -> None:
                     assert got == pytest.approx((0.1 * action, float(0.3 < x < 0.6), 0.5 * x))
 
 
-def test_imagining_leaves_the_real_operator_alone() -> None:
+def test_imagining_leaves_the_real_operator_alone():
     operator = laggy(0.3)
     before = {name: value.clone() for name, value in operator.memory.items()}
     IMAGINATION.roll(started(operator), 1, lambda k, command: command, drawn())
     assert all(torch.equal(before[name], operator.memory[name]) for name in before)
 
 
-def test_a_selection_of_decisions_is_imagined_as_among_all() -> None:
+def test_a_selection_of_decisions_is_imagined_as_among_all():
     start, draws, rows = started(laggy(0.4)), drawn(), torch.tensor([2, 0])
     every = IMAGINATION.roll(start, 1, lambda k, command: command, draws).reward()
     some = IMAGINATION.roll(start.select(rows), 1, lambda k, command: command, draws.rows(rows)).reward()

@@ -3,8 +3,6 @@
 Dimension letters: H horizon, L residual steps, M rollouts, A action size.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math
@@ -217,36 +215,40 @@ def of_plan(case: Case, seed: int) -> tuple[Plan, Value]:
     return found, value
 
 
+def slow(*values: object) -> object:
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 ROOMY = [
-    (Corridor, Start((0.2,), (0.3,), 1.0), 2),
+    slow(Corridor, Start((0.2,), (0.3,), 1.0), 2),
     (Corridor, Start((1.0,), (0.8,), 1.0), 2),
-    (Corridor, Start((1.1,), (0.7,), 1.0), 3),
+    slow(Corridor, Start((1.1,), (0.7,), 1.0), 3),
     (Fork, Start((0.5, 0.0), (0.8, 0.0), 1.0), 2),
-    (Fork, Start((1.3, 0.2), (0.1, 0.0), 0.0), 2),
+    slow(Fork, Start((1.3, 0.2), (0.1, 0.0), 0.0), 2),
 ]
 """Far from the hazard; moving towards it (the constraint decides, except in the first and the last); standing beside it."""
 TIGHT = [
     (Corridor, Start((1.4,), (0.8,), 1.0), 2),
-    (Corridor, Start((1.4,), (0.9,), 1.0), 3),
-    (Corridor, Start((1.5,), (0.8,), 1.0), 3),
-    (Fork, Start((0.9, 0.0), (0.9, 0.0), 1.0), 2),
+    slow(Corridor, Start((1.4,), (0.9,), 1.0), 3),
+    slow(Corridor, Start((1.5,), (0.8,), 1.0), 3),
+    slow(Fork, Start((0.9, 0.0), (0.9, 0.0), 1.0), 2),
 ]
 """So near that at most ten of three hundred random sequences are safe, and in some draws none."""
 TRAPPED = [
     (Corridor, Start((1.6,), (1.0,), 1.0), 2),
-    (Corridor, Start((2.3,), (0.1,), 0.0), 2),
-    (Fork, Start((1.7, 0.15), (0.2, 0.0), 1.0), 2),
+    slow(Corridor, Start((2.3,), (0.1,), 0.0), 2),
+    slow(Fork, Start((1.7, 0.15), (0.2, 0.0), 1.0), 2),
 ]
 """Too fast to stop, or in the hazard."""
 BETWEEN = 0.1
 """A plan may be better than the exhaustive search by what lies between its points; 0.1 is the reward of a centimetre."""
 PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6}
-SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="paper")]
+SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="paper", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("sizes", "tolerance"), SIZES)
 @pytest.mark.parametrize(("kind", "start", "steps"), ROOMY)
-def test_a_plan_is_as_good_as_an_exhaustive_search(kind: Kind, start: Start, steps: int, sizes: dict[str, int], tolerance: float) -> None:
+def test_a_plan_is_as_good_as_an_exhaustive_search(kind, start, steps, sizes, tolerance):
     s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **sizes)
@@ -256,7 +258,7 @@ def test_a_plan_is_as_good_as_an_exhaustive_search(kind: Kind, start: Start, ste
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TIGHT)
-def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, start: Start, steps: int) -> None:
+def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind, start, steps):
     s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **PAPER)
@@ -269,7 +271,7 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, st
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TRAPPED)
-def test_where_nothing_is_safe_a_plan_gains_most_of_what_can_be_gained(kind: Kind, start: Start, steps: int) -> None:
+def test_where_nothing_is_safe_a_plan_gains_most_of_what_can_be_gained(kind, start, steps):
     """By S_safe (Eq. 17), from doing nothing to the least of the exhaustive search."""
     s_task, s_safe = optimum(kind, start, steps)
     assert s_task == -math.inf

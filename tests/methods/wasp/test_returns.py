@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -17,7 +15,7 @@ def literal(signal: list[float], value: list[float], gamma: float, lam: float) -
 
 @pytest.mark.parametrize("horizon", [1, 2, 15])
 @pytest.mark.parametrize(("gamma", "lam"), [(0.99, 0.95), (0.95, 1.0), (1.0, 0.3)])
-def test_td_lambda_is_equation_8(horizon: int, gamma: float, lam: float) -> None:
+def test_td_lambda_is_equation_8(horizon, gamma, lam):
     source = torch.Generator().manual_seed(horizon)
     signal = torch.randn(horizon, 3, 4, generator=source, dtype=torch.float64)
     value = torch.randn(horizon + 1, 3, 4, generator=source, dtype=torch.float64)
@@ -28,14 +26,14 @@ def test_td_lambda_is_equation_8(horizon: int, gamma: float, lam: float) -> None
             assert found[i, j].item() == pytest.approx(wanted, rel=1e-12)
 
 
-def test_every_intermediate_return_is_the_return_of_the_rest() -> None:
+def test_every_intermediate_return_is_the_return_of_the_rest():
     signal, value = torch.randn(6, 2, dtype=torch.float64), torch.randn(6, 2, dtype=torch.float64)
     every = td_lambda_all(signal, value, 0.9, 0.8)
     for k in range(6):
         torch.testing.assert_close(every[k], td_lambda(signal[k:], value[k:], 0.9, 0.8))
 
 
-def test_an_episode_that_may_end_counts_what_follows_with_its_probability() -> None:
+def test_an_episode_that_may_end_counts_what_follows_with_its_probability():
     """Every end of a rollout of three steps by hand, weighted with its probability (lambda = 1)."""
     reward, final = [1.0, 2.0, 4.0], 8.0
     keep, gamma = [0.5, 0.25, 0.75], 0.5
@@ -53,7 +51,7 @@ def test_an_episode_that_may_end_counts_what_follows_with_its_probability() -> N
 
 
 @pytest.mark.parametrize("lam", [0.95, 0.3, 1.0])
-def test_continuation_is_a_discount_of_its_own(lam: float) -> None:
+def test_continuation_is_a_discount_of_its_own(lam):
     """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1) G_n + lam^(H-1) G_H."""
     source = torch.Generator().manual_seed(4)
     horizon, gamma = 6, 0.9
@@ -74,11 +72,11 @@ def test_continuation_is_a_discount_of_its_own(lam: float) -> None:
     torch.testing.assert_close(td_lambda_all(signal, value, gamma, lam, torch.ones_like(keep)), td_lambda_all(signal, value, gamma, lam))
 
 
-def test_lambda_mixes_bootstrap_and_monte_carlo() -> None:
+def test_lambda_mixes_bootstrap_and_monte_carlo():
     signal, value = torch.ones(3, 1), torch.full((3, 1), 10.0)
     assert td_lambda(signal, value, 0.5, 1.0).item() == pytest.approx(1 + 0.5 + 0.25 + 0.125 * 10)
     assert td_lambda(signal, value, 0.5, 1e-12).item() == pytest.approx(1 + 0.5 * 10)
 
 
-def test_the_plain_sum_counts_costly_steps() -> None:
+def test_the_plain_sum_counts_costly_steps():
     assert discounted_sum(torch.tensor([[0.0], [1.0], [1.0]]), 0.95).item() == pytest.approx(0.95 + 0.95**2)

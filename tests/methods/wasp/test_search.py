@@ -1,7 +1,5 @@
 """The search against a literal reading of Eq. 14-17: elites, both cases, the second look, and what is selected."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -101,7 +99,7 @@ def literal(settings: WASPConfig, normals: Tensor, score: Any, again: Any) -> tu
 @pytest.mark.parametrize("feasible", [3, 30])
 @pytest.mark.parametrize(("score", "again"), [(brake, brake), (brake, noisy), (hopeless, hopeless)])
 @pytest.mark.parametrize("variant", ["full", "no-case2"])
-def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int, score: Any, again: Any, variant: str) -> None:
+def test_a_whole_search_equals_its_literal_reading(seed, feasible, score, again, variant):
     settings = config(feasible=feasible, variant=variant)
     normals = torch.randn(1, 3, N, L, 1, generator=torch.Generator().manual_seed(seed))
     if variant == "no-case2" and score is hopeless:
@@ -118,14 +116,14 @@ def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int, sco
     assert (float(found.alone_cost), float(found.alone_reward)) == (float(alone.cost), float(alone.reward))
 
 
-def test_decisions_of_a_batch_do_not_touch_each_other() -> None:
+def test_decisions_of_a_batch_do_not_touch_each_other():
     normals = torch.randn(3, 3, N, L, 1, generator=torch.Generator().manual_seed(0))
     together = searched(config(), normals).residuals
     for b in range(3):
         torch.testing.assert_close(searched(config(), normals[b : b + 1]).residuals[0], together[b])
 
 
-def test_the_command_stands_where_the_second_look_says_that_it_is_safe_and_no_plan_gains() -> None:
+def test_the_command_stands_where_the_second_look_says_that_it_is_safe_and_no_plan_gains():
     def calm(residuals: Tensor) -> Scored:
         return Scored(residuals, 0.05 * residuals[:, :, 0, 0], torch.zeros(residuals.shape[:2]))
 
@@ -134,7 +132,7 @@ def test_the_command_stands_where_the_second_look_says_that_it_is_safe_and_no_pl
     assert (searched(config(), normals, brake, lambda r: calm(r)._replace(reward=-5 * r[:, :, 0, 0])).residuals != 0).any()
 
 
-def test_broken_rollouts_are_never_selected() -> None:
+def test_broken_rollouts_are_never_selected():
     def broken(residuals: Tensor) -> Scored:
         found = brake(residuals)
         return found._replace(reward=torch.where(residuals[:, :, 0, 0] < -0.5, torch.nan, found.reward))
@@ -146,7 +144,7 @@ def test_broken_rollouts_are_never_selected() -> None:
 
 
 @pytest.mark.parametrize(("looks", "made"), [(0, 1), (1, 2), (2, 3)])
-def test_a_search_that_is_cut_off_returns_its_best_so_far(looks: int, made: int) -> None:
+def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
     asked = iter([False] * looks + [True] * 9)
     batches: list[int] = []
 
