@@ -47,6 +47,10 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
+WHOLE = re.compile(r"(\d+) of \1 planned cells")
+"""A note that nothing is missing: a caption goes without, and the comments above the table have it."""
+
+
 def markdown_row(cells: Iterable[object]) -> str:
     """Write a row of a Markdown table, each cell on one line; what would end a cell is escaped."""
     return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
@@ -215,7 +219,8 @@ def _lines(table: Table) -> Iterator[str]:
     yield r"\centering\small"
     marks = ["Best values are bold."] * bool(table.marks) + ["Second best values are underlined."] * bool(table.seconds)
     title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
-    yield rf"\caption{{{escaped(' '.join([title, *marks, *table.notes]))}}}"
+    notes = [note for note in table.notes if not WHOLE.match(note)]
+    yield rf"\caption{{{escaped(' '.join([title, *marks, *notes]))}}}"
     yield rf"\label{{tab:{_name(table.name)}}}"
     yield rf"\begin{{tabular}}{{{'l' * len(table.labels)}{'r' * len(shown)}}}"
     yield r"\toprule"

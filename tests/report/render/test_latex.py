@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,15 @@ def test_structure() -> None:
     assert lines[-9].startswith(r"\midrule")
     assert any(line.startswith("% 50% of") for line in lines)
     assert "% Left out: Gone." in lines
+
+
+def test_a_caption_says_what_is_missing_and_not_that_nothing_is() -> None:
+    whole, part = "29 of 29 planned cells are finished; none failed.", "INCOMPLETE: 2 of 29 cells are missing."
+    for note, told in ((whole, False), (part, True)):
+        lines = latex(replace(nasty(), notes=(note,))).splitlines()
+        (caption,) = [line for line in lines if line.startswith(r"\caption")]
+        assert (note in caption) == told
+        assert f"% {note}" in lines
 
 
 def test_a_document_of_every_table(frame: Frame, tmp_path: Path) -> None:
