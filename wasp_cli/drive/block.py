@@ -24,6 +24,7 @@ from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.methods.base import Decision, Parts, checked
 from wasp_cli.methods.record import Planned, blank_record
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
@@ -128,6 +129,8 @@ class Block:
             "type": "block", "task": self.cell.task, "shown": [name for name in SHOWN if name in self.how.shown],
             "period_ms": 1000 * self.period, "speed": self.how.speed, "cameras": getattr(self.task, "cameras", 2),
             "map": self.view.still if "map" in self.how.shown else None, "decisions": self.task.max_decisions,
+            "seconds": self.task.max_decisions * self.period,
+            "assistant": METHODS[self.cell.method].title if "gate" in self.how.shown and self.cell.method != ALONE else None,
         }  # fmt: skip
 
     def episode(

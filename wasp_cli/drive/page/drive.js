@@ -5,6 +5,7 @@ const byId = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token") || "";
 const KEYS = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "KeyW", "KeyA", "KeyS", "KeyD"];
 const COMMAND = "#000000", DONE = "#cc79a7";
+const COLOURS = { safety: "#0072b2", task: "#e69f00", method: "#009e73" }; // of a gate that corrects: robot and banner, as in the viewer
 const GATES = {
   none: "No gate fired: your command is executed.",
   safety: "Safety gate: your command is predicted to cost too much.",
@@ -16,7 +17,7 @@ const GATES = {
 const STAYS = 25; // decisions for which the banner stays after a late one
 
 let socket = null, over = false, phase = "connecting", shown = new Set(), hidden = new Set();
-let world = null, ground = null, frame = null, lines = null, trail = [], costs = [], inputs = 0, speed = 1, lastLate = -STAYS;
+let block = null, world = null, ground = null, frame = null, lines = null, trail = [], costs = [], inputs = 0, speed = 1, lastLate = -STAYS;
 const held = new Set();
 let stick = [0, 0], lastSent = "";
 
@@ -55,11 +56,12 @@ function take(message) {
 
 // -- what goes on --------------------------------------------------------------------------------------------------------------
 
-function begin(block) {
-  world = block.map; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
+function begin(message) {
+  block = message; world = block.map; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
   byId("title").textContent = block.task;
   if (world) { ground = new Image(); ground.src = world.ground.image; }
   byId("eyes").height = 64 * block.cameras;
+  byId("behind").hidden = block.cameras < 2;
   const toggles = byId("toggles");
   toggles.replaceChildren(toggles.firstElementChild);
   for (const name of shown) {
@@ -77,6 +79,8 @@ function begin(block) {
   if (world) {
     entry("robot", world.robot.colour, "");
     for (const kind of world.kinds) entry(kind.name, kind.colour, "");
+    entry("your command", COMMAND, "arrow");
+    if (shown.has("gate")) entry("what is executed", DONE, "arrow");
     if (shown.has("imagined")) { entry("imagined: uncorrected", COMMAND, "line"); entry("with the correction", DONE, "line"); }
   }
   arrange();
@@ -102,7 +106,10 @@ function enter(state) {
   if (phase === "driving") { byId("veil").hidden = true; lastSent = ""; hold(); return; }
   if (phase === "ready") {
     trail = []; costs = []; lines = null;
-    card(`<h2></h2>`, ["Reach the goals, and stay clear of what costs."], [["Go", () => ask("go")], ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
+    const who = block && block.assistant ? ` ${block.assistant} assists.` : "";
+    const time = block ? `An episode takes ${Math.round(block.seconds)} seconds.` : "";
+    card(`<h2></h2>`, ["Reach the goals, and stay clear of what costs.", time + who], [["Go", () => ask("go")], ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
+    if (world) byId("card").querySelector("p").after(byId("legend").cloneNode(true));
   } else if (phase === "paused") {
     card("<h2>Paused</h2>", ["The world waits."], [["Go on", () => ask("go")], ["Restart this world", () => ask("restart")], ["Next world", () => ask("next")], ["End the session", () => ask("end")]]);
   } else if (phase === "form") form(state.form);
@@ -193,7 +200,7 @@ document.addEventListener("visibilitychange", () => { if (document.hidden) letGo
 addEventListener("focus", () => send({ type: "focus", there: true }));
 
 const pad = byId("pad");
-function place() { byId("knob").style.transform = `translate(${-stick[1] * 3}rem, ${-stick[0] * 3}rem)`; }
+function place(at = stick) { byId("knob").style.transform = `translate(${-at[1] * 3}rem, ${-at[0] * 3}rem)`; }
 function drag(event) {
   const box = pad.getBoundingClientRect();
   stick = [1 - 2 * (event.clientY - box.top) / box.height, 1 - 2 * (event.clientX - box.left) / box.width].map((v) => Math.max(-1, Math.min(1, v)));
@@ -235,6 +242,7 @@ function paint() {
   byId("drive").classList.toggle("costly", sees("cost") && Boolean(header.costly));
   if (sees("cameras") && frame.pixels.length) cameras();
   if (sees("map") && world && header.robot) above(header);
+  pads(header);
   const rows = [["time", `${header.seconds.toFixed(1)} s`]];
   if (sees("goals")) rows.push(["goals", header.goals], ["return", (header.return ?? 0).toFixed(1)]);
   if (sees("cost")) rows.push(["cost", header.cost]);
@@ -248,8 +256,18 @@ function paint() {
   byId("late").hidden = !sees("gate") || header.t - lastLate >= STAYS;
   byId("late").textContent = `late: you drive alone; try --speed ${Math.max(0.05, Math.round(50 * speed) / 100)}`;
   const gate = byId("gate");
-  gate.classList.toggle("corrected", Boolean(header.corrected));
+  gate.style.borderColor = fired(header) || "";
   gate.textContent = header.gate ? (["safety", "task", "method"].includes(header.gate) && !header.corrected ? GATES[header.gate] + " Your command stands." : GATES[header.gate]) : "";
+}
+
+// The colour of the gate that corrects now, where it may be seen.
+function fired(header) { return sees("gate") && header.corrected ? COLOURS[header.gate] || DONE : null; }
+
+function pads(header) {
+  if (!stick[0] && !stick[1]) place(header.command || stick); // keys move it too
+  const done = byId("done"), at = sees("gate") && header.corrected ? header.executed : null;
+  done.hidden = !at;
+  if (at) done.style.transform = `translate(${-at[1] * 3}rem, ${-at[0] * 3}rem)`;
 }
 
 function cameras() {
@@ -284,10 +302,25 @@ function above(header) {
     if (lines.alone) path(context, lines.alone, COMMAND, 2.5 / scale, [5 / scale, 4 / scale]);
     if (lines.corrected) path(context, lines.corrected, DONE, 3 / scale, []);
   }
-  outline(context, world.robot, x, y, yaw - world.robot.front, half * 0.045);
+  outline(context, { ...world.robot, colour: fired(header) || world.robot.colour }, x, y, yaw - world.robot.front, half * 0.045);
+  arrow(context, x, y, yaw, header.command, COMMAND, 1 / scale);
+  if (fired(header)) arrow(context, x, y, yaw, header.executed, DONE, 1 / scale);
   const size = Math.max(half * 0.06, 0.12);
   context.save(); context.translate(x, y); context.rotate(yaw); context.fillStyle = "#fff"; context.strokeStyle = "#000"; context.lineWidth = 1 / scale;
   context.beginPath(); context.moveTo(size, 0); context.lineTo(-0.3 * size, 0.4 * size); context.lineTo(-0.3 * size, -0.4 * size); context.closePath(); context.fill(); context.stroke(); context.restore();
+}
+
+// A stick (forward, left) as an arrow from the robot: its length is the force, it bends to where the robot turns.
+function arrow(context, x, y, yaw, stick, colour, pixel) {
+  if (!stick || Math.hypot(...stick) < 0.05) return;
+  const [forward, left] = stick, length = 70 * pixel * Math.hypot(forward, left);
+  context.save(); context.translate(x, y); context.rotate(yaw + Math.atan2(left, forward));
+  for (const [style, wide] of [["rgb(255 255 255 / .7)", 7], [colour, 4]]) {
+    context.strokeStyle = style; context.lineWidth = wide * pixel; context.lineCap = "round";
+    context.beginPath(); context.moveTo(0, 0); context.lineTo(length, 0);
+    context.moveTo(length - 9 * pixel, 7 * pixel); context.lineTo(length, 0); context.lineTo(length - 9 * pixel, -7 * pixel); context.stroke();
+  }
+  context.restore();
 }
 
 function outline(context, kind, x, y, angle, least) {
