@@ -43,6 +43,11 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.open(server.address)
         tab.until("phase === 'ready'")
         assert tab.value("document.querySelectorAll('#toggles input').length") == 6
+        card = tab.value("byId('card').textContent")
+        assert "WASP assists" in card
+        assert {"your command", "what is executed", "goal", "hazard"} <= {
+            *tab.value("[...document.querySelectorAll('#card span')].map((s) => s.textContent)")
+        }
         tab.click("Go")
         tab.until("phase === 'driving' && frame && frame.header.t > 5")
         painted = "new Set(byId('map').getContext('2d').getImageData(0, 0, 480, 480).data).size"
@@ -60,6 +65,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.key(True, "KeyA")
         comes({"ArrowUp", "KeyA"})
         tab.until("frame.header.command[0] === 1 && frame.header.command[1] === 1")
+        assert tab.value("byId('knob').style.transform") == "translate(-3rem, -3rem)", "the pad shows what keys command"
         tab.key(False, "ArrowUp")
         comes({"KeyA"})
         first = tab.value("frame.header.t")
