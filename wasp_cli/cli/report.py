@@ -257,6 +257,7 @@ def publish(
     half: Annotated[bool, flag("--half", "Weights in half precision: half the size.")] = False,
     steps: Annotated[int | None, option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0)] = None,
     no_images: Annotated[bool, flag("--no-images", "Leave out the images of diagnostics.")] = False,
+    archive: Annotated[Path | None, option("FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card.")] = None,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be published.")] = False,
 ) -> None:
     """Copy the results of a spec to a folder for git.
@@ -278,6 +279,10 @@ def publish(
             return
         carry_publication(planned, spec, layout, target, Slimming(half, steps, images=not no_images))
     say(f"published in {target.root}")
+    if archive is not None:
+        from wasp_cli.run.archive import write_archive
+
+        say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 
 
 @command("wasp verify results/ --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage")
