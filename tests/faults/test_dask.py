@@ -119,7 +119,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, smal
         (("--backend", "dask", "--scheduler", "nonsense"), "'nonsense' is not the address of a dask scheduler"),
         (("--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"), "no dask scheduler answers at 'tcp://127.0.0.1:1': connection refused"),
         (("--backend", "dusk"), "unknown backend 'dusk'"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask and ray"),
+        (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask, ray and slurm"),
     ],
 )
 def test_a_backend_that_is_not_there_is_a_usage_error(arguments, message, small_spec, tmp_path):

@@ -26,7 +26,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = run_here("run", folder / "part.yaml", "--results", folder / "results", "-j", "0", columns=200)
     assert done.exit_code == 0, done.stderr
     assert "with WASP" in done.stdout
-    assert "next: wasp view" in done.stdout
+    assert "next: wasp view" in done.stderr
     return folder / "results"
 
 

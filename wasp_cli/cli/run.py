@@ -28,7 +28,7 @@ from wasp_cli.cli.options import (
     variant_names,
 )
 from wasp_cli.cli.report import show_report
-from wasp_cli.console import err, out, say
+from wasp_cli.console import err, out, plain, say
 from wasp_cli.errors import CellsFailed, UsageError, first
 from wasp_cli.store.layout import Layout
 
@@ -229,12 +229,13 @@ def run_and_report(
 
 
 def say_next(results: Path, methods: Mapping[str, str]) -> None:
-    """Name three commands that lead on: to the episodes behind the numbers, to one decision in words, to films."""
+    """Name three commands that lead on: to the episodes behind the numbers, to one episode in words, to films."""
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
-    example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
-    say(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
-    say(f"      wasp explain {shlex.quote(example)} --episode 0{option}   (what the assistant did, and why)")
-    say(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
+    plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
+    if methods:
+        example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
+        plain(f"      wasp explain {shlex.quote(example)} --episode 0{option}   (what the assistant did, and why)")
+    plain(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:

@@ -57,7 +57,7 @@ def test_an_empty_report_tests_nothing() -> None:
     assert {found.outcome for found in verdict.claims} == {"untested"}
     assert headline(verdict) == f"Of {len(verdict.claims)} claims {len(verdict.claims)} are not tested."
     assert numbers_table(verdict) is None
-    assert verdict_html(verdict).count("<details") == 0
+    assert verdict_html(verdict).count('<details class="claim') == 0
 
 
 def test_claims_of_other_tasks_are_one_line(verdict: VerdictReport) -> None:
