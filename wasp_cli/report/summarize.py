@@ -37,7 +37,6 @@ from wasp_cli.report.tables import (
     ablation_table,
     autonomy_table,
     detail_table,
-    in_words,
     latency_table,
     main_table,
     task_title,
@@ -47,6 +46,7 @@ from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
+from wasp_cli.report.tables.words import in_words
 from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.report.trained.tables import training_tables, with_warnings

@@ -21,7 +21,8 @@ from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
-from wasp_cli.report.tables import PAPER_COLUMNS, full_groups, in_words, main_table, who_title
+from wasp_cli.report.tables import PAPER_COLUMNS, full_groups, main_table, who_title
+from wasp_cli.report.tables.words import in_words
 from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds

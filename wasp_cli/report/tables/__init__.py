@@ -224,28 +224,6 @@ def main_table(frame: Frame) -> Table:
     return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, (*MEANINGS, *dict.fromkeys(told)))
 
 
-def in_words(frame: Frame) -> list[str]:
-    """Say of each task what WASP makes of the operators, and which assistant returns most; nothing where either is missing or partial."""
-    lines = []
-    for task in dict.fromkeys(group.task for group in full_groups(frame)):
-        whole = {group.method: group.cells for group in full_groups(frame) if group.task == task and group.complete}
-        if not {"human", "wasp"} <= whole.keys():
-            continue
-        returns, costs, acts = (
-            {m: summarise(cells, key).mean or 0.0 for m, cells in whole.items()} for key in ("return", "cost", "int_rate")
-        )
-        line = (
-            f"{task_title(task)}: the operators alone return {returns['human']:.1f} at a cost of {costs['human']:.1f}, "
-            f"with WASP {returns['wasp']:.1f} at {costs['wasp']:.1f}; it changes {acts['wasp']:.0%} of the commands."
-        )
-        others = [m for m in whole if METHODS[m].impaired and METHODS[m].attended and m not in ("human", "wasp")]
-        if others:
-            best = max(others, key=returns.__getitem__)
-            line += f" Of the others {METHODS[best].title} returns most: {returns[best]:.1f} at {costs[best]:.1f}."
-        lines.append(line)
-    return lines
-
-
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
     """Return the numbers of a row."""
     return tuple(part_of(group, group.cells, column) for column in columns)
