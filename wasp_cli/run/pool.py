@@ -51,10 +51,7 @@ class Pool(ABC):
 
     @abstractmethod
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node; nobody submits more than `jobs` at a time.
-
-        The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
-        """
+        """Begin to compute a node; nobody submits more than `jobs` at a time. It ends with WorkersDied where any worker was killed."""
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
         """Begin to compute a node in a process that computes nothing else."""
