@@ -53,7 +53,7 @@ def picture(tab, name: str) -> None:
 
 
 def drive(browser, results: Path) -> None:
-    """Both views with everything shown, each alone, and the summary."""
+    """Both views with everything shown, each alone, and the replay."""
     server, clock = served("goal1", results, 0, "wasp", 1, 1.0)
     tab = browser.tab()
     tab.size(1280, 640)
@@ -72,9 +72,13 @@ def drive(browser, results: Path) -> None:
     tab.value("document.querySelector('#toggles input[data-name=map]').click()")
     tab.until("frame.header.t > 60")
     picture(tab, "cameras")
+    tab.value("document.querySelector('#toggles input[data-name=map]').click()")
     tab.until("phase === 'over'", 60)
-    time.sleep(0.3)
-    picture(tab, "summary")
+    tab.size(1280, 900)
+    tab.click("Watch it again")
+    tab.value("player.begun = null; byId('scrub').value = 240")
+    tab.until("player.at === 240")
+    picture(tab, "replay")
     tab.close()
     clock.join(30)
     server.stop()

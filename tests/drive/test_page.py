@@ -99,6 +99,22 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.key(True, "ArrowUp")
         tab.until("phase === 'over'")
         assert "1 of 1 episodes" in tab.value("document.body.innerText")
+        # The episode beside the same commands alone, and its film.
+        assert "Your commands alone: return" in tab.value("byId('card').textContent")
+        tab.click("Watch it again")
+        tab.until("player && player.at > 20")
+        tab.value("player.begun = null; byId('scrub').value = 0")
+        tab.until("player.at === 0")
+        first = tab.value("byId('map').toDataURL()")
+        tab.value("byId('scrub').value = 200")
+        tab.until("player.at === 200")
+        assert tab.value("byId('map').toDataURL()") != first
+        tab.click("Back")
+        tab.value(
+            "var saved = 0; URL.createObjectURL = (blob) => { saved = blob.size; return location.href; }; HTMLAnchorElement.prototype.click = () => 0"
+        )
+        tab.click("Save as a film")
+        assert tab.until("saved") > 10_000
         asked = tab.requests()
         tab.close()
         clock.join(300)

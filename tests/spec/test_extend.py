@@ -59,6 +59,11 @@ def test_sections_merge_and_everything_else_replaces(base):
     assert {"candidates": 10, "elites": 3, "iterations": 2}.items() <= spec.method("wasp").model_dump().items()
 
 
+def test_nothing_in_place_of_a_section_removes_it(base):
+    path = written(base.parent, "fast", FAST + "operators:\n  noisy: null\n  person: {p1: 1}\nseeds: [7]\n")
+    assert load(path).spec.operators == {"person": {"p1": 1}}
+
+
 def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
     text = FAST + "operators:\n  noisy: {moderate: 0.4}\n  laggy: {weak: 0.7, strong: 0.4}\n"
     operators = load(written(base.parent, "fast", text)).spec.operators

@@ -65,6 +65,7 @@ class Driven:
     beats: list[Beat]
     pauses: int = 0
     paused_seconds: float = 0.0
+    frames: list[dict[str, Any]] = field(default_factory=list)  # headers of the frames that were shown, for `Block.review`
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,49 @@ class Block:
         self._decider.finish()
         return running.driven()
 
+    def review(self, driven: Driven) -> dict[str, Any]:
+        """Return what the page replays after an episode: what was driven, and the same commands in the same world without the assistant.
+
+        A person would have reacted to what happened then: the commands did not. Of an episode without an assistant there is no second drive.
+        """
+        alone: list[dict[str, Any]] = []
+        if self.cell.method != ALONE:
+            world = make_task(self.cell.task, 1, action_repeat=self.task.action_repeat, observe=())
+            world.reset([driven.layout])
+            view, score = WorldView(world), Score()
+            alone.append(self._numbers(view, score, None))
+            for command in driven.trajectory.a_h:
+                step = world.step(command[None])
+                score.add(step)
+                alone.append(self._numbers(view, score, step))
+                if step.ended[0]:
+                    break
+        return {"type": "review", "driven": driven.frames, "alone": alone}
+
+    def _numbers(self, view: WorldView, score: Score, step: Step | None) -> dict[str, Any]:
+        """What a header says of the world, as far as it is shown."""
+        numbers: dict[str, Any] = dict(view.now()) if "map" in self.how.shown else {}
+        if "cost" in self.how.shown:
+            numbers |= {"cost": score.cost, "costly": bool(step is not None and step.cost[0])}
+        if "goals" in self.how.shown:
+            numbers |= {"goals": score.goals, "return": round(score.returned, 2)}
+        return numbers
+
+
+@dataclass
+class Score:
+    """Sums of an episode so far."""
+
+    returned: float = 0.0
+    cost: int = 0
+    goals: int = 0
+
+    def add(self, step: Step) -> None:
+        """Add a step's reward, cost (env steps) and goals."""
+        self.returned += float(step.reward[0])
+        self.cost += int(step.cost_env[0])
+        self.goals += int(step.goals[0])
+
 
 @dataclass
 class _Running:
@@ -172,6 +216,8 @@ class _Running:
     beats: list[Beat] = field(default_factory=list)
     pauses: int = 0
     paused_seconds: float = 0.0
+    score: Score = field(default_factory=Score)
+    frames: list[dict[str, Any]] = field(default_factory=list)
 
     def reset(self, method_seed: int) -> None:
         block = self.block
@@ -180,8 +226,6 @@ class _Running:
         block.operator.reset(torch.ones(1, dtype=torch.bool))
         block.assistant.reset(torch.ones(1, dtype=torch.bool), [method_seed])
         self._latent = self._filter.see(self._seen, torch.ones(1))
-        self._place = block.view.now()
-        self._return, self._cost, self._goals = 0.0, 0, 0
 
     def wait(self) -> None:
         time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
@@ -222,8 +266,7 @@ class _Running:
                 focused=block.desk.focused,
             )
         )
-        self._seen, before = step.observation, self._place
-        self._place = block.view.now()
+        self._seen, before = step.observation, self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
         self.ended = bool(step.ended[0])
         self.show(step, a_h, decision)
@@ -243,9 +286,7 @@ class _Running:
         ):  # fmt: skip
             self.rows.setdefault(name, []).append(np.array(value))
         self.decisions.append(decision)
-        self._return += float(step.reward[0])
-        self._cost += int(step.cost_env[0])
-        self._goals += int(step.goals[0])
+        self.score.add(step)
 
     def show(self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None) -> None:
         block = self.block
@@ -254,12 +295,7 @@ class _Running:
         header: dict[str, Any] = {"frame": block._frames, "t": t, "seconds": round(t * block.task.decision_seconds, 2)}
         if self.beats:
             header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
-        if "map" in shown:
-            header |= self._place
-        if "cost" in shown:
-            header |= {"cost": self._cost, "costly": bool(step is not None and step.cost[0])}
-        if "goals" in shown:
-            header |= {"goals": self._goals, "return": round(self._return, 2)}
+        header |= block._numbers(block.view, self.score, step)
         if a_h is not None and decision is not None:
             pushed = stick(block.task, a_h[0].cpu().numpy())
             header["command"] = None if pushed is None else [round(float(x), 3) for x in pushed]
@@ -272,6 +308,7 @@ class _Running:
                     "gate": fired,
                     "corrected": bool((decision.action != a_h).any()),
                 }
+        self.frames.append(header)
         block.desk.show(Frame(header, camera_bytes(self._seen) if "cameras" in shown else b""))
 
     def pause(self, number: int, facts: Mapping[str, Any]) -> str:
@@ -301,4 +338,4 @@ class _Running:
             decisions = [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]
         loop = Loop(**stacked, decisions=decisions, decision_ms=times, h=None, z=None)
         (trajectory,), (decision_ms,) = trajectories(loop)
-        return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds)
+        return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds, self.frames)

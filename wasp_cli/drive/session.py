@@ -123,6 +123,11 @@ class Session:
                 outcome = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
                 if isinstance(outcome, Driven):
                     record.add(outcome, thresholds_of(block.assistant), config["safe_cost"])
+                    if self.study is None:  # there it would tell the conditions apart
+                        desk.state(
+                            "loading", text="The episode is kept. One moment: your commands are driven once more, without the assistant …"
+                        )
+                        desk.say(block.review(outcome))
                 else:
                     record.cut(outcome)
                     # In a study everyone drives the same worlds.

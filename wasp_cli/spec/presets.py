@@ -130,9 +130,12 @@ def preset_values(name: str) -> dict[str, Any]:
 
 
 def merged(under: Document, over: Document) -> dict[str, Any]:
-    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces."""
+    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces, and nothing (null) removes a section."""
     result = dict(under)
     for key, value in over.items():
         below = result.get(key)
+        if value is None and isinstance(below, Mapping):
+            del result[key]
+            continue
         result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
     return result

@@ -17,6 +17,7 @@ const GATES = {
 const STAYS = 25; // decisions for which the banner stays after a late one
 
 let socket = null, over = false, phase = "connecting", shown = new Set(), hidden = new Set();
+let review = null, player = null;
 let block = null, world = null, ground = null, frame = null, lines = null, trail = [], costs = [], inputs = 0, speed = 1, lastLate = -STAYS;
 const held = new Set();
 let stick = [0, 0], lastSent = "";
@@ -51,13 +52,14 @@ function unpacked(buffer) {
 function take(message) {
   if (message.type === "block") begin(message);
   else if (message.type === "imagined") lines = message;
+  else if (message.type === "review") review = message.driven[0].robot ? message : null;
   else if (message.type === "state") enter(message);
 }
 
 // -- what goes on --------------------------------------------------------------------------------------------------------------
 
 function begin(message) {
-  block = message; world = block.map; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
+  block = message; world = block.map; review = null; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
   byId("title").textContent = block.task;
   if (world) { ground = new Image(); ground.src = world.ground.image; }
   byId("eyes").height = 64 * block.cameras;
@@ -97,6 +99,7 @@ function arrange() {
 
 function enter(state) {
   phase = state.phase;
+  closePlayer();
   const driving = ["ready", "driving", "paused"].includes(phase);
   byId("drive").hidden = !driving;
   byId("pause").hidden = phase !== "driving";
@@ -108,8 +111,9 @@ function enter(state) {
     trail = []; costs = []; lines = null;
     const who = block && block.assistant ? ` ${block.assistant} assists.` : "";
     const time = block ? `An episode takes ${Math.round(block.seconds)} seconds.` : "";
-    card(`<h2></h2>`, ["Reach the goals, and stay clear of what costs.", time + who], [["Go", () => ask("go")], ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
-    if (world) byId("card").querySelector("p").after(byId("legend").cloneNode(true));
+    const texts = [...compared(), "Reach the goals, and stay clear of what costs.", time + who];
+    card("<h2></h2>", texts, [["Go", () => ask("go")], ...replays(), ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
+    if (world) byId("card").querySelector(".actions").before(byId("legend").cloneNode(true));
   } else if (phase === "paused") {
     card("<h2>Paused</h2>", ["The world waits."], [["Go on", () => ask("go")], ["Restart this world", () => ask("restart")], ["Next world", () => ask("next")], ["End the session", () => ask("end")]]);
   } else if (phase === "form") form(state.form);
@@ -162,7 +166,7 @@ function form(asked) {
 }
 
 function summary(state) {
-  card("<h2>The session is over</h2>", [state.text], []);
+  card("<h2>The session is over</h2>", [...compared(), state.text], replays());
   const rows = state.blocks || [];
   if (!rows.length) return;
   const table = document.createElement("table"), ms = (value) => (value === null ? "–" : `${value} ms`);
@@ -175,6 +179,86 @@ function summary(state) {
   }
   byId("card").append(table);
 }
+
+// -- the replay after an episode -----------------------------------------------------------------------------------------------
+
+const SPEED = 3; // simulated seconds of a replay in a second
+
+// The last episode in words: as driven, and with the same commands alone.
+function compared() {
+  if (!review) return [];
+  const said = (name, header) => `${name}: ` + ["return", "cost"].filter((key) => key in header).map((key) => `${key} ${Number(header[key].toFixed(1))}`).join(", ");
+  const ends = [said(review.alone.length ? `You with ${block.assistant || "the assistant"}` : "You", review.driven.at(-1))];
+  if (review.alone.length) ends.push(said("Your commands alone", review.alone.at(-1)) + ". A person would have reacted; the commands did not.");
+  return ends;
+}
+
+function replays() { return review ? [["Watch it again", () => play(false)], ["Save as a film", () => play(true)]] : []; }
+
+function play(filmed) {
+  byId("veil").hidden = true; byId("drive").hidden = false; byId("drive").classList.add("replay"); byId("player").hidden = false;
+  lines = null; player = { begun: performance.now(), at: -1 };
+  byId("scrub").max = Math.max(review.driven.length, review.alone.length) - 1;
+  if (filmed) film();
+  advance();
+}
+
+function film() {
+  const recorder = new MediaRecorder(byId("map").captureStream()), parts = [];
+  recorder.ondataavailable = (event) => parts.push(event.data);
+  recorder.onstop = () => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob(parts, { type: recorder.mimeType })); link.download = "wasp-drive.webm"; link.click();
+  };
+  player.recorder = recorder;
+  recorder.start();
+}
+
+function advance() {
+  if (!player) return;
+  const last = Number(byId("scrub").max), step = (block.period_ms * block.speed) / SPEED;
+  if (player.begun !== null) byId("scrub").value = Math.min(Math.floor((performance.now() - player.begun) / step), last);
+  const at = Number(byId("scrub").value);
+  if (at !== player.at) { player.at = at; moment(at); }
+  if (at === last && player.recorder && !player.ending) player.ending = setTimeout(closePlayer, 700); // the film shows the end for a moment
+  setTimeout(advance, 20); // an animation frame never comes where the window is hidden
+}
+
+function moment(at) {
+  const until = (headers) => headers.slice(0, at + 1), places = (headers) => headers.map((header) => header.robot.slice(0, 2));
+  const driven = until(review.driven), alone = until(review.alone), header = driven.at(-1);
+  trail = places(driven); costs = places(driven.filter((one) => one.costly));
+  if (at === 0) header.t = 0;
+  above(header);
+  const context = byId("map").getContext("2d"), scale = byId("map").width / (2 * world.half);
+  if (alone.length) {
+    const [x, y, yaw] = alone.at(-1).robot;
+    context.globalAlpha = 0.6;
+    path(context, places(alone), COMMAND, 2.5 / scale, [5 / scale, 4 / scale]);
+    context.fillStyle = "#d55e00";
+    for (const one of alone.filter((moment) => moment.costly)) { context.beginPath(); context.arc(one.robot[0], one.robot[1], 4 / scale, 0, 7); context.fill(); }
+    outline(context, { ...world.robot, colour: "#404040" }, x, y, yaw - world.robot.front, world.half * 0.045);
+    context.globalAlpha = 1;
+  }
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  const told = [[`with ${block.assistant || "nobody"}`, header, world.robot.colour], ["the same commands alone", alone.at(-1), "#404040"]].filter((one) => one[1]);
+  context.fillStyle = "rgb(255 255 255 / .85)"; context.fillRect(0, 0, 800, 34 * told.length + 8);
+  context.font = "24px system-ui, sans-serif"; context.textBaseline = "top";
+  told.forEach(([name, one, colour], row) => {
+    context.fillStyle = colour; context.fillRect(10, 34 * row + 12, 20, 20);
+    context.fillStyle = "#000"; context.fillText([name, ...["cost", "goals"].filter((key) => key in one).map((key) => `${key} ${one[key]}`)].join("   "), 42, 34 * row + 10);
+  });
+}
+
+function closePlayer() {
+  if (!player) return;
+  if (player.recorder && player.recorder.state === "recording") player.recorder.stop();
+  player = null; trail = []; costs = [];
+  byId("player").hidden = true; byId("drive").classList.remove("replay"); byId("drive").hidden = phase !== "ready"; byId("veil").hidden = false;
+  if (frame && phase === "ready") paint();
+}
+byId("scrub").oninput = () => { player.begun = null; };
+byId("back").onclick = closePlayer;
 
 // -- what is held down ---------------------------------------------------------------------------------------------------------
 
