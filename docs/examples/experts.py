@@ -44,14 +44,11 @@ def table() -> str:
     for (task, seed), folder in published().items():
         rounds = _read(folder / "acceptance.json")
         last = rounds[-1]
-        numbers = [
-            f"{last['interactions']:,}",
-            str(len(rounds)),
-            f"{last['return']:.1f}",
-            f"{last['cost']:.1f}",
-            f"{100 * last['success']:.0f}",
-        ]
-        lines.append(f"| {' | '.join([TASKS[task].title, str(seed), *numbers, 'yes' if last['accepted'] else 'no'])} |")
+        numbers = (
+            f"{last['interactions']:,} | {len(rounds)} | {last['return']:.1f} | {last['cost']:.1f} | {100 * last['success']:.0f}"
+            f" | {'yes' if last['accepted'] else 'no'}"
+        )
+        lines.append(f"| {TASKS[task].title} | {seed} | {numbers} |")
     return "\n".join(lines) + "\n"
 
 
@@ -62,14 +59,9 @@ def draw() -> None:
     figure, axes = plt.subplots(2, len(tasks), figsize=(3.4 * len(tasks), 4.4), squeeze=False, layout="constrained", sharex="col")
     for (task, seed), folder in experts.items():
         curve: list[Mapping[str, Any]] = [row for row in _read(folder / "curve.json") if row["return"] is not None]
+        x = [row["interactions"] / 1000 for row in curve]
         for axis, measure in zip(axes[:, tasks.index(task)], ("return", "cost"), strict=True):
-            axis.plot(
-                [row["interactions"] / 1000 for row in curve],
-                [row[measure] for row in curve],
-                color=COLOURS[seed - 1],
-                lw=1,
-                label=f"training {seed}",
-            )
+            axis.plot(x, [row[measure] for row in curve], color=COLOURS[seed - 1], lw=1, label=f"training {seed}")
     for column, task in enumerate(tasks):
         axes[0, column].set_title(TASKS[task].title)
         axes[1, column].set_xlabel("interactions (thousands)")

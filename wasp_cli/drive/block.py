@@ -163,7 +163,7 @@ class Block:
     def review(self, driven: Driven) -> dict[str, Any]:
         """Return what the page replays after an episode: what was driven, and the same commands in the same world without the assistant.
 
-        A person would have reacted to what happened then: the commands did not. Of an episode without an assistant there is no second drive.
+        A person would have reacted to what happened then. Of an episode without an assistant there is no second drive.
         """
         alone: list[dict[str, Any]] = []
         if self.cell.method != ALONE:

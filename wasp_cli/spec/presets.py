@@ -130,7 +130,7 @@ def preset_values(name: str) -> dict[str, Any]:
 
 
 def merged(under: Document, over: Document) -> dict[str, Any]:
-    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces, and nothing (null) removes a section."""
+    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces, and null removes a section."""
     result = dict(under)
     for key, value in over.items():
         below = result.get(key)
