@@ -79,7 +79,7 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return results, said
 
 
-@pytest.mark.parametrize("kind", ["world_model", "policies", "evaluate"])
+@pytest.mark.parametrize("kind", ["policies", "evaluate"])
 def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)

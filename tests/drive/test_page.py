@@ -48,8 +48,10 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         assert {"your command", "what is executed", "goal", "hazard"} <= {
             *tab.value("[...document.querySelectorAll('#card span')].map((s) => s.textContent)")
         }
+        tab.key(True, "ArrowDown")
         tab.click("Go")
-        tab.until("phase === 'driving' && frame && frame.header.t > 5")
+        tab.until("phase === 'driving' && frame && frame.header.t > 5 && frame.header.command[0] === -1")
+        tab.key(False, "ArrowDown")
         painted = "new Set(byId('map').getContext('2d').getImageData(0, 0, 480, 480).data).size"
         assert tab.value(painted) > 10, "the map is drawn"
         assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
@@ -124,8 +126,8 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
     folder = Layout(results).artifact("evaluate", block["key"])
     beats, steps = read_timing(folder / TIMING_FILE), read_steps(cell_file(folder))
     keys, commands = beats["keys"].to_pylist(), np.array(steps["a_h"].to_pylist())
-    assert {"", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys)
-    forward, left = (np.array([name in each.split() for each in keys], float) for name in ("ArrowUp", "KeyA"))
-    np.testing.assert_array_equal(commands, np.stack([forward, left], 1))
+    assert {"", "ArrowDown", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys), "a key that is held while Go is pressed drives"
+    forward, back, left = (np.array([name in held.split() for held in keys], float) for name in ("ArrowUp", "ArrowDown", "KeyA"))
+    np.testing.assert_array_equal(commands, np.stack([forward - back, left], 1))
     assert not all(beats["focused"].to_pylist())
     assert desk.lost == 1

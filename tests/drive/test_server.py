@@ -12,12 +12,13 @@ from contextlib import suppress
 from http.client import HTTPConnection
 
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from wasp_cli.drive import check as script
 from wasp_cli.drive.desk import Desk, Frame
 from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, unpacked
-from wasp_cli.errors import UsageError
+from wasp_cli.errors import UsageError, WaspError
 
 
 @pytest.fixture
@@ -185,21 +186,6 @@ def test_a_port_that_is_taken_is_said() -> None:
             Server(Desk(), taken.getsockname()[1])
 
 
-def test_the_server_listens_on_this_machine_alone(server: Server) -> None:
-    async def name() -> str:
-        _, writer = await asyncio.open_connection("127.0.0.1", server.port)
-        peer: str = writer.get_extra_info("peername")[0]
-        writer.close()
-        return peer
-
-    assert asyncio.run(name()) == "127.0.0.1"
-    with socket.socket() as elsewhere:
-        elsewhere.settimeout(1.0)
-        address = socket.gethostbyname(socket.gethostname())
-        if not address.startswith("127."):
-            assert elsewhere.connect_ex((address, server.port)) != 0
-
-
 def test_an_answer_that_comes_at_once_is_not_lost() -> None:
     """A script answers before the thread that asked has begun to wait."""
     desk = Desk(lambda: desk.answer({"agreed": True}) if desk.outgoing()[0] else None)
@@ -208,3 +194,22 @@ def test_an_answer_that_comes_at_once_is_not_lost() -> None:
     asked.start()
     asked.join(300)
     assert found == [{"agreed": True}]
+
+
+def test_a_scripted_driver_that_was_turned_away_connects_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    async def refused(address: str, **_: object) -> str:
+        tried.append(address)
+        if len(tried) < 3:
+            raise InvalidMessage("did not receive a valid HTTP response")
+        return "a connection"
+
+    monkeypatch.setattr(script, "PAUSE", 0.01)
+    monkeypatch.setattr(script, "connect", refused)
+    assert asyncio.run(script.connected("http://127.0.0.1:1/?token=a")) == "a connection"
+    monkeypatch.setattr(script, "ATTEMPTS", 2)
+    tried.clear()
+    with pytest.raises(WaspError, match="cannot connect"):
+        asyncio.run(script.connected("http://127.0.0.1:1/?token=a"))
+    assert tried == ["ws://127.0.0.1:1/socket?token=a"] * 2
