@@ -10,7 +10,6 @@ if __name__ == "__main__" and not sys.flags.safe_path and sys.path[0] != os.path
 
 
 def main() -> None:
-    """Run the console script."""
     try:
         from wasp_cli.cli.early import end_at_once
 

@@ -65,7 +65,6 @@ def say(*lines: str | Text) -> None:
 
 
 def count_table(words: str, *numbers: str) -> Table:
-    """Return an empty table with a column of words, then columns of numbers."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2), header_style="bold")
@@ -102,7 +101,6 @@ def following(name: str) -> Iterator[Callable[[float, str], None]]:
 
 
 def report_error(error: WaspError) -> None:
-    """Print an expected error: what happened, then how to fix it."""
     if not isinstance(error, Interrupted):
         err().print("[bold red]error:[/] ", end="")
     err().print(error.message, markup=False, soft_wrap=True)
@@ -111,7 +109,6 @@ def report_error(error: WaspError) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Write a time as people say it: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 60:
@@ -124,7 +121,6 @@ def duration(seconds: float) -> str:
 
 
 def size(count: int | None) -> str:
-    """Write a number of bytes as people say it."""
     if count is None:
         return "?"
     number, unit = float(count), "bytes"

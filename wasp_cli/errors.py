@@ -121,7 +121,6 @@ LONGEST_NAME = 300
 
 
 def refusal(error: OSError) -> WaspError:
-    """Turn what the system refused into an expected error."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
     return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
 
@@ -164,6 +163,5 @@ def _bare(name: str) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Return the type of an error and what it says, in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

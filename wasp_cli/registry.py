@@ -97,7 +97,6 @@ class Registry(Mapping[str, E], Generic[E]):
         return len(self._entries())
 
     def load(self, name: str) -> Any:
-        """Import and return what the entry's `target` names."""
         return load_target(self[name].target)
 
 
@@ -115,7 +114,6 @@ def _loaded(point: EntryPoint) -> Any:
 
 
 def load_target(target: str) -> Any:
-    """Import `module:attribute`."""
     module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)
 
@@ -142,5 +140,4 @@ def import_here(module: str) -> ModuleType:
 
 
 def module_of(target: str) -> str:
-    """Return the module part of an import string."""
     return target.partition(":")[0]

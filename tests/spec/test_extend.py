@@ -132,12 +132,12 @@ def test_the_name_is_said_by_the_file_itself(base):
         ('"."', "should be the name of a spec or of a .yaml file, not '.'"),
         ('"a\\0.yaml"', "should be the name of a spec or of a .yaml file, not 'a\\x00.yaml'"),
         ('"\\ud800.yaml"', "holds an unpaired surrogate escape"),
-        ("[base.yaml]", "should be the name of one file, not a list"),
-        ("{file: base.yaml}", "should be the name of one file, not a mapping"),
-        ("3", "should be the name of one file, not a number"),
+        ("[base.yaml]", "should be the name of a spec or of a .yaml file, not a list"),
+        ("{file: base.yaml}", "should be the name of a spec or of a .yaml file, not a mapping"),
+        ("3", "should be the name of a spec or of a .yaml file, not a number"),
         ("0x" + "f" * 5000, "is too large a number"),
-        ("", "should be the name of one file, not nothing"),
-        ("2020-01-01", "a date is no value of a spec"),
+        ("", "should be the name of a spec or of a .yaml file, not nothing"),
+        ("2020-01-01", "a date is no value of a spec; put it in quotes"),
     ],
 )
 def test_what_cannot_be_extended_is_refused_where_it_is_said(base, value, message):

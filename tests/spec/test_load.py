@@ -175,7 +175,7 @@ def test_stages_mix_known_operators_at_known_values():
         ("", (1, 1), "the file is empty"),
         ("# nothing\n", (1, 1), "the file is empty"),
         ("- a\n", (1, 1), "a spec is a mapping of keys to values, not a list"),
-        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not a single word"),
+        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not text"),
         ("a: [1\nb: 2\n", (2, 2), "not valid YAML: expected ',' or ']', but got ':'"),
         ("a: 1\nb: 2\na: 3\n", (3, 1), "found duplicate key 'a'"),
         ("a: 1\n\tb: 2\n", (2, 1), "not valid YAML: found character '\\t' that cannot start any token"),

@@ -18,12 +18,12 @@ from tests.store.untrusted import UntrustedStore
 from tests.view.conftest import brought, viewed
 from tests.view.test_server import ask
 from tests.view.test_walk import HUMAN, WASP
-from wasp_cli import view as module
 from wasp_cli.report.explain import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.view.pages import first_difference
 from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import FRESH
 
 
 def numbers(server: ViewServer) -> dict[str, list[str]]:
@@ -80,7 +80,7 @@ def test_a_cell_that_comes_to_a_folder_without_runs_is_listed(tmp_path: Path) ->
         brought(tmp_path / "more", HUMAN)
         for folder in (tmp_path / "more" / "store" / "evaluate").iterdir():
             shutil.copytree(folder, results / "store" / "evaluate" / folder.name)
-        time.sleep(module.FRESH + 0.1)
+        time.sleep(FRESH + 0.1)
         assert len(numbers(server)) == 2
 
 

@@ -148,6 +148,5 @@ def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON."""
     json.dump(value, sys.stdout, indent=1)
     sys.stdout.write("\n")

@@ -38,8 +38,6 @@ def doctor(results: ResultsOption = RESULTS) -> None:
 
 @dataclass(frozen=True)
 class Finding:
-    """One checked property of the machine."""
-
     what: str
     state: Literal["ok", "missing", "broken", "low", "optional"]
     found: str
@@ -143,13 +141,11 @@ def _writable(results: Path) -> Finding:
 
 
 def require(findings: list[Finding]) -> None:
-    """Check that nothing is missing which every run needs."""
     if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
         raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
 
 
 def show(findings: list[Finding]) -> None:
-    """Print findings as a table."""
     from rich.table import Table
     from rich.text import Text
 

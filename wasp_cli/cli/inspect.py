@@ -252,9 +252,9 @@ def view(
         import uvicorn  # noqa: F401
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
-    from wasp_cli.view import site_of
-    from wasp_cli.view.server import bundle as write_bundle
+    from wasp_cli.view.bundle import bundle as write_bundle
     from wasp_cli.view.server import serve
+    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")

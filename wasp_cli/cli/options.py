@@ -87,12 +87,10 @@ def option(metavar: str, text: str, *names: str, among: Completion = None, **mor
 
 
 def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> Any:
-    """Declare an argument."""
     return typer.Argument(metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
 
 
 def flag(name: str, text: str, *names: str, **more: Any) -> Any:
-    """Declare a switch, which takes no value."""
     return typer.Option(name, *names, help=text, **more)
 
 
@@ -139,16 +137,12 @@ class Folder:
 
 @dataclass(frozen=True, kw_only=True)
 class Whereabouts:
-    """Where a node or a cell is looked for."""
-
     run: RunOption = None
     results: ResultsOption = RESULTS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sized:
-    """Which tasks of a spec, how large, and for which results folder."""
-
     task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=task_names)] = None
     preset: PresetOption = None
     set_: SetOption = None
@@ -163,12 +157,9 @@ class Sized:
 
 @dataclass(frozen=True, kw_only=True)
 class SizedSpec(Sized):
-    """A spec, with some of its tasks."""
-
     spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)]
 
     def load(self) -> Loaded:
-        """Load the spec that is meant."""
         from wasp_cli.spec.derived import restricted
         from wasp_cli.spec.load import load
 
@@ -177,8 +168,6 @@ class SizedSpec(Sized):
 
 @dataclass(frozen=True, kw_only=True)
 class SelectedSpec(SizedSpec):
-    """A spec, with some of its tasks, methods, cells and episodes."""
-
     method: MethodOption = None
     select: SelectOption = None
     limit: Annotated[int | None, option("N", "Only the first N episodes of each cell: a look before the whole.", min=1)] = None
@@ -194,8 +183,6 @@ class SelectedSpec(SizedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """How a run is carried out."""
-
     dry_run: Annotated[bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")] = False
     jobs: JobsOption = None
     timeout: Annotated[float | None, option("TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration)] = None
@@ -204,7 +191,6 @@ class Work:
     scheduler: Annotated[str | None, option("URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER")] = None
 
     def options(self) -> RunOptions:
-        """Return it as a run takes it."""
         from wasp_cli.run.pool import BACKENDS
         from wasp_cli.run.session import RunOptions, cores
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JsonOption, SetOption, argument, flag, option, parse_folder, spec_names, task_names
+from wasp_cli.cli.options import JsonOption, SetOption, argument, option, parse_folder, spec_names, task_names
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
@@ -86,15 +86,16 @@ def init(folder: Annotated[Path, argument("DIR", "Where to.", parser=parse_folde
     say(*(f"{path}: written" for path in written), *(f"{path}: is there, not changed" for path in kept))
 
 
-@command("wasp schema > specs/wasp.schema.json", "wasp schema --plugins > mine.schema.json")
-def schema(plugins: Annotated[bool, flag("--plugins", "Include the names of installed plugins.")] = False) -> None:
+@command("wasp schema > specs/wasp.schema.json")
+def schema() -> None:
     """Print the JSON Schema of specs, for editors.
 
-    It is for completion and checks. The first line of a spec names it: `# yaml-language-server: $schema=wasp.schema.json`.
+    It is for completion and checks, with the names of installed plugins. The first line of a spec names it:
+    `# yaml-language-server: $schema=wasp.schema.json`.
     """
     from wasp_cli.spec.schema import spec_schema
 
-    print_json(spec_schema(plugins=plugins))
+    print_json(spec_schema())
 
 
 @command("wasp list", "wasp list methods", "wasp list tasks --json | jq '.[].gym_id'", name="list")
@@ -123,7 +124,6 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def methods() -> Rows:
-    """Return the assistants."""
     from wasp_cli.methods.registry import METHODS
 
     return [
@@ -137,7 +137,6 @@ def methods() -> Rows:
 
 
 def operators() -> Rows:
-    """Return the simulated operators."""
     from wasp_cli.operators.registry import OPERATORS
 
     return [
@@ -150,14 +149,12 @@ def operators() -> Rows:
 
 
 def tasks() -> Rows:
-    """Return the tasks. Imports MuJoCo."""
     from wasp_cli.tasks.describe import describe
 
     return [asdict(task) for task in describe()]
 
 
 def method_table(methods: Rows) -> Table:
-    """Make a row per assistant: its name, how it decides, the stages that it needs of its own, and its variants."""
     table = listing("Method", "How it decides", "Stages", "Variants")
     for info in methods:
         stages = [*info["needs"], *(f"({kind})" for kind in info["needs_with"])]
@@ -168,7 +165,6 @@ def method_table(methods: Rows) -> Table:
 
 
 def operator_table(operators: Rows) -> Table:
-    """Make a row per operator variant: its name, what its severity means, and from where to where."""
     table = listing("Operator", "Severity", "Range")
     for info in operators:
         table.add_row(named(info), info["severity"], f"{info['low']:g} to {info['high']:g}")
@@ -176,7 +172,6 @@ def operator_table(operators: Rows) -> Table:
 
 
 def task_table(tasks: Rows) -> Table:
-    """Make a row per task: its names, its spaces, what costs, and when an episode ends."""
     from rich.text import Text
 
     table = listing("Task", "Spaces", "Costs", "Limit")

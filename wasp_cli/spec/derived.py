@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Loaded, Override, chain_of, load, loaded, override, path_of, value_of
@@ -54,7 +52,6 @@ def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[st
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
-    """Return a spec with so many episodes in each cell."""
     evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
     return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
@@ -123,23 +120,17 @@ CELLS = {
 
 @dataclass(frozen=True)
 class Point:
-    """One value of the setting."""
-
     text: str
-    """As it was written."""
     value: Any
-    loaded: Loaded
-    """The spec with it, under a name of its own."""
+    loaded: Loaded  # the spec with it, under a name of its own
 
 
 @dataclass(frozen=True)
 class Sweep:
     """A spec under several values of one setting."""
 
-    name: str
-    """Of the reports."""
-    spec: str
-    """The name of the spec without any of the values."""
+    name: str  # of the reports
+    spec: str  # the name of the spec without any of the values
     key: str
     points: tuple[Point, ...]
 
@@ -160,8 +151,7 @@ def read_sweep(
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     chain = chain_of(read(spec_path(path)))
     specs: list[Loaded] = []
-    problems: dict[Problem, None] = {}
-    """What is wrong with all values is said once."""
+    problems: dict[Problem, None] = {}  # what is wrong with all values is said once
     for option in options:
         try:
             specs.append(loaded(chain, (*overrides, option)))
@@ -173,7 +163,7 @@ def read_sweep(
     name = specs[0].spec.name
     points: list[Point] = []
     for option, valid in zip(options, specs, strict=True):
-        text = written(option)
+        text = shown(option.value)
         taken = [point.loaded.spec.name for point in points]
         # Not validated again: what is listed for other methods (`variants`) is no mistake here.
         update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
@@ -184,7 +174,6 @@ def read_sweep(
 
 
 def values_of(vary: str) -> list[Override]:
-    """Read `a.b=v1,v2`: for each value what a `--set` option would do."""
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -192,29 +181,18 @@ def values_of(vary: str) -> list[Override]:
     if path[0] in CELLS:
         raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
     name = ".".join(path)
-    options = [Override(f"{name}={text}", path, value, OPTION) for text, value in split(rest)]
-    if len(options) < 2:
+    values = value_of(f"[{rest}]", rest, OPTION)
+    if not values or rest.rstrip().endswith(","):
+        raise UsageError(f"{OPTION}: '{rest}' has an empty value", "write null where no value is meant")
+    if len(values) < 2:
         raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
-    written_before: dict[str, str] = {}
-    for option in options:
-        canonical = json.dumps(option.value, sort_keys=True)  # 1 and true are equal to Python
-        if canonical in written_before:
-            raise UsageError(f"{OPTION}: '{written(option)}' is the same value as '{written_before[canonical]}'", "write each value once")
-        written_before[canonical] = written(option)
-    return options
+    texts = [json.dumps(value, sort_keys=True) for value in values]  # 1 and true are equal to Python
+    for place, text in enumerate(texts):
+        if text in texts[:place]:
+            raise UsageError(f"{OPTION}: the value {text} stands there twice", "write each value once")
+    return [Override(f"{name}={shown(value)}", path, value, OPTION) for value in values]
 
 
-def written(option: Override) -> str:
-    """Return the value of an option on one line, as it was written."""
-    return " ".join(option.text.partition("=")[2].split())
-
-
-def split(values: str) -> list[tuple[str, Any]]:
-    """Return each value of a comma-separated list in YAML: as it is written, and what it means."""
-    meant = value_of(f"[{values}]", values, OPTION)
-    if not meant or values.rstrip().endswith(","):
-        raise UsageError(f"{OPTION}: '{values}' has an empty value", "write null where no value is meant")
-    text = f"value: [{values}]"
-    ((_, written_list),) = YAML(typ="safe", pure=True).compose(text).value
-    texts = [text[item.start_mark.index : item.end_mark.index].strip() for item in written_list.value]
-    return list(zip(texts, meant, strict=True))
+def shown(value: Any) -> str:
+    """Return a value as people write it in a spec, on one line."""
+    return value if isinstance(value, str) and value.isprintable() else json.dumps(value)

@@ -132,38 +132,29 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends."""
+    """Return a source with all files that it extends: each one beside the file that names it, or a spec that comes with the package."""
     sources = [source]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
-        path = _extended(last)
+        value, message, hint = last.document[EXTENDS], "", None
+        if value is None and last.problems:  # what stands there is no value at all
+            raise InvalidSpec(last.problems)
+        if not isinstance(value, str) or Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
+            shown = repr(value) if isinstance(value, str) else kind_of(value)
+            raise InvalidSpec([last.problem((EXTENDS,), f"should be the name of a spec or of a {SUFFIX} file, not {shown}")])
+        path = spec_path(Path(value), Path(last.name).parent)
         files = [os.path.realpath(before.name) for before in sources]
         if os.path.realpath(path) in files:
-            circle = " -> ".join([*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)])
-            raise _refused(last, f"extends itself: {circle}")
-        if len(sources) == LONGEST_CHAIN:
-            raise _refused(last, f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them")
-        if not os.path.exists(path):
-            raise _refused(last, f"no such file: '{path}'", meant(path))
+            circle = [*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)]
+            message = f"extends itself: {' -> '.join(circle)}"
+        elif len(sources) == LONGEST_CHAIN:
+            message, hint = f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them"
+        elif not os.path.exists(path):
+            message, hint = f"no such file: '{path}'", meant(path)
+        if message:
+            raise InvalidSpec([last.problem((EXTENDS,), message, hint)])
         sources.append(read(path))
     return Chain(tuple(sources))
-
-
-def _extended(source: Source) -> Path:
-    """The file that a source extends: one beside it, or a spec that comes with the package."""
-    value = source.document[EXTENDS]
-    if not isinstance(value, str):
-        if value is None and source.problems:  # what stands there is no value at all
-            raise InvalidSpec(source.problems)
-        shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
-        raise _refused(source, f"should be the name of one file, not {shown}")
-    if Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
-        raise _refused(source, f"should be the name of a spec or of a {SUFFIX} file, not {value!r}")
-    return spec_path(Path(value), Path(source.name).parent)
-
-
-def _refused(source: Source, message: str, hint: str | None = None) -> InvalidSpec:
-    return InvalidSpec([source.problem((EXTENDS,), message, hint)])
 
 
 def _as_written(source: Source, loc: Loc) -> Loc:
@@ -195,8 +186,7 @@ class Override:
     text: str
     path: tuple[str, ...]
     value: Any
-    option: str = "--set"
-    """The option that brought it, for messages."""
+    option: str = "--set"  # the option that brought it, for messages
 
 
 def override(number: int, text: str) -> Override:

@@ -95,9 +95,7 @@ class Spec(Config):
     )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
     side_by_side: int = assumed(
-        10,
-        "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over",
-        ge=1,
+        10, "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over", ge=1
     )
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
@@ -136,7 +134,6 @@ class Spec(Config):
         return seed if self.training_seed is None else self.training_seed
 
     def chain_seeds(self) -> tuple[int, ...]:
-        """Return the seeds of all training chains, each once."""
         return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
 
     @model_validator(mode="after")
@@ -185,7 +182,6 @@ def _check_tasks(spec: Spec) -> None:
 
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
-    """The same error at a place below another one."""
     context = error.get("ctx", {})
     own = error["type"] not in get_args(ErrorType)
     what = PydanticCustomError(error["type"], error["msg"], context) if own else error["type"]
@@ -276,7 +272,6 @@ def _check_plugins() -> None:
 
 
 def preset_names() -> tuple[str, ...]:
-    """Return the presets, smallest first."""
     return get_args(Preset)
 
 

@@ -39,6 +39,16 @@ def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
+    """The name of what is somebody's own, if it can be used."""
+    try:
+        if not (info.context or {}).get(RECORDED):
+            use()
+    except WaspError as error:
+        raise PydanticCustomError("own", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+    return name
+
+
 def _task(name: str, info: ValidationInfo) -> str:
     """A registered task, or a gymnasium id with all that a task needs."""
     with suppress(UnknownName):
@@ -50,24 +60,14 @@ def _task(name: str, info: ValidationInfo) -> str:
         task = TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    if isinstance(task, ForeignInfo) and not (info.context or {}).get(RECORDED):
-        try:
-            task.examine()
-        except WaspError as error:
-            raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
-    return name
+    return _usable(name, info, task.examine) if isinstance(task, ForeignInfo) else name
 
 
 def _method(name: str, info: ValidationInfo) -> str:
     """A registered method, or a class of one's own that can be imported."""
     if name not in METHODS:
         raise unknown("method", name, METHODS)
-    if isinstance(METHODS[name], OwnMethod) and not (info.context or {}).get(RECORDED):
-        try:
-            METHODS.load(name)
-        except WaspError as error:
-            raise PydanticCustomError("method", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
-    return name
+    return _usable(name, info, lambda: METHODS.load(name)) if isinstance(METHODS[name], OwnMethod) else name
 
 
 def training_stages() -> list[str]:
@@ -76,15 +76,11 @@ def training_stages() -> list[str]:
 
 
 def _stage(name: str) -> str:
-    unit = STAGES[name].unit if name in STAGES else None
-    if unit == "method":
-        raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
-    if unit == "person":
-        raise PydanticCustomError(
-            "of_person", "'{name}' is of a person", {"name": name, "hint": "wasp clone RESULTS --participant N makes it"}
-        )
-    if unit is None:
+    if name not in STAGES:
         raise unknown("stage", name, training_stages())
+    elsewhere = {"method": "list its method under `methods`", "person": "wasp clone RESULTS --participant N makes it"}
+    if hint := elsewhere.get(unit := STAGES[name].unit):
+        raise PydanticCustomError("elsewhere", "'{name}' runs for a {unit}", {"name": name, "unit": unit, "hint": hint})
     return name
 
 

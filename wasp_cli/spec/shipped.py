@@ -32,7 +32,6 @@ def published_folder() -> Path | None:
 
 
 def shipped_names() -> list[str]:
-    """List the names of the specs."""
     return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
 
 

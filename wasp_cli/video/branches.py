@@ -43,8 +43,6 @@ class BranchTrace(NamedTuple):
 
 @dataclass
 class _BranchStates:
-    """What a branch passed through: w + 1 states, w actions."""
-
     pixels: list[Pixels] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
     actions: list[Floats] = field(default_factory=list)

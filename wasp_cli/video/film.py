@@ -100,8 +100,6 @@ TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by l
 
 
 class Moment(NamedTuple):
-    """A frame of a film."""
-
     frame: Pixels  # uint8 [size, size, 3]
     decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
     positions: Floats  # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is

@@ -62,8 +62,6 @@ class Correction(NamedTuple):
 
 
 class WrittenVideo(NamedTuple):
-    """A written video."""
-
     frames: int
     r2: dict[str, float] | None  # of the readout that draws imagined paths (forward, left, turn); None where there is none
 
@@ -292,7 +290,6 @@ class Timeline:
         return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
 
     def cursor(self, t: int) -> float:
-        """Return the column of decision t in px."""
         return self._x(t + 0.5)
 
 

@@ -75,7 +75,6 @@ class Pose:
 
     @property
     def yaw(self) -> float:
-        """Direction of the front in rad."""
         return float(np.arctan2(self.forward[1], self.forward[0]))
 
 
@@ -160,12 +159,10 @@ class MapPicture:
             self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
 
     def edge(self, colour: str, width: float) -> None:
-        """Draw a frame around the map."""
         side = self._image.width - 1
         self._draw.rectangle((0, 0, side, side), outline=colour, width=round(width * _SMOOTH))
 
     def finished(self) -> Image.Image:
-        """Return the image at its size."""
         return self._image.reduce(_SMOOTH)
 
 
@@ -183,13 +180,11 @@ def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: 
 
 
 def along(places: Sequence[Floats]) -> Floats:
-    """Stack places [2] into one array [N, 2]."""
     return np.array(places, np.float64).reshape(-1, 2)
 
 
 @lru_cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Load a typeface that has the paper's symbols: the one that matplotlib brings along."""
     import matplotlib
 
     folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"

@@ -75,7 +75,6 @@ def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | No
 
 
 def default_name(stored: Episode, ending: str) -> Path:
-    """Name a picture of an episode in the current folder."""
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
@@ -193,7 +192,6 @@ class Verdict:
     alone: dict[str, list[Any]]  # the same under the command alone
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
         return asdict(self)
 
     def lines(self) -> list[str]:

@@ -56,8 +56,6 @@ class RolloutStart(NamedTuple):
 
 
 class ImaginedTrajectories(NamedTuple):
-    """Imagined futures of one decision."""
-
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
     cost: NDArray[np.float32]  # [S, H] probability of a cost at the arrived states, mean over the rollouts
     images: dict[int, NDArray[np.float32]]  # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
@@ -221,7 +219,6 @@ class Source:
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 
     def operator_in(self, world: VectorTask) -> Operator:
-        """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
         if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
@@ -290,8 +287,6 @@ def threads_of_evaluations() -> Iterator[None]:
 
 
 class PlayedDecision(NamedTuple):
-    """What there is to show of one decision."""
-
     start: RolloutStart
     pixels: Pixels  # [6, 64, 64] what the cameras saw
     decoded: NDArray[np.float32]  # [6, 64, 64] in [0, 1]: what the filtered latent remembers of it

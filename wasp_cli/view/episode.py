@@ -27,8 +27,8 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import Criterion, Verdict, judge
-from wasp_cli.view import Site
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
+from wasp_cli.view.site import Site
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -80,7 +80,7 @@ def episode_view(
         "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
         "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)}, "legend": film.get("legend", []),
-        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "ending")},
+        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every")},
     }  # fmt: skip
 
 
@@ -101,10 +101,14 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
 def load(cell: FoundCell, number: int) -> Episode:
     """Read an episode, or take it from memory where its file is as it was."""
     try:
-        state = cell.path.stat()
-    except OSError as error:
+        return _load(cell.path, cell.key, number, _stamp(cell.path))
+    except FileNotFoundError as error:
         raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
-    return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    state = path.stat()
+    return state.st_mtime_ns, state.st_size
 
 
 @lru_cache(KEPT)
@@ -123,10 +127,7 @@ def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
-    if not path.is_file():
-        return None
-    state = path.stat()
-    return _branches(path, (state.st_mtime_ns, state.st_size))
+    return _branches(path, _stamp(path)) if path.is_file() else None
 
 
 @lru_cache(KEPT)
@@ -139,8 +140,8 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
     """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
-    (rows,) = np.nonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step))
-    if not len(rows):
+    rows = np.flatnonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step)).tolist()
+    if not rows:
         return None
     traces: dict[str, dict[str, list[Any]]] = {
         name: {"cost": (branches.cost[name][rows[0]] > 0).tolist(), "reward": branches.reward[name][rows[0]].tolist()}
@@ -155,12 +156,11 @@ def as_html(lines: Iterable[Text]) -> Markup:
     from markupsafe import Markup
 
     console, span = Console(), Markup('<span class="{}">{}</span>')
-    pieces = [[(_classes(piece.style), piece.text) for piece in line.render(console)] for line in lines]
-    return Markup("\n").join(Markup("").join(span.format(*piece) if piece[0] else piece[1] for piece in line) for line in pieces)
 
+    def piece(text: str, style: Style | None) -> str:
+        look = style or Style.null()
+        colour = COLOURS.get(look.color.name, "") if look.color is not None else ""
+        classes = " ".join(filter(None, ("b" if look.bold else "", "dim" if look.dim else "", colour)))
+        return span.format(classes, text) if classes else text
 
-def _classes(style: Style | None) -> str:
-    if style is None:
-        return ""
-    colour = COLOURS.get(style.color.name, "") if style.color is not None else ""
-    return " ".join(filter(None, ("b" if style.bold else "", "dim" if style.dim else "", colour)))
+    return Markup("\n").join(Markup("").join(piece(part.text, part.style) for part in line.render(console)) for line in lines)

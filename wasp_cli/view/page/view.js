@@ -81,7 +81,7 @@
     let base = figure.dataset.film, state = null, decision = 0, frame = -1, timer = null, still = false;
 
     function name(index) {
-      if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + "." + state.ending;
+      if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + ".webp";
       const [path, query] = base.split("?");
       return path + "/frame/" + index + (query ? "?" + query : "");
     }
