@@ -1,19 +1,4 @@
-"""The expected errors of `wasp`, each with the exit code that the command line returns for it.
-
-    WaspError                       1   something expected went wrong
-    ├── CellsFailed                 1   a run ended with failed or blocked nodes
-    ├── StoreError                  1   the results folder cannot be read or written
-    ├── ArtifactError               1   an artifact is damaged or does not fit what reads it
-    ├── SourceChanged               1   the code changed while a run was going
-    ├── TimeLimitExceeded           1   a node took longer than it was given
-    ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
-    ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
-    ├── NotAccepted                 1   what was measured does not keep the rule that it is held against
-    ├── UsageError                  2   a command-line argument is wrong
-    │   ├── UnknownName             2   a name that no registry knows
-    │   └── UnknownOption           2   an environment is made with an option that it does not have
-    ├── SpecError                   3   a spec does not read or does not validate
-    └── Interrupted               130   Ctrl-C or SIGTERM ended a run
+"""The expected errors of `wasp`, each with the exit code that the command line returns for it: 1, where it names no other.
 
 An expected error prints as one message and a hint, never as a traceback.
 """
@@ -116,8 +101,7 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
-LONGEST_NAME = 300
-"""Characters of a name that is compared with others, which takes as long as both are, multiplied."""
+LONGEST_NAME = 300  # characters of a name that is compared with others, which takes as long as both are, multiplied
 
 
 def refusal(error: OSError) -> WaspError:
@@ -148,18 +132,9 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
 
 def closeness(name: str, known: Iterable[str]) -> float:
     """Measure how close the closest of some names is, from 0 to 1, with namespaces or without them."""
-    return max((max(_likeness(name, other), _likeness(_bare(name), _bare(other))) for other in known), default=0.0)
-
-
-def _likeness(one: str, other: str) -> float:
-    if max(len(one), len(other)) > LONGEST_NAME:
-        return 0.0
-    return difflib.SequenceMatcher(None, one.lower(), other.lower()).ratio()
-
-
-def _bare(name: str) -> str:
-    """A gymnasium id without its namespace."""
-    return name.rpartition("/")[2]
+    pairs = [(name.lower(), other.lower()) for other in known if max(len(name), len(other)) <= LONGEST_NAME]
+    pairs += [(one.rpartition("/")[2], other.rpartition("/")[2]) for one, other in pairs]
+    return max((difflib.SequenceMatcher(None, *pair).ratio() for pair in pairs), default=0.0)
 
 
 def described(error: BaseException) -> str:

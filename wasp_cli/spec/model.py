@@ -54,21 +54,16 @@ def refuse(problems: list[Problem]) -> None:
 
 
 def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    refuse(
-        [
-            ((variant, severity), _out_of_range(variant), value)
-            for variant, severities in operators.items()
-            for severity, value in severities.items()
-            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high
-        ]
-    )
+    values = [((variant, severity), value) for variant, severities in operators.items() for severity, value in severities.items()]
+    refuse([(place, wrong, value) for place, value in values if (wrong := _out_of_range(place[0], value))])
     return operators
 
 
-def _out_of_range(variant: str) -> PydanticCustomError:
+def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
     info = OPERATORS[variant]
     context = {"low": f"{info.low:g}", "high": f"{info.high:g}", "unit": info.unit}
-    return PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+    wrong = PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+    return None if info.low <= value <= info.high else wrong
 
 
 class Spec(Config):
@@ -222,10 +217,9 @@ def _skill_problems(spec: Spec) -> list[Problem]:
                 problems.append(((section, "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
                 continue
             for index, value in enumerate(values):
-                if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
-                    problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
-                elif variant == "limited-skill" and value not in checkpoints:
-                    problems.append(((section, "operators", variant, index), what, value))
+                unknown_skill = what if variant == "limited-skill" and value not in checkpoints else None
+                if wrong := _out_of_range(variant, value) or unknown_skill:
+                    problems.append(((section, "operators", variant, index), wrong, value))
     return problems
 
 
@@ -286,13 +280,11 @@ def validate(document: Mapping[str, Any]) -> Spec:
 
 def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:
     """`episodes` at the top is the canonical spelling; the section of `evaluate` follows it."""
-    section = document.get("evaluate", {})
-    default = Spec.model_fields["episodes"].default
+    section, default = document.get("evaluate", {}), Spec.model_fields["episodes"].default
     if not isinstance(section, dict):
         return document
     if "episodes" in section and "episodes" not in document:
         return {**document, "episodes": section["episodes"]}
     episodes = document.get("episodes", default)
-    # A wrong value is reported once, at the top.
-    usable = isinstance(episodes, int) and not isinstance(episodes, bool) and episodes >= 1
+    usable = type(episodes) is int and episodes >= 1  # a wrong value is reported once, at the top
     return {**document, "evaluate": {**section, "episodes": episodes if usable else default}}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from itertools import count
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo
@@ -90,8 +91,8 @@ def assistant_variants() -> list[str]:
 
 
 def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
-    for index, item in enumerate(items):
-        if item in items[:index]:
+    for item in items:
+        if items.count(item) > 1:
             raise PydanticCustomError("repeated", "'{item}' is listed twice", {"item": str(item)})
     return items
 
@@ -112,11 +113,6 @@ OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
     """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
-    taken = set(taken)
-    clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
-    for number in range(1, len(taken) + 2):
-        end = f"-{clean}" + (f"-{number}" if number > 1 else "")
-        name = head[: LONGEST - len(end)] + end
-        if name not in taken:
-            break
-    return name
+    taken, clean = set(taken), re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
+    ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
+    return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)

@@ -304,7 +304,7 @@ def _text(path: Path) -> str:
             return data.decode("utf-8-sig")
         message = f"is larger than {MAX_BYTES:,} bytes, too large for a spec"
     except IsADirectoryError:
-        message, hint = "is a folder, not a spec file", inside(path)
+        message, hint = "is a folder, not a spec file", meant(path / "*")
     except FileNotFoundError:
         message, hint = "no such file", meant(path)
     except UnicodeDecodeError as error:
@@ -317,26 +317,11 @@ def _text(path: Path) -> str:
 
 def meant(path: Path) -> str:
     """Return a hint for those who look for a spec that is not there: what is nearly called so, or what there is."""
-    # Compared without the ending, which makes all of them alike.
-    files = {file.stem: file.name for file in _specs_in(path.parent)}
-    names = shipped_names()
-    shown = {name: name for name in names} | files
-    there = "; ".join(filter(None, (inside(path.parent), f"by name there are: {', '.join(names)}")))
-    hint = did_you_mean(path.stem, list(shown), otherwise=there)
-    return hint if hint == there else re.sub(r"'([^']*)'", lambda match: f"'{shown.get(match[1], match[1])}'", hint)
-
-
-def inside(folder: Path) -> str | None:
-    """Return a hint that names the first specs in a folder; None where there are none."""
-    files = _specs_in(folder)[:8]
-    return "here are: " + ", ".join(map(str, files)) if files else None
-
-
-def _specs_in(folder: Path) -> list[Path]:
     try:
-        return sorted(folder.glob("*.yaml"))
+        names = [file.stem for file in sorted(path.parent.glob("*.yaml"))]
     except OSError:
-        return []
+        names = []
+    return did_you_mean(path.stem, dict.fromkeys([*names, *shipped_names()]))
 
 
 def _position_of(text: str, index: int) -> Position:
@@ -353,8 +338,7 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
     mark = error.problem_mark or error.context_mark
     position = Position(mark.line + 1, mark.column + 1) if mark is not None else START
     what = (error.problem or error.context or "not valid YAML").strip()
-    hint = "indent with spaces; a tab is not allowed there" if "\\t" in what else None
-    return source.problem_at(position, f"not valid YAML: {what}", hint)
+    return source.problem_at(position, f"not valid YAML: {what}")
 
 
 def kind_of(value: Any) -> str:

@@ -61,14 +61,10 @@ def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
     source = specs_folder()
     if not source.is_dir():
         raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")
-    written: list[Path] = []
-    kept: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
-    for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")]):
-        target = folder / path.name
-        if target.exists():
-            kept.append(target)
-        else:
-            shutil.copyfile(path, target)
-            written.append(target)
+    targets = {folder / path.name: path for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")])}
+    kept = [target for target in targets if target.exists()]
+    written = [target for target in targets if target not in kept]
+    for target in written:
+        shutil.copyfile(targets[target], target)
     return written, kept

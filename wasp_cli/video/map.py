@@ -17,9 +17,9 @@ from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.make import require_mujoco
 
+# Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
+# colour blindness, and unlike the things on the maps.
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
-"""Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
-colour blindness, and unlike the things on the maps."""
 WIDEST = 4.0  # half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
 REACH, ROBOT = 0.24, 0.05  # as shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins
@@ -120,13 +120,10 @@ class MapPicture:
     def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
         """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is left out."""
         points = self._pixels(places)
-        if len(points) < 2:
-            return
-        if not dash:
-            self._draw.line(points, colour, round(width * _SMOOTH), joint="curve")
-        for index in range(len(points) - 1) if dash else ():
-            if (index + 1) % (dash + 1):
-                self._draw.line(points[index : index + 2], colour, round(width * _SMOOTH))
+        stretches = [points[index : index + 2] for index in range(len(points) - 1) if (index + 1) % (dash + 1)] if dash else [points]
+        for stretch in stretches:
+            if len(stretch) > 1:
+                self._draw.line(stretch, colour, round(width * _SMOOTH), joint=None if dash else "curve")
 
     def trail(self, places: Floats, width: float) -> None:
         """Draw where the robot has been [N, 2] in m: visible on light and dark ground."""

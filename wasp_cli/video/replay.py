@@ -42,10 +42,7 @@ HORIZON = 15  # imagined steps of a method that has no horizon of its own: the p
 FRAMES = 125  # of a video for which nothing else is said: some megabytes
 MODELS = ("world_model", "policies")  # kinds of the artifacts that a cell is played again with
 EXPERT = "expert"  # is read by cells of tasks whose operators know more than assistants perceive
-SAID: dict[str, tuple[type, ...]] = {
-    "task": (str,), "action_repeat": (int,), "seed": (int,), "operator": (str,), "value": (int, float, type(None)),
-}  # fmt: skip
-"""What its manifest has to say, with the types."""
+SAID = {"task": str, "action_repeat": int, "seed": int, "operator": str, "value": float | int | None}  # by a cell's manifest
 
 
 def replay(
@@ -60,18 +57,22 @@ def replay(
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    source, horizon = source_of(layout, cell, episode), stored.constants.horizon or HORIZON
-    every = every or -(-stored.decisions // FRAMES)
-    return path, film_episode(source, stored, episode - source.first, correction(stored), horizon, every, path, progress)
+    return path, film_episode(*_drawn(layout, cell, stored, every), path, progress)
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
     """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
     from wasp_cli.video.frame import frames_of
 
-    stored, source = read_episode(cell, episode), source_of(layout, cell, episode)
+    yield from frames_of(*_drawn(layout, cell, read_episode(cell, episode), every))
+
+
+def _drawn(layout: Layout, cell: FoundCell, stored: Episode, every: int | None) -> tuple[Source, Episode, int, Correction, int, int]:
+    """What `frame` draws a stored episode from."""
+    episode = int(stored.row["episode"])
+    source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
-    yield from frames_of(source, stored, episode - source.first, correction(stored), horizon, every)
+    return source, stored, episode - source.first, correction(stored), horizon, every
 
 
 def default_name(stored: Episode, ending: str) -> Path:
