@@ -107,9 +107,3 @@ def test_tasks_methods_and_preset_restrict_a_spec() -> None:
 def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
     done = run_here("run", "specs/smoke.yaml", "--dry-run", "--backend", "cloud", "--results", tmp_path / "none", columns=120)
     assert (done.exit_code, "cloud" in done.stderr) == (2, True)
-
-
-def test_debug_is_taken_after_the_command_too(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "wasp_cli", "status", str(tmp_path / "none"), "--debug"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert "Traceback" in done.stderr

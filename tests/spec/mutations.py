@@ -38,9 +38,8 @@ EXTENDS = [
     "extends: folder.yaml", "extends: long1.yaml", "extends: ..", "extends: base", "extends: [base.yaml]", "extends:", "extends: *a",
     "extends: !!x base.yaml", 'extends: "base\\0.yaml"', "extend: base.yaml", "extends: {<<: *a}",
 ]  # fmt: skip
-MERGES = ["<<: *a", "<<: [*a, *a]", "<<: *absent", "<<: {episodes: 3, zzz: 1}", "<<: 3", "<<: [1]", "<<:", "<<: {extends: base.yaml}"]
 BASES: dict[str, str | bytes] = {
-    "base.yaml": SPECS[0] + "wasp: &a {candidates: 8, feasable: 3}\n",
+    "base.yaml": SPECS[0] + "wasp: {candidates: 8, feasable: 3}\n",
     "broken.yaml": "name: [\n",
     "binary.yaml": b"name: \xff\xfe",
     "loop.yaml": "name: loop\nextends: spec.yaml\n",
@@ -68,14 +67,10 @@ def characters(draw: st.DrawFn) -> str:
 
 @st.composite
 def further_lines(draw: st.DrawFn) -> str:
-    """A whole spec with lines of merges and of `extends` anywhere, and an anchor that they may use."""
+    """A whole spec with lines of `extends` anywhere."""
     lines = draw(st.sampled_from(SPECS)).splitlines()
-    if draw(st.booleans()):
-        anchored = f"{draw(st.sampled_from(['critics', 'ida_q', 'zzz', '<<']))}: &a {draw(st.sampled_from(VALUES))}"
-        lines.insert(draw(st.integers(0, 1)), anchored)
     for _ in range(draw(st.integers(1, 3))):
-        line = draw(st.sampled_from([*EXTENDS, *MERGES, *(f"wasp: {{{merge}}}" for merge in MERGES)]))
-        lines.insert(draw(st.integers(0, len(lines))), "  " * draw(st.sampled_from([0, 0, 0, 1])) + line)
+        lines.insert(draw(st.integers(0, len(lines))), draw(st.sampled_from(["", "", "", "  "])) + draw(st.sampled_from(EXTENDS)))
     if draw(st.booleans()):
         missing = draw(st.sampled_from(["name", "tasks", "seeds", "methods"]))
         lines = [line for line in lines if not line.startswith(missing)]
@@ -86,33 +81,24 @@ def further_lines(draw: st.DrawFn) -> str:
 def replaced_values(draw: st.DrawFn) -> str:
     """The parsed document with other values at some of its places, and with settings that it did not have."""
     document: dict[str, Any] = YAML(typ="safe").load(draw(st.sampled_from(SPECS)))
-    for setting in draw(st.lists(st.sampled_from(_settings()), max_size=3)):
+    for setting in draw(st.lists(st.sampled_from(settings()), max_size=3)):
         node = document
-        for part in setting[:-1]:
+        *above, last = setting.split(".")
+        for part in above:
             below = node.get(part)
             node[part] = node = below if isinstance(below, dict) else {}
-        node[setting[-1]] = 0
-    return dumped(document, marked(draw, document, draw(st.integers(1, 4))))
-
-
-def marked(draw: st.DrawFn, document: dict[str, Any], places: int) -> dict[str, str]:
-    """Put marks at places of a document; returns which text is meant by each."""
+        node[last] = 0
     marks: dict[str, str] = {}
-    for _ in range(places):
+    for _ in range(draw(st.integers(1, 4))):
         change(draw, document, marks)
-    return marks
-
-
-def dumped(document: dict[str, Any], marks: dict[str, str]) -> str:
-    """A document as YAML, with the texts of its marks."""
-    text = io.StringIO()
+    written = io.StringIO()
     writer = YAML()
     writer.width = 10_000
-    writer.dump(document, text)
-    found = text.getvalue()
+    writer.dump(document, written)
+    text = written.getvalue()
     for mark, value in marks.items():
-        found = found.replace(mark, value)
-    return found
+        text = text.replace(mark, value)
+    return text
 
 
 def change(draw: st.DrawFn, document: dict[str, Any], marks: dict[str, str]) -> None:
@@ -133,10 +119,6 @@ def change(draw: st.DrawFn, document: dict[str, Any], marks: dict[str, str]) -> 
     else:
         marks[mark] = draw(st.sampled_from(VALUES))
         node[key] = mark
-
-
-def _settings() -> list[tuple[str, ...]]:
-    return [tuple(name.split(".")) for name in settings()]
 
 
 def anything() -> st.SearchStrategy[str]:

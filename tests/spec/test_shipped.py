@@ -70,14 +70,11 @@ def test_init_changes_no_file(elsewhere):
     assert Path("specs/table1.yaml").read_bytes() == (ROOT / "specs" / "table1.yaml").read_bytes()
 
 
-@pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("sweep", "--vary", "episodes=1,2")])
+@pytest.mark.parametrize("command", [("check",), ("run",), ("sweep", "--vary", "episodes=1,2")])
 def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
     (elsewhere / "other.yaml").write_text("name: other\n")
     done = run_here(*command, "nope", columns=200)
-    assert done.exit_code == 3
-    assert "here are: other.yaml; by name there are:" in done.output
-    assert all(name in done.output for name in shipped_names())
-    assert "did you mean 'quickstart' or 'other.yaml'" not in done.output
+    assert (done.exit_code, f"known: other, {', '.join(shipped_names())}" in done.output) == (3, True)
     assert "did you mean 'quickstart'?" in run_here(*command, "quikstart", columns=200).output
 
 
@@ -87,15 +84,13 @@ def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
         ("goal9", "unknown task or spec 'goal9'\n       did you mean 'goal0', 'goal1' or 'goal2'?"),
         ("studdy", "did you mean 'study'?"),
         ("puddle:Puddle-v0", "'puddle:Puddle-v0' cannot be driven: own tasks have no page"),
-        ("space/Puddle-v0", "'space/Puddle-v0' cannot be driven"),
         ("mine/study.yaml", "mine/study.yaml:1:1: no such file"),
     ],
 )
-@pytest.mark.parametrize("more", [(), ("--method", "none"), ("--withdraw",)])
-def test_a_word_that_cannot_be_driven_is_answered_with_those_that_can(typed, message, more, elsewhere):
-    done = run_here("drive", typed, *more, columns=200)
-    assert done.exit_code in (2, 3)
-    if more[:1] != ("--method",) or not typed.endswith(".yaml"):
+def test_a_word_that_cannot_be_driven_is_answered_with_those_that_can(typed, message, elsewhere):
+    for more in ((), ("--withdraw",)):
+        done = run_here("drive", typed, *more, columns=200)
+        assert done.exit_code in (2, 3)
         assert message in done.output
 
 

@@ -72,7 +72,6 @@ def test_any_list_of_values_is_read_as_it_was_written(values, comma):
     ("vary", "message"),
     [
         ("diffusion.ratio", "is not of the form KEY=V1,V2,..."),
-        ("=1,2", "is not of the form KEY=V1,V2,..."),
         ("diffusion.=1,2", "is not of the form KEY=V1,V2,..."),
         ("diffusion.ratio=0.2", "has one value"),
         ("diffusion.ratio=0.2,", "has an empty value"),
@@ -80,8 +79,6 @@ def test_any_list_of_values_is_read_as_it_was_written(values, comma):
         ("diffusion.ratio=0.2,0.4,0.20", "the value 0.2 stands there twice"),
         ("expert.hidden=[64, 64],[64,64]", "the value [64, 64] stands there twice"),
         ("expert.hidden=[64, 64],[32", "is not YAML"),
-        ("ida.copilot='expert,diffusion", "is not YAML"),
-        ("wasp.tau_c=.nan,1", "should be a finite number"),
         ("wasp.tau_c=*a,1", "is not YAML"),
         *((f"{name}=1,2", f"'{name}' decides which cells there are") for name in CELLS),
         ("operators.laggy.moderate=0.5,0.7", "'operators' decides which cells there are"),

@@ -132,5 +132,5 @@ def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
         # One scrubber moves both.
         tab.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight", code="ArrowRight")
         tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first + 1}')")
-        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)", 30)
+        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)")
         tab.close()

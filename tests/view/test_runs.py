@@ -58,13 +58,13 @@ def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
         # Another node ends: the page says so by itself.
         with layout.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(120.0), "event": "done", "key": key(2), "label": "goal1 s2 expert", "seconds": 9.0}) + "\n")
-        tab.until("document.querySelector('#done').textContent === '2'", 5)
+        tab.until("document.querySelector('#done').textContent === '2'")
         assert "step 5" not in tab.value(said)
 
         # The end: it is not followed any more.
         with layout.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(130.0), "event": "run ended"}) + "\n")
-        tab.until("document.querySelector('#state').textContent === 'ended'", 5)
+        tab.until("document.querySelector('#state').textContent === 'ended'")
         tab.close()
 
 

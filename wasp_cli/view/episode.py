@@ -33,8 +33,7 @@ from wasp_cli.view.site import Site
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-WIDTH = 92  # columns of an explanation where the page does not say how many it has room for
-NARROWEST, WIDEST = 40, 140
+WIDTH = 92  # columns of an explanation
 KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
@@ -84,7 +83,7 @@ def episode_view(
     }  # fmt: skip
 
 
-def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: int | None = None) -> Markup:
+def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Markup:
     """Return the explanation of a decision, with both branches where they were computed."""
     from markupsafe import Markup
 
@@ -94,7 +93,7 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
         verdict = verdict_of(stored, branches_of(site.layout, cell), step)
     drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    words = as_html(decision_lines(stored, step, min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
+    words = as_html(decision_lines(stored, step, WIDTH))
     return Markup(site.render("step.html", "", words=words, verdict=verdict, film=film))
 
 

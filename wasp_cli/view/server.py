@@ -153,7 +153,7 @@ class ViewServer(LocalServer):
     def _explain(self, request: Request) -> str:
         cell, artifact = self.site.one(request.path_params["cell"])
         stored = load(artifact, request.path_params["number"])
-        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
+        return str(step_part(self.site, cell, stored, _number(request, "step") or 0))
 
     def _beside(self, request: Request) -> str:
         a, b = (request.query_params.get(name, "") for name in ("a", "b"))

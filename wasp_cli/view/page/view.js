@@ -153,18 +153,8 @@
     const decisions = Number(section.dataset.decisions);
     const part = one(".step", section), pictures = film(one(".film-of", section));
     const kept = new Map();
-    let current = null, columns = 92;
+    let current = null;
 
-    function measure() {
-      const pre = one("pre.explain", part);
-      if (!pre) return;
-      const probe = document.createElement("span");
-      probe.textContent = "0".repeat(100);
-      pre.append(probe);
-      const wide = probe.getBoundingClientRect().width / 100;
-      probe.remove();
-      if (wide > 0) columns = Math.max(40, Math.min(140, Math.floor((pre.clientWidth - 20) / wide)));
-    }
     function fill(content) {
       part.replaceChildren(content);
       for (const button of all(".branch-film", part)) button.addEventListener("click", () => pictures.choose(button.dataset.kind));
@@ -176,7 +166,7 @@
       if (!section.dataset.explain) return;
       let html = kept.get(t);
       if (html === undefined) {
-        const answer = await fetch(section.dataset.explain + "?step=" + t + "&width=" + columns);
+        const answer = await fetch(section.dataset.explain + "?step=" + t);
         html = await answer.text();
         if (!answer.ok) return;
         kept.set(t, html);
@@ -198,7 +188,6 @@
       }
       explain(here);
     }
-    measure();
     return { at, decisions, stops: JSON.parse(section.dataset.stops), first: Number(section.dataset.step), section };
   }
 
