@@ -30,8 +30,7 @@ def err() -> Console:
     return _console(sys.stderr, file=sys.stderr)
 
 
-ENDLESS = 10_000
-"""Columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room."""
+ENDLESS = 10_000  # columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room
 
 
 def _console(stream: TextIO, **options: Any) -> Console:

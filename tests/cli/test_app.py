@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -63,12 +60,6 @@ DRIVING = ["starlette", "uvicorn", "h11", "websockets"]
 """What only `wasp drive` needs."""
 
 
-def test_the_core_asks_for_nothing_that_only_driving_needs() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert not {re.split(r"[<>=\[]", each)[0] for each in project["dependencies"]} & set(DRIVING)
-    assert {each.split(">")[0] for each in project["optional-dependencies"]["drive"]} == set(DRIVING)
-
-
 @pytest.mark.parametrize(
     ("arguments", "package", "extra"), [(("view", "results/published"), "starlette", "web"), (("drive", "goal1"), "uvicorn", "drive")]
 )
@@ -108,12 +99,6 @@ def test_light_commands_import_nothing_heavy(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", LIGHT % commands], cwd=ROOT, capture_output=True, text=True, check=False)
     told = [line for line in done.stdout.splitlines() if line.startswith("IMPORTED")]
     assert told == [f"IMPORTED {arguments} []" for arguments, _ in commands], done.stderr
-
-
-def test_plan_as_json_is_json_alone() -> None:
-    record = json.loads(here("plan", SMOKE, "--json", "--results", "/nowhere").stdout)
-    assert record["spec"] == "smoke"
-    assert {node["state"] for node in record["nodes"]} == {"missing"}
 
 
 def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
@@ -174,19 +159,11 @@ def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: 
     assert "Traceback" not in done.stderr
 
 
-def test_a_process_ends_with_the_same_codes_and_says_the_same(tmp_path: Path) -> None:
-    arguments = ("plan", spec_with(tmp_path, "episodes: 2", "episode: 2"), "--results", tmp_path / "results")
-    done, expected = wasp(*arguments), here(*arguments)
-    assert (done.returncode, done.stdout, done.stderr) == (3, expected.stdout, expected.stderr)
-    assert expected.exit_code == 3
-
-
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/results")):
+    for place in (tmp_path / "file", Path("/proc/results")):
         done = here("run", SMOKE, "--results", place)
-        assert done.exit_code == 1
-        assert done.stderr.startswith(f"error: cannot write results to '{place}'")
+        assert (done.exit_code, done.stderr.startswith(f"error: cannot write results to '{place}'")) == (1, True)
         assert "--results DIR" in done.stderr
 
 
@@ -254,15 +231,3 @@ def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: F
     again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
     assert again.returncode == 0
     assert "4 computed, 32 computed before" in again.stderr
-
-
-def test_ablate_says_first_what_it_will_compute(fakes: Fakes, tmp_path: Path) -> None:
-    options = ["--variant", "no-case2", "--task", "goal1", "--preset", "smoke"]
-    options += ["--set", "seeds=[0]", "--set", "operators={laggy: {m: 0.7}}"]
-    planned = wasp("ablate", *options, "--results", tmp_path / "results", "--dry-run", fake=True)
-    assert planned.returncode == 0
-    assert "3 grid points, 3 cells to evaluate" in planned.stdout
-    assert not (tmp_path / "results").exists()
-    done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
-    assert "3 grid points, 3 cells to evaluate" in done.stderr
-    assert len(list((tmp_path / "results").glob("store/evaluate/*/_manifest.json"))) == 3

@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.shell_completion import ShellComplete
-from typer.main import get_command
+from typer.testing import CliRunner
 
 from wasp_cli.cli.app import app
 from wasp_cli.cli.options import method_names, setting_names, task_names, variant_names
@@ -40,9 +39,9 @@ def test_a_shell_asks_through_its_environment_and_nothing_heavy_is_imported() ->
 
 
 def offered(line: str) -> list[str]:
-    """What is offered for the last word of a line, which may be empty."""
-    _, *words, last = line.split(" ")
-    return [item.value for item in ShellComplete(get_command(app), {}, "wasp", "_WASP_COMPLETE").get_completions(words, last)]
+    """What bash is offered for the last word of a line, which may be empty."""
+    asked = {"_WASP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    return CliRunner().invoke(app, [], env=asked).stdout.split()
 
 
 @pytest.mark.parametrize(

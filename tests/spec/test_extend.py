@@ -66,14 +66,6 @@ def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
     assert list(operators["laggy"]) == ["weak", "strong"], "other names stay as they are written"
 
 
-def test_the_preset_of_the_nearest_file_is_in_force(base):
-    assert load(written(base.parent, "a", FAST)).spec.preset == "smoke"
-    spec = load(written(base.parent, "b", FAST + "preset: quick\n")).spec
-    # Its values lie under both files.
-    assert {"candidates": 10, "elites": 4, "iterations": 3}.items() <= spec.method("wasp").model_dump().items()
-    assert spec.preset == "quick"
-
-
 def test_the_short_form_replaces_the_list_and_the_list_the_short_form(base):
     fast = written(base.parent, "fast", FAST + "task: race1\n")
     assert load(fast).spec.tasks == ("race1",)
@@ -101,11 +93,6 @@ def test_every_mistake_stands_in_the_file_that_wrote_it(base):
         ("base.yaml", (6, 30), f"{OUT_OF_RANGE}, not 6"),
         ("base.yaml", (8, 35), "unknown key 'alhpa'"),
     ]
-
-
-def test_what_a_nearer_file_replaces_is_no_mistake(base):
-    base.write_text(BASE.replace("[0, 1]", "[-3]").replace("name: base", "name: '?'").replace("elites: 4", "elites: 0"), encoding="utf-8")
-    assert load(written(base.parent, "fast", FAST + "seeds: [0]\nwasp: {elites: 3}\n")).spec.seeds == (0,)
 
 
 def test_what_is_missing_in_all_files_is_missing_in_the_nearest(base):

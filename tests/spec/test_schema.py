@@ -65,26 +65,18 @@ def test_what_specs_may_write_validates(text, validator):
     assert list(validator.iter_errors(document(text))) == []
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("name: good", "name: ../good"),
-        ("seeds: [0]\n", ""),
-        ("seeds: [0]", "seeds: [0]\nepisode: 3"),
-        ("seeds: [0]", "seeds: [0]\ntask: goal1"),
-        ("seeds: [0]", "seeds: [0]\nextends: base.json"),
-        ("seeds: [0]", "seeds: [0]\nwasp: {candidats: 8}"),
-        ("seeds: [0]", "seeds: [0]\nwasp: {variant: full}"),
-        ("seeds: [0]", "seeds: [0]\nevaluate: {episodes: 3}"),
-        ("seeds: [0]", "seeds: [0]\nby_task: {goal1: {evaluate: {success_goals: 3}}}"),
-        ("seeds: [0]", "seeds: [0]\nresidual: {operators: {nosiy: [0.5]}}"),
-        ("seeds: [0]", "seeds: [0]\nstages: [worldmodel]"),
-        ("seeds: [0]", "seeds: [0]\nvariants: [no-case]"),
-        ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""),
-        ("noisy", "nosiy"),
-        ("{mild: 0.2}", "0.2"),
-    ],
-)
+MISTAKES = [
+    ("name: good", "name: ../good"), ("seeds: [0]\n", ""), ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""), ("noisy", "nosiy"),
+    ("{mild: 0.2}", "0.2"),
+    *(("seeds: [0]", f"seeds: [0]\n{line}") for line in (
+        "episode: 3", "task: goal1", "extends: base.json", "wasp: {candidats: 8}", "wasp: {variant: full}", "evaluate: {episodes: 3}",
+        "by_task: {goal1: {evaluate: {success_goals: 3}}}", "residual: {operators: {nosiy: [0.5]}}", "stages: [worldmodel]",
+        "variants: [no-case]",
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new"), MISTAKES)
 def test_typical_mistakes_do_not_validate(old, new, validator):
     assert old in GOOD
     assert not validator.is_valid(document(GOOD.replace(old, new)))

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UsageError
 from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, values_of
-from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.read import InvalidSpec
 
@@ -50,13 +49,6 @@ def spec(tmp_path) -> Path:
     path = tmp_path / "little.yaml"
     path.write_text(SPEC, encoding="utf-8")
     return path
-
-
-def read(vary: str) -> list[Override] | UsageError:
-    try:
-        return values_of(vary)
-    except UsageError as error:
-        return error
 
 
 @given(VALUES, st.sampled_from([",", " , ", ",  "]))
@@ -135,12 +127,6 @@ def methods(found: Sweep) -> set[tuple[str, ...]]:
 )
 def test_which_methods_run(spec, vary, wanted, expected):
     assert methods(read_sweep(spec, vary, wanted)) == {expected}
-
-
-def test_only_methods_of_the_spec_are_named(spec):
-    with pytest.raises(UnknownName, match="unknown method of this spec 'wsap'") as caught:
-        read_sweep(spec, "wasp.tau_c=0.3,1", ["wsap"])
-    assert caught.value.hint == "did you mean 'wasp'?"
 
 
 def test_each_value_has_a_spec_and_a_name_of_its_own(spec):

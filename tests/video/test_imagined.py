@@ -72,9 +72,7 @@ def test_returns_are_those_of_the_planner(decided: tuple[Any, Operator, Latent, 
     assert abs(expected[0] - expected[1]) > 1e-6, "the plan changes nothing here"
 
 
-def test_a_start_gives_the_same_again_and_leaves_the_operator_alone(
-    decided: tuple[Any, Operator, Latent, torch.Tensor],
-) -> None:
+def test_a_start_gives_the_same_again_and_leaves_the_operator_alone(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
     model, operator, _, _ = decided
     before, begun = operator.snapshot(), start(decided)
     one, other = imagine(model, begun, HORIZON, [3]), imagine(model, begun, HORIZON, [3])

@@ -35,19 +35,6 @@ def test_displacements_are_seen_from_the_robot() -> None:
     np.testing.assert_allclose(displacements(poses), [[0.0, 0.5, np.pi / 2]], atol=1e-12)
 
 
-def test_rollouts_are_put_together_one_by_one() -> None:
-    moves = np.random.default_rng(0).normal(size=(4, 7, 3))
-    start = np.array([0.3, -0.2, 1.0])
-    together = integrated(start, moves)
-    assert together.shape == (4, 8, 2)
-    for one, places in zip(moves, together, strict=True):
-        x, y, yaw = start
-        for (forward, left, turn), place in zip(one, places[1:], strict=True):
-            x, y = x + forward * np.cos(yaw) - left * np.sin(yaw), y + forward * np.sin(yaw) + left * np.cos(yaw)
-            yaw += turn
-            np.testing.assert_allclose(place, [x, y], atol=1e-9)
-
-
 def test_what_is_linear_is_found() -> None:
     features, moves = world(0, noise=0.0)
     readout = fit(features[1:], moves[1:])

@@ -29,7 +29,6 @@ from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import Slimming, slim
 from wasp_cli.store.tables import CellIdentity, Thresholds
-from wasp_cli.video.frame import numbers
 from wasp_cli.video.replay import Criterion, correction, criterion_of, default_name, judge, source_of
 from wasp_cli.video.trace import play_episode
 
@@ -113,18 +112,6 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     np.testing.assert_allclose(found.residuals[3], [[-0.75, 0.75]])
     assert "executed action" in found.name
     assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
-
-
-def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
-    made = Invented()
-    made.fire(2, GATE_SAFETY)
-    made.pay(1, 2)
-    said = numbers(made.read(tmp_path), 2)
-    assert "gate: safety gate" in said
-    assert "Ḡᶜ 0.50 > τ_c 0.3" in said
-    assert "plan's cost 0.20, without it 0.60" in said
-    assert "cost so far 4, goals 0" in said
-    assert numbers(made.read(tmp_path), 0)[0] == "gate: none, the command stands"
 
 
 def test_the_first_episode_of_a_cell_published_in_part_plays_with_models_of_half_precision(published: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ plugin that does not load offers nothing, instead of a traceback.
 from __future__ import annotations
 
 import functools
+import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,6 +66,15 @@ preset_names = _offered("wasp_cli.spec.presets:PRESETS")
 setting_names = _offered("wasp_cli.spec.hints:settings", "=")  # the keys of `--set` and `--vary`
 
 
+def require_extra(extra: str, *packages: str) -> None:
+    """Check that the packages of an extra can be imported."""
+    for package in packages:
+        try:
+            importlib.import_module(package)
+        except ImportError as error:
+            raise UsageError(f"this command needs packages that are not here: {error}", f"pip install 'wasp-cli[{extra}]'") from error
+
+
 def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
@@ -119,6 +129,8 @@ ReuseOption = Annotated[
     str | None, option("none|published|DIR", "Use results of results/published, or of DIR. (default: what the spec says)", "--reuse")
 ]
 JsonOption = Annotated[bool, flag("--json", "Print JSON.")]
+PortOption = Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)]
+NoBrowserOption = Annotated[bool, flag("--no-browser", "Only print the address.")]
 
 
 @dataclass(frozen=True, kw_only=True)

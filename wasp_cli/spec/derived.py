@@ -20,8 +20,7 @@ from wasp_cli.spec.read import InvalidSpec, Problem, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
-WHOLE, AS_PRINTED = "full", "as-printed"
-"""Of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own."""
+WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
@@ -104,8 +103,7 @@ def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
 
 OPTION = "--vary"
 EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
-UNIMPAIRED_REFERENCE = "human"
-"""Runs beside the method whose setting varies: what that method adds is seen against it."""
+UNIMPAIRED_REFERENCE = "human"  # runs beside the method whose setting varies: what that method adds is seen against it
 CELLS = {
     "name": "a sweep names its own reports",
     "task": "name one with --task; without it every task of the spec has its rows",

@@ -40,8 +40,7 @@ from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
-Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
-"""Where, what, and the value that is wrong."""
+Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]  # where, what, and the value that is wrong
 DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
 """What every spec trains besides what its methods need."""
 

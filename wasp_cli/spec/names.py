@@ -19,8 +19,7 @@ from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
 EXTENDS = "extends"
 SHORT = "task"
-TOP = (EXTENDS, SHORT)
-"""What a file may say at the top beside the fields of a spec."""
+TOP = (EXTENDS, SHORT)  # what a file may say at the top beside the fields of a spec
 RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
 
@@ -31,10 +30,10 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
 
-def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
+def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
     def check(name: str) -> str:
-        if name not in (known := list(names())):
-            raise unknown(kind, name, known)
+        if name not in (there := list(names())):
+            raise unknown(kind, name, there)
         return name
 
     return AfterValidator(check)
@@ -106,9 +105,9 @@ SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$"
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
 MethodName = Annotated[str, AfterValidator(_method)]
-VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
+VariantName = Annotated[str, known("assistant variant", assistant_variants)]
 StageName = Annotated[str, AfterValidator(_stage)]
-OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
+OperatorName = Annotated[str, known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:

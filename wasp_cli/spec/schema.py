@@ -23,8 +23,7 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MARKS = ("in_key", "in_paper")
-"""What the models say to reports, and no validator knows."""
+MARKS = ("in_key", "in_paper")  # what the models say to reports, and no validator knows
 FOREIGN = r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
 """`tasks.registry.is_foreign` as a pattern."""
 Schema = dict[str, Any]

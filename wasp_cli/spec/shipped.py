@@ -15,8 +15,7 @@ from wasp_cli.errors import UsageError
 
 _PACKAGE = Path(__file__).parents[1]
 SUFFIX, FOLDER = ".yaml", "specs"
-PAPER = "paper"
-"""Lies beside the specs and is none."""
+PAPER = "paper"  # lies beside the specs and is none
 
 
 def specs_folder() -> Path:

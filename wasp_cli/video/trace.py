@@ -123,8 +123,7 @@ class Readout:
 
     def __call__(self, features: NDArray[Any]) -> Floats:
         """[..., F] to [..., 3]."""
-        moves: Floats = (np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset
-        return moves
+        return np.asarray((np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset)
 
     def explained(self, features: NDArray[Any], moves: Floats) -> Floats:
         """Return R2 [3] on other decisions: features [N, F] with their displacements [N, 3]; NaN where these are all the same."""
@@ -167,10 +166,8 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
 
 
 def _explained(predicted: Floats, true: Floats) -> Floats:
-    spread = ((true - true.mean(0)) ** 2).sum(0)
-    error = ((predicted - true) ** 2).sum(0)
-    shares: Floats = 1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12)
-    return shares
+    spread, error = ((true - true.mean(0)) ** 2).sum(0), ((predicted - true) ** 2).sum(0)
+    return np.asarray(1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12))
 
 
 def displacements(places: Floats) -> Floats:

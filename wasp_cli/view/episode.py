@@ -40,8 +40,7 @@ COLUMNS = (
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
 )  # fmt: skip
 """What is shown of an episode in numbers."""
-COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}
-"""Classes of a page by the colours of a terminal."""
+COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}  # classes of a page by the colours of a terminal
 
 
 def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
