@@ -63,15 +63,7 @@ class UsageError(WaspError):
 
 
 class UnknownName(UsageError):
-    """A name that no registry knows; the message suggests close ones.
-
-    Args:
-        kind: what the name should be a name of.
-        name: what was written.
-        known: what could have been written.
-        message: what to say instead of "unknown <kind> '<name>'".
-        otherwise: the hint where nothing known is close, instead of all that is known.
-    """
+    """A name that no registry knows; the hint suggests close ones, or is `otherwise` (all that is known) where none is close."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], message: str | None = None, otherwise: str | None = None) -> None:
         known = sorted(known)

@@ -1,13 +1,14 @@
 """The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
 
+from pathlib import Path
+
 import pytest
 
 from tests.commands import run_here
-from tests.spec.mutations import FOLDER
 from wasp_cli.spec.paper import Comparison, Paper, Printed, Who, load_paper, paper_of
 from wasp_cli.spec.read import InvalidSpec, parse
 
-SHIPPED = (FOLDER / "paper.yaml").read_text(encoding="utf-8")
+SHIPPED = (Path(__file__).parents[2] / "specs/paper.yaml").read_text(encoding="utf-8")
 COLUMNS = ("return", "success", "cost", "viol", "int_rate", "mag")
 METHODS = ("human", "ida", "diffusion", "saferl", "wasp")
 VARIANTS = ("full", "safety-only", "task-only", "no-case2", "no-rollout")

@@ -24,22 +24,14 @@ WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp abla
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
-    """Return settings as `--set` takes them, with a preset before them.
-
-    Raises:
-        UnknownName: no such preset.
-    """
+    """Return settings as `--set` takes them, with a preset before them."""
     if preset is not None and preset not in preset_names():
         raise UnknownName("preset", preset, preset_names())
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
 
 
 def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them.
-
-    Raises:
-        UnknownName: the spec has no such task, or no such method.
-    """
+    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them."""
     update: dict[str, tuple[str, ...]] = {}
     for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
         for name in chosen or ():
@@ -65,12 +57,7 @@ def limited(loaded: Loaded, episodes: int | None) -> Loaded:
 def ablation(
     path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
-    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone.
-
-    Raises:
-        UnknownName: no such variant, task or preset.
-        InvalidSpec: the spec at `path` is not valid.
-    """
+    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone."""
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)
@@ -86,12 +73,7 @@ def ablation(
 
 
 def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys.
-
-    Raises:
-        InvalidSpec: the spec at `path` is not valid, or lists no operators.
-        UsageError: a setting is not of the form `a.b=value`.
-    """
+    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys."""
     whole = load(path, settings)
     if not whole.spec.operators:
         hint = "for example operators: {laggy: {mild: 0.5, moderate: 0.7, severe: 0.85}}"
@@ -139,11 +121,6 @@ def read_sweep(
     """Read and validate a spec file under every value of `vary`, which is a text `a.b=v1,v2`.
 
     Without `methods` the setting of a method runs this method and Human-only, and any other setting all that the spec lists.
-
-    Raises:
-        UsageError: `vary` has another form, fewer than two values or one twice, or says which cells there are.
-        InvalidSpec: with every problem of every value.
-        UnknownName: the spec has no such method or task.
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]

@@ -36,26 +36,16 @@ class Loaded:
 
 
 def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Read and validate a spec file under `--set` options.
+    """Read and validate a spec file, or a spec that comes with the package by its name, under settings `a.b=value` as of `--set`.
 
-    Args:
-        path: the YAML file, or the name of a spec that comes with the package.
-        settings: texts `a.b=value`, validated as if they stood in the file.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-        UsageError: a setting is not of the form `a.b=value`.
+    An InvalidSpec has every problem, each with file, line and column.
     """
     overrides = tuple(override(number, text) for number, text in enumerate(settings, start=1))
     return loaded(chain_of(read(spec_path(path))), overrides)
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
-    """Validate the document of a spec file and those that it extends.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Validate the document of a spec file and those that it extends."""
     document, problems = chain.document(named=any(option.path == ("name",) for option in overrides))
     document = apply(document, overrides)
     places = {(problem.source, problem.position) for problem in problems}

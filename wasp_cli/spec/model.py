@@ -153,8 +153,8 @@ def _check_tasks(spec: Spec) -> None:
     """Refuse what the sections of single tasks have wrong, each mistake at its own place."""
     sections = [name for name in (*STAGES, *method_sections()) if name not in EVERYWHERE]
     errors: list[InitErrorDetails] = []
-    for task, own in spec.by_task.items():
-        for name, values in own.items():
+    for task, changes in spec.by_task.items():
+        for name, values in changes.items():
             here = ("by_task", task, name)
             places = {name: ("[key]",)} | {f"{name}.{field}": (field, "[key]") for field in values}
             same = [key for key in places if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]]
@@ -177,8 +177,8 @@ def _check_tasks(spec: Spec) -> None:
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
     context = error.get("ctx", {})
-    own = error["type"] not in get_args(ErrorType)
-    what = PydanticCustomError(error["type"], error["msg"], context) if own else error["type"]
+    pydantics = error["type"] in get_args(ErrorType)
+    what = error["type"] if pydantics else PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
 
 
@@ -235,11 +235,7 @@ def mixing_stages() -> tuple[str, ...]:
 
 @cache
 def spec_type() -> type[Spec]:
-    """Build `Spec` with one section for each registered stage and method.
-
-    Raises:
-        WaspError: a plugin's stage or method cannot have a section.
-    """
+    """Build `Spec` with one section for each registered stage and method."""
     _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}

@@ -198,11 +198,7 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
-    """Read and validate a paper; by default the one that this project reproduces.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Read and validate a paper; by default the one that this project reproduces."""
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
     return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 
@@ -213,11 +209,7 @@ def is_paper(source: Source) -> bool:
 
 
 def paper_of(source: Source) -> Paper:
-    """Validate the document of a paper.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Validate the document of a paper."""
     document, problems = source.document, list(source.problems)
     places = {problem.position for problem in problems}
     try:

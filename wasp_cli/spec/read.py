@@ -160,11 +160,7 @@ def _has(node: Any, part: str | int) -> bool:
 
 
 def read(path: Path) -> Source:
-    """Read the YAML mapping in a file.
-
-    Raises:
-        InvalidSpec: no such file, not text, not YAML, or not a mapping.
-    """
+    """Read the YAML mapping in a file."""
     return parse(_text(path), str(path))
 
 

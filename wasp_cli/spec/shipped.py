@@ -35,11 +35,8 @@ def shipped_names() -> list[str]:
 
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
-    """Return the file that was meant: the typed one, else one of that name here or in `specs/`, else the one that comes with the package.
-
-    Args:
-        typed: a file or the name of a spec.
-        folder: where a relative path begins.
+    """Return the file that was meant by a file or a name: the typed one in `folder`, else one of that name there or in its `specs/`,
+    else the one that comes with the package.
     """
     path = folder / typed
     if os.path.exists(path) or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
@@ -52,11 +49,7 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays.
-
-    Raises:
-        UsageError: the package came without specs.
-    """
+    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays."""
     source = specs_folder()
     if not source.is_dir():
         raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")

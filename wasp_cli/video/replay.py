@@ -269,9 +269,9 @@ def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
     calibration = dict(upstream_of(cell.manifest).values()).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
-            found = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}
+            record = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}
             window = mapping(read_manifest(layout, "calibration", calibration).get("config")).get("window")
-            tau_R = found.get("tau_R")
+            tau_R = record.get("tau_R")
             if isinstance(tau_R, float) and number(tau_R) is not None and type(window) is int and window > 0:
                 return Criterion(window, tau_R, "the calibration of the method")
     return Criterion(WINDOW, None, "nothing in the results folder says what τ_R is")

@@ -77,8 +77,8 @@ def episode_view(
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
         "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
-        "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)}, "legend": film.get("legend", []),
-        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every")},
+        "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)},
+        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "legend")},
     }  # fmt: skip
 
 

@@ -105,13 +105,9 @@
     function explainColours() {
       if (!state.legend || legend.childElementCount) return;
       for (const [thing, colour, meaning] of state.legend) {
-        const item = document.createElement("li");
-        const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-        const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-        for (const [key, value] of [["width", 12], ["height", 12]]) { svg.setAttribute(key, value); rect.setAttribute(key, value); }
-        rect.setAttribute("fill", colour);
-        svg.append(rect);
-        item.append(svg, " " + thing + (meaning ? ": " + meaning : ""));
+        const item = document.createElement("li"), sample = document.createElement("i");
+        sample.style.backgroundColor = colour;
+        item.append(sample, " " + thing + (meaning ? ": " + meaning : ""));
         legend.append(item);
       }
     }
@@ -136,10 +132,8 @@
     }
     if (figure.dataset.done) {
       state = JSON.parse(figure.dataset.done);
-      if (state && state.ready) { told.textContent = ""; } else state = null;
-    } else {
-      choose(base);
-    }
+      if (state.ready) { told.textContent = ""; explainColours(); } else state = null;
+    } else choose(base);
     for (const button of all(".films-of button", figure)) {
       button.addEventListener("click", () => {
         for (const other of all(".films-of button", figure)) other.setAttribute("aria-pressed", String(other === button));
