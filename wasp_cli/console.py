@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -128,3 +129,25 @@ def size(count: int | None) -> str:
             break
         number, unit = number / 1000, larger
     return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.1f} {unit}"
+
+
+# Ctrl-C before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it would pass
+# through imports and the end of Python, and some of these print it or turn it into another one.
+INTERRUPTED = 130
+
+
+def end_at_once() -> None:
+    """Let Ctrl-C end this process with the exit code of an interruption, unless it was started to ignore it or has a handler of its own."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def end_in_order() -> None:
+    """Let Ctrl-C be an exception again, for a command that has begun."""
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _end(number: int, frame: object) -> None:
+    os.write(2, b"interrupted\n")
+    os._exit(INTERRUPTED)

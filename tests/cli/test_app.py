@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -231,3 +232,21 @@ def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: F
     again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
     assert again.returncode == 0
     assert "4 computed, 32 computed before" in again.stderr
+
+
+@pytest.mark.parametrize("module", ["wasp_cli.console", "torch._C"])
+def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_path: Path) -> None:
+    """The signal comes when Python says that it has imported `module`; more is imported after each."""
+    command = [sys.executable, "-P", "-X", "importtime", "-c", "import wasp_cli.__main__ as program; program.main()", "doctor"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    sent, said = False, []
+    assert process.stderr is not None
+    for line in process.stderr:
+        if not line.startswith("import time:"):
+            said.append(line)
+        elif not sent and line.split("|")[-1].strip() == module:
+            process.send_signal(signal.SIGINT)
+            sent = True
+    process.communicate()
+    assert sent
+    assert (process.returncode, said) == (130, ["interrupted\n"])
