@@ -196,7 +196,7 @@ def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
 
 def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(films, "LONGEST", 4 * 16 + 3)
-    made = sprite_of(*driven.arguments(), every=8, size=16, columns=2)
+    made = sprite_of(*driven.arguments(), every=5, size=16, columns=2)
     width, height = Image.open(io.BytesIO(made.data)).size
     assert len(made.decisions) > 8
     assert (width, height <= 4 * 16) == (16 * made.columns, True)

@@ -28,7 +28,7 @@ from wasp_cli.view.site import FRESH
 def numbers(server: ViewServer) -> dict[str, list[str]]:
     """What the table says of every cell, once it has read them."""
     ask(server, "/cells")
-    end = time.monotonic() + 300
+    end = time.monotonic() + 600
     while (found := json.loads(ask(server, "/cells/numbers")[2]))["left"]:
         assert time.monotonic() < end
         time.sleep(0.05)

@@ -42,9 +42,10 @@ def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: 
     assert (state["state"], state["frames"], state["ready"], state["every"]) == ("done", stored.decisions + 1, stored.decisions + 1, 1)
     assert {"robot", "command", "executed", "cost"} <= {name for name, _, _ in state["legend"]}
     seed, rewards = int(stored.row["episode_seed"]), stored.numbers["reward"]
-    for moment in list(film("race1", stored.constants.action_repeat or 0, seed, stored.a, stored.a_h, rewards, 1, SIZE))[::12]:
-        drawn = shown(films.frame(CELL, EPISODE, FILM, moment.decision) or b"")[:SIZE, :SIZE]
-        assert np.abs(drawn - moment.frame).mean() < 6, "but for what compression costs"
+    inner = slice(12, SIZE - 12)  # the edge says whether it has cost since the frame before
+    for moment in film("race1", stored.constants.action_repeat or 0, seed, stored.a, stored.a_h, rewards, 12, SIZE):
+        drawn = shown(films.frame(CELL, EPISODE, FILM, moment.decision) or b"")
+        assert np.abs(drawn[inner, inner] - moment.frame[inner, inner]).mean() < 6, "but for what compression costs"
     before = {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")}
     assert Films(layout).ask(CELL, EPISODE, FILM)["state"] == "done", "another server finds it"
     assert {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")} == before

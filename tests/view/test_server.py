@@ -31,7 +31,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewServer]:
 def ask(
     server: ViewServer, path: str, method: str = "GET", body: str | None = None, known: bool = True, **headers: str
 ) -> tuple[int, dict[str, str], str]:
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=600)
     if known:
         headers["Cookie"] = f"wasp_view_{server.port}={server.token}"
     connection.request(method, path, body, headers)
@@ -123,7 +123,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline())
-        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=300)
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=600)
         connection.request("GET", found[2])
         answer = connection.getresponse()
         answer.read()
@@ -131,7 +131,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
         connection.request("GET", answer.getheader("location") or "", headers={"Cookie": cookie})
         assert LABEL in connection.getresponse().read().decode()
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=300)
+        _, errors = process.communicate(timeout=600)
     finally:
         process.kill()
         process.wait()

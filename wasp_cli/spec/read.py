@@ -334,7 +334,8 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
     mark = error.problem_mark or error.context_mark
     position = Position(mark.line + 1, mark.column + 1) if mark is not None else START
     what = (error.problem or error.context or "not valid YAML").strip()
-    return source.problem_at(position, f"not valid YAML: {what}")
+    hint = "indent with spaces; a tab is not allowed there" if "\\t" in what else None
+    return source.problem_at(position, f"not valid YAML: {what}", hint)
 
 
 def kind_of(value: Any) -> str:
