@@ -135,11 +135,6 @@ def test_a_mistake_has_its_place_and_its_remedy(old, new, expected):
     assert expected in problems(GOOD.replace(old, new, 1))
 
 
-def test_an_id_stands_once():
-    again = GOOD + GOOD[GOOD.index("  - id: first") :]
-    assert problems(again) == [(16, 9, "an earlier claim has this id", None)]
-
-
 @pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])
 def test_check_takes_a_paper(tmp_path, change, code):
     path = tmp_path / "paper.yaml"

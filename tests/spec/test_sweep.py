@@ -95,20 +95,11 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     ]
 
 
-@pytest.mark.parametrize(
-    ("vary", "message"),
-    [
-        ("wasp.tau=0.3,0.5", "unknown key 'tau'"),
-        ("wasp.horizon=1,2,3", "residual_steps (5) is longer than horizon (3)"),
-        ("wasp.variant=full,no-case2", "'variant' is not set here"),
-        ("nothing.at.all=1,2", "unknown key 'nothing'"),
-    ],
-)
-def test_a_value_is_refused_as_in_a_file(spec, vary, message):
-    with pytest.raises(InvalidSpec) as caught:
-        read_sweep(spec, vary)
-    assert message in caught.value.message
-    assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
+def test_a_value_is_refused_as_in_a_file(spec):
+    for vary, message in (("wasp.tau=0.3,0.5", "unknown key 'tau'"), ("wasp.variant=full,no-case2", "'variant' is not set here")):
+        with pytest.raises(InvalidSpec, match=message) as caught:
+            read_sweep(spec, vary)
+        assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
 
 
 def methods(found: Sweep) -> set[tuple[str, ...]]:
