@@ -70,6 +70,7 @@ def test_a_browser_walks_through_files(browser: Browser, made: tuple[Path, Path]
     tab.value("document.querySelector('table.sortable tbody a').click()")
     tab.until("location.pathname.includes('/episode-') && document.readyState === 'complete'")
     tab.until("document.querySelector('.screen img').naturalWidth > 0")
+    assert tab.value("document.querySelectorAll('ul.legend li').length") >= 6
     for step in (1, 2):
         press(tab, "ArrowRight")
         tab.until(f"document.querySelector('.step').dataset.shown === '{step}'")
