@@ -14,16 +14,20 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "assistants.md").read_text(encoding="utf-8")
 
 
-def test_the_tables_of_results_are_the_published_rows():
-    field = assistants.published("field")
+@pytest.fixture(scope="module")
+def field() -> pa.Table:
+    return assistants.published("field")
+
+
+def test_the_tables_of_results_are_the_published_rows(field):
     moderate, unseen = list(assistants.GROUPS)[:2]
     assert assistants.table(field, moderate) in PAGE
     assert assistants.differences(field, moderate) in PAGE
     assert assistants.table(assistants.published("assistants"), unseen) in PAGE
 
 
-def test_the_table_of_the_readme_is_the_field():
-    assert assistants.short(assistants.published("field")) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
+def test_the_table_of_the_readme_is_the_field(field):
+    assert assistants.short(field) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_trained_parts_is_the_published_one():

@@ -7,8 +7,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 """Distributions whose module has another name."""
@@ -55,10 +53,3 @@ def test_the_lock_file_has_every_dependency_in_the_version_that_computed_what_is
     manifests = (ROOT / "results/published/store/evaluate").glob("*/_manifest.json")
     newest = max((json.loads(path.read_bytes())["provenance"] for path in manifests), key=lambda told: told["started_at"])
     assert locked.items() >= {name: version.partition("+")[0] for name, version in newest["versions"].items()}.items()
-
-
-@pytest.mark.parametrize(
-    ("source", "expected"), [("def f():\n from a.b import c", {"a"}), ("import x.y as z", {"x"}), ("from . import q", set())]
-)
-def test_the_walk_sees_what_is_imported(source, expected):
-    assert modules_of(source) == expected

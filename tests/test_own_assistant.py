@@ -46,6 +46,7 @@ def nodes(home: Path) -> dict[str, dict[str, str]]:
     return {node["label"]: node for node in json.loads(done.stdout)["nodes"]}
 
 
+@pytest.mark.slow
 def test_it_stands_beside_wasp_on_published_worlds(home):
     before = nodes(home)
     own = {label for label in before if NAME in label}

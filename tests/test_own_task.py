@@ -80,13 +80,6 @@ def test_its_costs_and_episodes_are_its_own(home):
 
 
 @pytest.mark.slow
-def test_no_file_is_named_by_what_a_file_name_cannot_hold(home):
-    names = [path.name for path in (home / "results").rglob("*")]
-    assert any("puddle-Puddle-v0" in name for name in names), "logs are named after the task"
-    assert not [name for name in names if ":" in name]
-
-
-@pytest.mark.slow
 def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home):
     assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
@@ -98,10 +91,3 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
         module.write_text(text, encoding="utf-8")
     assert re.search(r"total +14 +0 +0 +14", planned.stdout), planned.stdout
     assert "puddle:Puddle-v0 s0 expert and 13 more: code changed: puddle\n" in planned.stdout
-
-
-@pytest.mark.slow
-def test_the_report_needs_no_environment(home, tmp_path):
-    shown = wasp(tmp_path, "report", str(home / "results"))
-    assert shown.returncode == 0, shown.stderr
-    assert "Puddle-v0" in shown.stdout

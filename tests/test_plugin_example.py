@@ -1,6 +1,5 @@
 """The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
 
-import importlib
 import json
 import os
 import re
@@ -11,14 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import torch
 
 from tests.commands import run_here
-from tests.learning.recordings import SOURCES, recording
 from tests.plugins import forget, installed
-from wasp_cli.learning.latents import Latents, save_latents
-from wasp_cli.learning.shards import write_shard
-from wasp_cli.stages.base import Job
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
@@ -116,24 +110,6 @@ def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(here):
         path.write_text(text, encoding="utf-8")
         wanted = {label for label in before if moved and re.search(moved, label)}
         assert {label for label in before if before[label] != after[label]} == wanted, file
-
-
-def test_its_stage_trains_what_its_assistant_reads(here, tmp_path):
-    stage, configs, risk = (importlib.import_module(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
-    rows = recording((30, 30, 30))
-    write_shard(tmp_path / "shard-00000.parquet", rows, SOURCES)
-    # One class of the latent says whether the next decisions cost.
-    where, costly = risk.examples(rows, 2)
-    telling = torch.zeros(len(rows.first), 1, dtype=torch.uint8)
-    telling[where, 0] = torch.from_numpy(costly).to(torch.uint8)
-    save_latents(Latents(torch.zeros(len(rows.first), 3), telling, 2), tmp_path)
-    config = configs.RiskConfig(window=2, updates=300, batch=32, hidden=(16,))
-    inputs = {"dataset": tmp_path, "latents": tmp_path}
-    made = [stage.RiskStage().run(Job("risk", "goal1", 0, config, {}, {}, inputs, tmp_path, tmp_path)) for _ in range(2)]
-    assert made[0] == made[1]
-    assert made[0]["loss"] < 0.2
-    assert made[0]["auprc"] == pytest.approx(1.0)
-    assert (tmp_path / "risk.safetensors").is_file()
 
 
 @pytest.mark.slow

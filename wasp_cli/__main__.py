@@ -10,9 +10,8 @@ if __name__ == "__main__" and not sys.flags.safe_path and sys.path[0] != os.path
 
 
 def main() -> None:
-    """Run the console script."""
     try:
-        from wasp_cli.cli.early import end_at_once
+        from wasp_cli.console import end_at_once
 
         end_at_once()
         from wasp_cli.cli.app import main as run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -30,8 +31,7 @@ def err() -> Console:
     return _console(sys.stderr, file=sys.stderr)
 
 
-ENDLESS = 10_000
-"""Columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room."""
+ENDLESS = 10_000  # columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room
 
 
 def _console(stream: TextIO, **options: Any) -> Console:
@@ -65,7 +65,6 @@ def say(*lines: str | Text) -> None:
 
 
 def count_table(words: str, *numbers: str) -> Table:
-    """Return an empty table with a column of words, then columns of numbers."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2), header_style="bold")
@@ -102,7 +101,6 @@ def following(name: str) -> Iterator[Callable[[float, str], None]]:
 
 
 def report_error(error: WaspError) -> None:
-    """Print an expected error: what happened, then how to fix it."""
     if not isinstance(error, Interrupted):
         err().print("[bold red]error:[/] ", end="")
     err().print(error.message, markup=False, soft_wrap=True)
@@ -111,7 +109,6 @@ def report_error(error: WaspError) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Write a time as people say it: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 60:
@@ -124,7 +121,6 @@ def duration(seconds: float) -> str:
 
 
 def size(count: int | None) -> str:
-    """Write a number of bytes as people say it."""
     if count is None:
         return "?"
     number, unit = float(count), "bytes"
@@ -133,3 +129,25 @@ def size(count: int | None) -> str:
             break
         number, unit = number / 1000, larger
     return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.1f} {unit}"
+
+
+# Ctrl-C before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it would pass
+# through imports and the end of Python, and some of these print it or turn it into another one.
+INTERRUPTED = 130
+
+
+def end_at_once() -> None:
+    """Let Ctrl-C end this process with the exit code of an interruption, unless it was started to ignore it or has a handler of its own."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def end_in_order() -> None:
+    """Let Ctrl-C be an exception again, for a command that has begun."""
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _end(number: int, frame: object) -> None:
+    os.write(2, b"interrupted\n")
+    os._exit(INTERRUPTED)

@@ -1,19 +1,4 @@
-"""The expected errors of `wasp`, each with the exit code that the command line returns for it.
-
-    WaspError                       1   something expected went wrong
-    ├── CellsFailed                 1   a run ended with failed or blocked nodes
-    ├── StoreError                  1   the results folder cannot be read or written
-    ├── ArtifactError               1   an artifact is damaged or does not fit what reads it
-    ├── SourceChanged               1   the code changed while a run was going
-    ├── TimeLimitExceeded           1   a node took longer than it was given
-    ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
-    ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
-    ├── NotAccepted                 1   what was measured does not keep the rule that it is held against
-    ├── UsageError                  2   a command-line argument is wrong
-    │   ├── UnknownName             2   a name that no registry knows
-    │   └── UnknownOption           2   an environment is made with an option that it does not have
-    ├── SpecError                   3   a spec does not read or does not validate
-    └── Interrupted               130   Ctrl-C or SIGTERM ended a run
+"""The expected errors of `wasp`, each with the exit code that the command line returns for it: 1, where it names no other.
 
 An expected error prints as one message and a hint, never as a traceback.
 """
@@ -78,15 +63,7 @@ class UsageError(WaspError):
 
 
 class UnknownName(UsageError):
-    """A name that no registry knows; the message suggests close ones.
-
-    Args:
-        kind: what the name should be a name of.
-        name: what was written.
-        known: what could have been written.
-        message: what to say instead of "unknown <kind> '<name>'".
-        otherwise: the hint where nothing known is close, instead of all that is known.
-    """
+    """A name that no registry knows; the hint suggests close ones, or is `otherwise` (all that is known) where none is close."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], message: str | None = None, otherwise: str | None = None) -> None:
         known = sorted(known)
@@ -116,12 +93,10 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
-LONGEST_NAME = 300
-"""Characters of a name that is compared with others, which takes as long as both are, multiplied."""
+LONGEST_NAME = 300  # characters of a name that is compared with others, which takes as long as both are, multiplied
 
 
 def refusal(error: OSError) -> WaspError:
-    """Turn what the system refused into an expected error."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
     return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
 
@@ -149,21 +124,11 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
 
 def closeness(name: str, known: Iterable[str]) -> float:
     """Measure how close the closest of some names is, from 0 to 1, with namespaces or without them."""
-    return max((max(_likeness(name, other), _likeness(_bare(name), _bare(other))) for other in known), default=0.0)
-
-
-def _likeness(one: str, other: str) -> float:
-    if max(len(one), len(other)) > LONGEST_NAME:
-        return 0.0
-    return difflib.SequenceMatcher(None, one.lower(), other.lower()).ratio()
-
-
-def _bare(name: str) -> str:
-    """A gymnasium id without its namespace."""
-    return name.rpartition("/")[2]
+    pairs = [(name.lower(), other.lower()) for other in known if max(len(name), len(other)) <= LONGEST_NAME]
+    pairs += [(one.rpartition("/")[2], other.rpartition("/")[2]) for one, other in pairs]
+    return max((difflib.SequenceMatcher(None, *pair).ratio() for pair in pairs), default=0.0)
 
 
 def described(error: BaseException) -> str:
-    """Return the type of an error and what it says, in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

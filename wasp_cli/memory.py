@@ -6,12 +6,9 @@ import ctypes
 import sys
 from contextlib import suppress
 
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-"""Parameters of glibc's mallopt(3)."""
-LARGEST = 32 * 1024**2
-"""Blocks up to this size, in bytes, come from the heap; glibc allows no more."""
-KEPT = 1024**3
-"""Free bytes at the end of the heap that are not returned."""
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt(3)
+LARGEST = 32 * 1024**2  # blocks up to this size, in bytes, come from the heap; glibc allows no more
+KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 
 
 def keep_memory() -> bool:

@@ -74,10 +74,10 @@ class Registry(Mapping[str, E], Generic[E]):
     def _entries(self) -> dict[str, E]:
         if self._all is None:
             entries = dict(self._own)
-            for _, found in self.plugins():
-                if isinstance(found, WaspError):
-                    raise found
-                entries[found.name] = found
+            for _, entry in self.plugins():
+                if isinstance(entry, WaspError):
+                    raise entry
+                entries[entry.name] = entry
             self._all = entries
         return self._all
 
@@ -97,7 +97,6 @@ class Registry(Mapping[str, E], Generic[E]):
         return len(self._entries())
 
     def load(self, name: str) -> Any:
-        """Import and return what the entry's `target` names."""
         return load_target(self[name].target)
 
 
@@ -115,7 +114,6 @@ def _loaded(point: EntryPoint) -> Any:
 
 
 def load_target(target: str) -> Any:
-    """Import `module:attribute`."""
     module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)
 
@@ -124,9 +122,6 @@ def import_here(module: str) -> ModuleType:
     """Import a module that a spec names; it may lie in the folder that the process was started in.
 
     No process of ours searches that folder otherwise. It comes last, so that nothing installed is hidden.
-
-    Raises:
-        WaspError: it does not import.
     """
     top = module.partition(".")[0]
     try:
@@ -142,5 +137,4 @@ def import_here(module: str) -> ModuleType:
 
 
 def module_of(target: str) -> str:
-    """Return the module part of an import string."""
     return target.partition(":")[0]

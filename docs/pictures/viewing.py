@@ -23,8 +23,8 @@ def main() -> None:
     """Take the first page and a decision of an episode, of published cells."""
     from tests.commands import run_here
     from tests.drive.browser import chromium
-    from wasp_cli.view import site_of
     from wasp_cli.view.server import ViewServer
+    from wasp_cli.view.site import site_of
 
     with tempfile.TemporaryDirectory() as folder, chromium(Path(folder) / "chromium") as browser:
         os.chdir(folder)

@@ -19,10 +19,7 @@ from wasp_cli.spec.derived import restricted, sized
 from wasp_cli.spec.load import load
 
 SHARED = [
-    (
-        ["run", "ablate", "sweep", "severities"],
-        {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"},
-    ),
+    (["run", "ablate", "sweep", "severities"], {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"}),
     (["run", "plan", "ablate", "sweep", "severities", "publish", "clone"], {"--task", "--preset", "--set", "--results"}),
     (["control", "logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
 ]
@@ -41,16 +38,6 @@ def results(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "results"))
 
 
-def test_a_small_terminal_ends_with_the_main_table_and_one_line_of_claims(results: Path) -> None:
-    done = run_here("report", "--results", results, *NO_PICTURES, columns=80)
-    assert done.exit_code == 0, done.stderr
-    main, claims = done.stdout.index("Main results"), done.stdout.index("The paper's claims: of ")
-    assert main < claims
-    last = done.stdout[main:]
-    assert last.count("\n") < 24
-    assert "\u2026" not in done.stdout
-
-
 def test_a_pipe_gets_every_column(results: Path) -> None:
     command = [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES]
     here = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
@@ -58,14 +45,6 @@ def test_a_pipe_gets_every_column(results: Path) -> None:
     heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout
-
-
-def test_without_a_paper_there_are_no_claims(results: Path, tmp_path: Path) -> None:
-    done = run_here("report", results, *NO_PICTURES, "--paper", "none", "--out", tmp_path / "out", columns=120)
-    assert done.exit_code == 0, done.stderr
-    assert "claims" not in done.stdout
-    assert (tmp_path / "out" / "tiny" / "report.html").is_file()
-    assert not (tmp_path / "out" / "tiny" / "paper.csv").exists()
 
 
 def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path) -> None:
@@ -107,9 +86,3 @@ def test_tasks_methods_and_preset_restrict_a_spec() -> None:
 def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
     done = run_here("run", "specs/smoke.yaml", "--dry-run", "--backend", "cloud", "--results", tmp_path / "none", columns=120)
     assert (done.exit_code, "cloud" in done.stderr) == (2, True)
-
-
-def test_debug_is_taken_after_the_command_too(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "wasp_cli", "status", str(tmp_path / "none"), "--debug"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert "Traceback" in done.stderr

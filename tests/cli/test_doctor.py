@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import wasp_cli
+from tests.commands import run_here
 from wasp_cli.cli.doctor import ON_DEVICE, Finding, examine, registries, require
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
@@ -23,6 +24,14 @@ def test_the_stages_that_doctor_names_are_those_that_ask_for_a_device() -> None:
     root = Path(wasp_cli.__file__).parent
     askers = {path.relative_to(root).as_posix() for path in root.rglob("*.py") if "training_device()" in path.read_text()}
     assert askers - {"learning/device.py", "cli/doctor.py", "drive/session.py"} == {f"stages/{kind}.py" for kind in ON_DEVICE}
+
+
+def test_it_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
+    done = run_here("doctor", "--results", tmp_path / "results", columns=200)
+    assert done.exit_code == 0
+    for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "results"):
+        assert word in done.stdout
+    assert not (tmp_path / "results").exists()
 
 
 def test_a_gpu_is_used_unless_the_variable_says_otherwise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,7 @@ def test_check_tells_machines_every_problem_of_every_file(good: Path) -> None:
             "cells": None,
             "problems": [
                 {"file": str(good.parent / "absent.yaml"), "line": 1, "column": 1, "message": "no such file",
-                 "hint": f"here are: {bad}, {good}; by name there are: {', '.join(shipped_names())}", "excerpt": None},
+                 "hint": f"known: bad, good, {', '.join(shipped_names())}", "excerpt": None},
             ],
         },
     ]  # fmt: skip

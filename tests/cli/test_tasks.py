@@ -1,4 +1,4 @@
-"""`wasp list` and `wasp draw` from outside: the lists, the picture of a layout, what they say to wrong input."""
+"""`wasp list` and `wasp draw`: the lists, the picture of a layout, what they say to wrong input."""
 
 from __future__ import annotations
 
@@ -12,42 +12,32 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.commands import run_here
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = ROOT / "docs" / "examples"
 
 
-def wasp(*arguments: str | Path, folder: Path = EXAMPLES, columns: int = 200) -> subprocess.CompletedProcess[str]:
-    """Run `wasp` as its console script does: with `-P`, Python does not search the current folder by itself."""
-    variables = {**os.environ, "COLUMNS": str(columns), "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-P", "-m", "wasp_cli", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
-
-
-def test_the_list_says_what_each_task_is() -> None:
-    done = wasp("list", "tasks")
-    assert done.returncode == 0, done.stderr
-    task = make_task("goal1", 1, observe=())
-    for info in TASKS.values():
-        assert info.name in done.stdout
-        assert info.gym_id in done.stdout
-    for words in ("state 60", "pixels 6x64x64", f"privileged {task.privileged_size}", "action 2 in ±1", "1000 steps", "7 goals"):
-        assert words in done.stdout
-    # What goes into a pipe is as complete as on a wide screen.
-    assert wasp("list", "tasks", columns=80).stdout.split() == done.stdout.split()
-
-
-def test_the_list_for_machines() -> None:
-    found = {task["name"]: task for task in json.loads(wasp("list", "tasks", "--json").stdout)}
-    assert list(found) == list(TASKS)
-    goal = found["goal1"]
+def test_the_lists_say_what_each_is() -> None:
+    listed = json.loads(run_here("list", "--json", columns=200).stdout)
+    names = {kind: [info["name"] for info in rows] for kind, rows in listed.items()}
+    assert names == {"methods": list(METHODS), "operators": list(OPERATORS), "tasks": list(TASKS)}
+    assert json.loads(run_here("list", "operators", "--json", columns=200).stdout) == listed["operators"]
+    goal = next(task for task in listed["tasks"] if task["name"] == "goal1")
     assert (goal["gym_id"], goal["state_size"], goal["pixels_shape"]) == ("wasp/SafetyPointGoal1-v0", 60, [6, 64, 64])
     assert (goal["action_low"], goal["action_high"], goal["cost_sources"]) == ([-1.0, -1.0], [1.0, 1.0], ["hazards"])
     assert (goal["env_steps"], goal["seconds"], goal["success_goals"]) == (1000, 20.0, 7)
+    shown = run_here("list", columns=200).stdout
+    for word in (
+        *METHODS, *OPERATORS, *TASKS, *(info.gym_id for info in TASKS.values()), "no-case2", "delay in seconds", "SafeRL-Res", "residual",
+        "(denoiser)", "docs/extending.md", "state 60", "pixels 6x64x64", f"privileged {goal['privileged_size']}", "action 2 in ±1",
+        "1000 steps", "7 goals",
+    ):  # fmt: skip
+        assert word in shown
+    assert not [word for word in ("Limited skill", "from wasp_cli") if word in shown]
 
 
 def read(path: Path) -> np.ndarray:
@@ -62,24 +52,14 @@ def contains(sheet: np.ndarray, image: np.ndarray) -> bool:
     return any((sheet[r : r + height, c : c + width] == image).all() for r, c in zip(rows, columns, strict=True))
 
 
-def test_a_sheet_shows_the_map_and_both_cameras(tmp_path: Path) -> None:
-    done = wasp("draw", "goal1", "--seed", "3", "--out", tmp_path / "map.png")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(tmp_path / "map.png")
-    sheet = read(tmp_path / "map.png")
-    pixels = make_task("goal1", 1, observe=("pixels",)).reset([3]).pixels[0]
-    for camera in (pixels[:3], pixels[3:]):
-        assert contains(sheet, np.moveaxis(camera, 0, -1).repeat(4, 0).repeat(4, 1))
-    other = wasp("draw", "wasp/SafetyPointGoal1-v0", "--seed", "3", "--out", tmp_path / "same.png")
-    assert other.returncode == 0, other.stderr
-    assert (tmp_path / "same.png").read_bytes() == (tmp_path / "map.png").read_bytes()
-
-
-def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> None:
-    done = wasp("draw", "puddle:Puddle-v0", "--seed", "2", "--out", tmp_path / "p.png")
-    assert done.returncode == 0, done.stderr
-    pixels = make_task("puddle:Puddle-v0", 1, observe=("pixels",)).reset([2]).pixels[0]
-    assert contains(read(tmp_path / "p.png"), np.moveaxis(pixels[:3], 0, -1).repeat(4, 0).repeat(4, 1))
+@pytest.mark.parametrize(("task", "cameras"), [("goal1", 2), ("wasp/SafetyPointGoal1-v0", 2), ("puddle:Puddle-v0", 1)])
+def test_a_sheet_shows_what_the_cameras_see(task: str, cameras: int, tmp_path: Path) -> None:
+    done = run_here("draw", task, "--seed", "3", "--out", tmp_path / "map.png", columns=200)
+    assert (done.exit_code, done.stdout.strip()) == (0, str(tmp_path / "map.png")), done.stderr
+    pixels = make_task("goal1" if "Goal1" in task else task, 1, observe=("pixels",)).reset([3]).pixels[0]
+    for camera in range(cameras):
+        image = np.moveaxis(pixels[3 * camera : 3 * camera + 3], 0, -1)
+        assert contains(read(tmp_path / "map.png"), image.repeat(4, 0).repeat(4, 1))
 
 
 @pytest.mark.parametrize(
@@ -97,30 +77,17 @@ def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> Non
     ],
 )
 def test_what_cannot_be_shown_is_said(arguments: list[str], code: int, expected: str) -> None:
-    done = wasp("draw", *arguments)
-    assert done.returncode == code, done.stderr
+    done = run_here("draw", *arguments, columns=200)
+    assert (done.exit_code, done.stdout) == (code, ""), done.stderr
     assert expected in done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
 
 
-@pytest.mark.parametrize("arguments", [["list"], ["draw", "goal1"], ["draw", "race1", "--steps", "3"]])
-def test_mujoco_that_does_not_import_is_said(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "foo")
-    done = wasp(*arguments, folder=tmp_path)
+def test_mujoco_that_does_not_import_is_said(tmp_path: Path) -> None:
+    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "PYTHONPATH": str(ROOT), "MUJOCO_GL": "foo"}
+    command = [sys.executable, "-P", "-m", "wasp_cli", "draw", "goal1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=variables, check=False)
     assert done.returncode == 2, done.stderr
     assert "MuJoCo does not import with MUJOCO_GL=foo" in done.stderr
     assert "unset MUJOCO_GL" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
-
-
-def test_all_three_are_listed_where_none_is_named() -> None:
-    listed = json.loads(wasp("list", "--json").stdout)
-    names = {kind: [info["name"] for info in rows] for kind, rows in listed.items()}
-    assert names == {"methods": list(METHODS), "operators": list(OPERATORS), "tasks": list(TASKS)}
-    assert json.loads(wasp("list", "operators", "--json").stdout) == listed["operators"]
-    shown = wasp("list").stdout
-    assert all(name in shown for name in (*METHODS, *OPERATORS, "no-case2", "delay in seconds"))
-    assert all(word in shown for word in ("SafeRL-Res", "residual", "(denoiser)", "docs/extending.md"))
-    assert not [word for word in ("Limited skill", "from wasp_cli") if word in shown]

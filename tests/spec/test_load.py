@@ -4,8 +4,12 @@ import pytest
 
 from tests.spec.good import GOOD
 from wasp_cli.errors import UsageError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded
+from wasp_cli.spec.names import assistant_variants, training_stages
 from wasp_cli.spec.read import InvalidSpec, Problem, parse
+from wasp_cli.tasks.registry import TASKS
 
 SPECS = Path(__file__).parents[2] / "specs"
 
@@ -58,27 +62,17 @@ def test_episodes_at_the_top_reach_the_evaluation():
             "unknown key 'candidates'",
             "did you mean 'wasp.candidates', 'printed.candidates' or 'ida-guarded.candidates'?",
         ),
-        ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'printed.probe'?"),
         ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' belongs at the top level, outside every section"),
         ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
-        ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", "without quotes: 0.1"),
-        ("wasp: {rollouts: true}\n", (8, 18), "should be an integer, not true", None),
-        ("wasp: {rollouts: 1.5}\n", (8, 18), "should be an integer, not 1.5", None),
-        ("wasp: {rollouts: 0}\n", (8, 18), "should be greater than or equal to 1, not 0", None),
         ("wasp: {horizon: 3}\n", (8, 1), "residual_steps (5) is longer than horizon (3)", None),
         ("wasp: {variant: no-case2}\n", (8, 8), "'variant' is not set here", "write `variants: [full]` at the top, outside every section"),
         ("evaluate: {episodes: 3}\n", (8, 12), "'episodes' is not set here", "write `episodes: 30` at the top, outside every section"),
         ("wasp: 3\n", (8, 7), "should be a mapping of keys to values, not 3", None),
-        ("wasp: [a]\n", (8, 7), "should be a mapping of keys to values, not a list", None),
-        ("variants: [no-case]\n", (8, 12), "unknown assistant variant 'no-case'", "did you mean 'no-case2'?"),
         ("returns: {gamma_c: .nan}\n", (8, 20), "should be a finite number, not nan", None),
-        ("expert: {hidden: [64, x]}\n", (8, 23), "should be an integer, not 'x'", None),
         ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.67, not 1", None),
         ("by_task: {goal1: {wasp: {candidats: 9}}}\n", (8, 26), "unknown key 'candidats'", "did you mean 'candidates'?"),
         ("by_task: {goal1: {wasp: {horizon: 3}}}\n", (8, 19), "residual_steps (5) is longer than horizon (3)", None),
         ("by_task: {goal1: {wsap: {}}}\n", (8, 19), "unknown section 'wsap'", "did you mean 'wasp'?"),
-        ("by_task: {goal1: {ida: {quantile: 2}}}\n", (8, 35), "should be less than 1, not 2", None),
-        ("by_task: {gaol1: {}}\n", (8, 11), "unknown task 'gaol1'", "did you mean 'goal1'?"),
         (
             "by_task: {goal1: {evaluate: {safe_cost: 3}}}\n",
             (8, 19),
@@ -97,7 +91,6 @@ def test_episodes_at_the_top_reach_the_evaluation():
             "'variant' is not set here",
             "write `variants: [full]` at the top, outside every section",
         ),
-        ("training_seed: -1\n", (8, 16), "should be greater than or equal to 0, not -1", None),
     ],
 )  # fmt: skip
 def test_mistakes_have_a_place_and_a_suggestion(addition, place, message, hint):
@@ -111,9 +104,6 @@ def test_mistakes_have_a_place_and_a_suggestion(addition, place, message, hint):
         ("[goal1]", "[goal7]", (3, 9), "unknown task 'goal7'", "did you mean 'goal0', 'goal1' or 'goal2'?"),
         ("[goal1]", "[goal1, goal1]", (3, 8), "'goal1' is listed twice", None),
         ("[goal1]", "[]", (3, 8), "should not be empty", "the tasks"),
-        ("[goal1]", "goal1", (3, 8), "should be a list, not 'goal1'", "write [goal1]"),
-        ("wasp]", "waspp]", (4, 18), "unknown method 'waspp'", "did you mean 'wasp'?"),
-        ("noisy", "nosy", (6, 3), "unknown operator variant 'nosy'", "did you mean 'noisy'?"),
         ("mild: 0.2", "mild: 1.2", (6, 17), "should lie between 0 and 1 (probability of a uniform action), not 1.2", None),
         ("noisy: {mild: 0.2}", "limited-skill: {mild: 0.3}", (6, 25), "no such value in expert.checkpoints",
          "checkpoints: 0.1, 0.25, 0.5, 1"),
@@ -123,21 +113,13 @@ def test_mistakes_have_a_place_and_a_suggestion(addition, place, message, hint):
         ("seeds: [0]", "seeds:", (7, 1), "should be a list, not nothing (null)", None),
         ("name: good", "name: ../good", (1, 7), "'../good' is not a usable name",
          "letters, digits, dot, dash and underscore, beginning with a letter or a digit"),
-        ("smoke", "smok", (2, 9), "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'", "did you mean 'smoke'?"),
         ("operators:\n  noisy: {mild: 0.2}\n", "", (1, 1), "the listed methods assist an operator; name at least one variant", None),
         ("[human, wasp]", "[]\nstages: []", (4, 10), "neither methods nor stages are listed",
          "name a method, or under `stages` what is to be trained"),
         ("[human, wasp]", "[]\nstages: [critics]\nvariants: [no-case2]", (6, 12), "unknown variant of the listed methods 'no-case2'",
          "known: full"),
-        ("[human, wasp]", "[]\nstages: [world-model]", (5, 10), "unknown stage 'world-model'", "did you mean 'world_model'?"),
         ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
          "'evaluate' runs for a method", "list its method under `methods`"),
-        ("[human, wasp]", "[human]\nstages: [calibration]", (5, 10), "'calibration' runs for a method", "list its method under `methods`"),
-        ("[human, wasp]", "[human]\nside_by_side: 0", (5, 15), "should be greater than or equal to 1, not 0", None),
-        ("[human, wasp]", "[human]\nside_by_side: two", (5, 15), "should be an integer, not 'two'", None),
-        ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
-        ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", "write [expert]"),
-        ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
     ],
 )  # fmt: skip
 def test_wrong_names_and_values_are_told_where_they_stand(old, new, place, message, hint):
@@ -146,11 +128,8 @@ def test_wrong_names_and_values_are_told_where_they_stand(old, new, place, messa
     assert (at(problem), problem.message, problem.hint) == (place, message, hint)
 
 
-def test_operators_may_be_absent_when_nobody_is_impaired():
+def test_a_spec_may_train_and_evaluate_nothing_and_name_no_operators():
     assert read("name: x\ntasks: [goal1]\nmethods: [expert]\nseeds: [0]\n").spec.operators == {}
-
-
-def test_a_spec_may_train_and_evaluate_nothing():
     spec = read("name: x\ntasks: [goal1]\nmethods: []\nstages: [critics, heldout]\nseeds: [0]\n").spec
     assert (spec.methods, spec.stages, spec.operators) == ((), ("critics", "heldout"), {})
 
@@ -173,9 +152,8 @@ def test_stages_mix_known_operators_at_known_values():
     ("text", "place", "message"),
     [
         ("", (1, 1), "the file is empty"),
-        ("# nothing\n", (1, 1), "the file is empty"),
         ("- a\n", (1, 1), "a spec is a mapping of keys to values, not a list"),
-        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not a single word"),
+        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not text"),
         ("a: [1\nb: 2\n", (2, 2), "not valid YAML: expected ',' or ']', but got ':'"),
         ("a: 1\nb: 2\na: 3\n", (3, 1), "found duplicate key 'a'"),
         ("a: 1\n\tb: 2\n", (2, 1), "not valid YAML: found character '\\t' that cannot start any token"),
@@ -188,7 +166,6 @@ def test_stages_mix_known_operators_at_known_values():
         ("a: " + "9" * 5000, (1, 4), "not valid YAML: '9999999999999999999999999999999999999...' is not an integer"),
         ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is not a valid date"),
         ("a: {b: [0x_]}\n", (1, 9), "not valid YAML: '0x_' is not an integer"),
-        ("name: x\rseeds: [\x01]", (2, 9), "not a text file: special characters are not allowed"),
         ("[" * 600, (1, 1), "nested too deeply"),
     ],
 )
@@ -218,12 +195,6 @@ def test_values_without_a_plain_form_are_refused(value, message):
     assert any(problem.message.startswith(message) for problem in problems(f"{GOOD}extra: {value}\n"))
 
 
-def test_the_excerpt_puts_a_caret_under_the_mistake():
-    assert str(only(GOOD.replace("[goal1]", "[goal7]"))) == (
-        "x.yaml:3:9: unknown task 'goal7'\n    3 | tasks: [goal7]\n      |         ^\n    did you mean 'goal0', 'goal1' or 'goal2'?"
-    )
-
-
 def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
     path = tmp_path / "good.yaml"
     path.write_text(GOOD, encoding="utf-8")
@@ -234,14 +205,9 @@ def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
         load(path, ["wasp.candidats=16", "seeds=x"])
     assert [problem.place for problem in caught.value.problems] == ["--set seeds=x", "--set wasp.candidats=16"]
     assert "wasp.candidats: unknown key 'candidats'" in caught.value.message
-
-
-@pytest.mark.parametrize("text", ["x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"])
-def test_settings_of_another_form_are_usage_errors(text, tmp_path):
-    path = tmp_path / "good.yaml"
-    path.write_text(GOOD, encoding="utf-8")
-    with pytest.raises(UsageError, match="--set #1"):
-        load(path, [text])
+    for text in ("x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"):
+        with pytest.raises(UsageError, match="--set #1"):
+            load(path, [text])
 
 
 def test_files_that_cannot_be_read_say_so(tmp_path):
@@ -258,7 +224,51 @@ def test_files_that_cannot_be_read_say_so(tmp_path):
     assert at(caught.value.problems[0]) == (2, 5)
 
 
-def test_windows_files_are_read_too(tmp_path):
-    path = tmp_path / "good.yaml"
-    path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
-    assert load(path).spec.name == "good"
+@pytest.mark.parametrize(
+    ("addition", "hint"),
+    [
+        ("extend: base.yaml\n", "did you mean 'extends'?"),
+        ("waps: {probe: 8}\n", "did you mean 'wasp'?"),
+        ("world-model: {updates: 8}\n", "did you mean 'world_model'?"),
+        ("wasp: {extends: base.yaml}\n", "'extends' belongs at the top level, outside every section"),
+        ("policies: {rollout: 32}\n", "did you mean 'policies.reinforce.rollout', 'expert.rollout' or 'residual.rollout'?"),
+        ("policies: {reinforce: {intractions: 32}}\n", "did you mean 'interactions'?"),
+        ("wasp: {warmups: 3}\n", "did you mean 'world_model.warmup'?"),
+        ("world_model: {mirror: yes}\n", "write true"),
+        ("ida: {copilot: Expert}\n", "did you mean 'expert'?"),
+        ("filter: {tau_c: auto}\n", "known: calibrated"),
+        ("filter: {tau_c: '0.3'}\n", "without quotes: 0.3"),
+        ("wasp: {rollouts: '3.5'}\n", None),
+        ("expert: {hidden: 64}\n", "write [64]"),
+        ("residual: {operators: {noisy: 0.3}}\n", "write [0.3]"),
+        ("residual: {operators: {nosiy: [0.3]}}\n", "did you mean 'noisy'?"),
+        ("by_task: {goal1: 0.2}\n", "with a name, for example {moderate: 0.2}"),
+    ],
+)  # fmt: skip
+def test_keys_and_values_have_suggestions(addition, hint):
+    assert only(GOOD + addition).hint == hint
+
+
+@pytest.mark.parametrize(
+    ("known", "text"),
+    [
+        (list(TASKS), "tasks: [{name}]"),
+        (list(METHODS), "methods: [{name}]"),
+        (list(OPERATORS), "operators: {{{name}: {{mild: 0.5}}}}"),
+        (training_stages(), "stages: [{name}]"),
+        (assistant_variants(), "variants: [{name}]"),
+    ],
+)
+def test_every_registered_name_is_suggested_for_a_slip(known, text):
+    for name in known:
+        slip = name + "x" if len(name) < 6 else name[:2] + name[3:]
+        key = text.partition(":")[0]
+        lines = [line for line in GOOD.splitlines() if not line.startswith((key, "  "))]
+        document = [*lines, *([] if key == "operators" else ["operators: {noisy: {mild: 0.2}}"]), text.format(name=slip)]
+        spec = "\n".join(line for number, line in enumerate(document) if line != "operators:" or number == len(document) - 1)
+        assert f"'{name}'" in (only(spec + "\n").hint or ""), slip
+
+
+def test_control_characters_of_a_value_do_not_reach_the_terminal():
+    shown = str(only(GOOD.replace("[goal1]", '["\\e[31mred\\a"]')))
+    assert all(character.isprintable() or character == "\n" for character in shown)

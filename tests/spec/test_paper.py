@@ -1,13 +1,14 @@
 """The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
 
+from pathlib import Path
+
 import pytest
 
 from tests.commands import run_here
-from tests.spec.mutations import FOLDER
-from wasp_cli.spec.paper import Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
+from wasp_cli.spec.paper import Comparison, Paper, Printed, Who, load_paper, paper_of
 from wasp_cli.spec.read import InvalidSpec, parse
 
-SHIPPED = (FOLDER / "paper.yaml").read_text(encoding="utf-8")
+SHIPPED = (Path(__file__).parents[2] / "specs/paper.yaml").read_text(encoding="utf-8")
 COLUMNS = ("return", "success", "cost", "viol", "int_rate", "mag")
 METHODS = ("human", "ida", "diffusion", "saferl", "wasp")
 VARIANTS = ("full", "safety-only", "task-only", "no-case2", "no-rollout")
@@ -32,13 +33,10 @@ def test_every_row_of_both_tables_is_there(paper):
     ("task", "who", "column", "printed"),
     [
         ("race1", "wasp", "return", Printed(13.74, 4.15)),
-        ("race1", "human", "cost", Printed(68.35, 80.20)),
         ("race1", "human", "mag", Printed(0.0)),
         ("formula1", "diffusion", "success", Printed(66.70, 25.20)),
-        ("formula1", "ida", "mag", Printed(0.53, 0.27)),
         ("goal1", "saferl", "viol", Printed(0.07, 0.04)),
         ("goal1", "wasp", "success", Printed(56.70, 6.80)),
-        ("formula1", "wasp/task-only", "viol", Printed(0.28, 0.08)),
         ("formula1", "wasp/no-rollout", "int_rate", Printed(0.45, 0.35)),
     ],
 )
@@ -86,18 +84,6 @@ def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper):
             assert asked.task == "race1" or asked.column in COLUMNS
 
 
-def test_a_statement_asks_every_pair():
-    statement = Statement.model_validate(
-        {"tasks": ("race1", "goal1"), "columns": ("cost", "viol"), "left": ("wasp",), "relation": "lower", "right": ("ida", "human")}
-    )
-    asked = [(one.task, one.column, str(one.right)) for question in statement.questions() for one in question]
-    assert sorted(asked) == sorted((t, c, r) for t in ("race1", "goal1") for c in ("cost", "viol") for r in ("ida", "human"))
-    either = Statement.model_validate(
-        {"tasks": ("race1",), "either": ("int_rate", "mag"), "left": ("wasp", "ida"), "relation": "lower", "right": ("human",)}
-    )
-    assert [[one.column for one in question] for question in either.questions()] == [["int_rate", "mag"]] * 2
-
-
 def problems(text: str) -> list[tuple[int, int, str, str | None]]:
     with pytest.raises(InvalidSpec) as caught:
         paper_of(parse(text, "paper.yaml"))
@@ -136,8 +122,6 @@ claims:
         ("goal1:\n", "gaol1:\n", (6, 7, "unknown task 'gaol1'", "did you mean 'goal1'?")),
         ("2.0, 3]", "2.0]", (7, 16, "1 numbers for 2 columns", None)),
         ("says:", "sais:", (12, 5, "unknown key 'sais'", "did you mean 'says'?")),
-        ("lower", "lowr", (14, 67, "should be 'lower', 'higher', 'not_lower', 'not_higher', 'at_least' or 'at_most', not 'lowr'",
-                           "did you mean 'lower'?")),
         (", right: [human]", "", (14, 9, "'lower' needs 'right', the rows to compare with, and no 'bound'", None)),
         (", bound: 3", ", right: [human]", (15, 9, "'at_most' needs 'bound', a number, and neither 'right' nor 'margin'", None)),
         ("bound: 3", "bound: 3, either: [viol]",
@@ -149,16 +133,6 @@ claims:
 )  # fmt: skip
 def test_a_mistake_has_its_place_and_its_remedy(old, new, expected):
     assert expected in problems(GOOD.replace(old, new, 1))
-
-
-def test_an_id_stands_once():
-    again = GOOD + GOOD[GOOD.index("  - id: first") :]
-    assert problems(again) == [(16, 9, "an earlier claim has this id", None)]
-
-
-def test_a_list_of_wrong_entries_is_not_called_empty():
-    found = problems(GOOD.replace("lower", "lowr").replace("at_most", "atmost"))
-    assert [line for line, *_ in found] == [14, 15]
 
 
 @pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])

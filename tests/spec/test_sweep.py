@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UsageError
 from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, values_of
-from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.read import InvalidSpec
 
@@ -52,13 +51,6 @@ def spec(tmp_path) -> Path:
     return path
 
 
-def read(vary: str) -> list[Override] | UsageError:
-    try:
-        return values_of(vary)
-    except UsageError as error:
-        return error
-
-
 @given(VALUES, st.sampled_from([",", " , ", ",  "]))
 def test_any_list_of_values_is_read_as_it_was_written(values, comma):
     for write in (lambda value: json.dumps(value, ensure_ascii=False), single_quoted):
@@ -72,16 +64,13 @@ def test_any_list_of_values_is_read_as_it_was_written(values, comma):
     ("vary", "message"),
     [
         ("diffusion.ratio", "is not of the form KEY=V1,V2,..."),
-        ("=1,2", "is not of the form KEY=V1,V2,..."),
         ("diffusion.=1,2", "is not of the form KEY=V1,V2,..."),
         ("diffusion.ratio=0.2", "has one value"),
         ("diffusion.ratio=0.2,", "has an empty value"),
         ("diffusion.ratio=", "has an empty value"),
-        ("diffusion.ratio=0.2,0.4,0.20", "'0.20' is the same value as '0.2'"),
-        ("expert.hidden=[64, 64],[64,64]", "'[64,64]' is the same value as '[64, 64]'"),
+        ("diffusion.ratio=0.2,0.4,0.20", "the value 0.2 stands there twice"),
+        ("expert.hidden=[64, 64],[64,64]", "the value [64, 64] stands there twice"),
         ("expert.hidden=[64, 64],[32", "is not YAML"),
-        ("ida.copilot='expert,diffusion", "is not YAML"),
-        ("wasp.tau_c=.nan,1", "should be a finite number"),
         ("wasp.tau_c=*a,1", "is not YAML"),
         *((f"{name}=1,2", f"'{name}' decides which cells there are") for name in CELLS),
         ("operators.laggy.moderate=0.5,0.7", "'operators' decides which cells there are"),
@@ -106,20 +95,11 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     ]
 
 
-@pytest.mark.parametrize(
-    ("vary", "message"),
-    [
-        ("wasp.tau=0.3,0.5", "unknown key 'tau'"),
-        ("wasp.horizon=1,2,3", "residual_steps (5) is longer than horizon (3)"),
-        ("wasp.variant=full,no-case2", "'variant' is not set here"),
-        ("nothing.at.all=1,2", "unknown key 'nothing'"),
-    ],
-)
-def test_a_value_is_refused_as_in_a_file(spec, vary, message):
-    with pytest.raises(InvalidSpec) as caught:
-        read_sweep(spec, vary)
-    assert message in caught.value.message
-    assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
+def test_a_value_is_refused_as_in_a_file(spec):
+    for vary, message in (("wasp.tau=0.3,0.5", "unknown key 'tau'"), ("wasp.variant=full,no-case2", "'variant' is not set here")):
+        with pytest.raises(InvalidSpec, match=message) as caught:
+            read_sweep(spec, vary)
+        assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
 
 
 def methods(found: Sweep) -> set[tuple[str, ...]]:
@@ -138,12 +118,6 @@ def methods(found: Sweep) -> set[tuple[str, ...]]:
 )
 def test_which_methods_run(spec, vary, wanted, expected):
     assert methods(read_sweep(spec, vary, wanted)) == {expected}
-
-
-def test_only_methods_of_the_spec_are_named(spec):
-    with pytest.raises(UnknownName, match="unknown method of this spec 'wsap'") as caught:
-        read_sweep(spec, "wasp.tau_c=0.3,1", ["wsap"])
-    assert caught.value.hint == "did you mean 'wasp'?"
 
 
 def test_each_value_has_a_spec_and_a_name_of_its_own(spec):

@@ -12,7 +12,7 @@ from tests.commands import run_here
 from tests.view.conftest import brought
 from wasp_cli import errors
 from wasp_cli.errors import LONGEST_NAME, WaspError
-from wasp_cli.view import site_of
+from wasp_cli.view.site import site_of
 
 CELL = "goal1 s1 human noisy=0.45"
 

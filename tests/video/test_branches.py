@@ -63,14 +63,6 @@ def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> 
     assert trace[ASSISTED] == trace[ALONE]
 
 
-def test_a_branch_ends_with_its_episode(cell: Evaluated, tmp_path: Path) -> None:
-    found = pair(cell, 23)
-    assert [len(trace.reward) for trace in found.traces.values()] == [2, 2]
-    found.film("the end", ["nothing follows"], tmp_path / "a.gif")
-    video: Any = Image.open(tmp_path / "a.gif")
-    assert video.n_frames == 3
-
-
 def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
     found = pair(cell, intervened(cell, True))
     for name in ("a.gif", "a.png"):

@@ -15,7 +15,7 @@ from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video import film as films
-from wasp_cli.video.film import film, sprite, sprite_of
+from wasp_cli.video.film import film, sprite_of
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, Pose, stick
 
 SIZE = 96
@@ -95,10 +95,10 @@ def test_a_film_shows_the_recorded_way_and_its_costs(driven: Driven) -> None:
 
 
 def test_what_was_executed_is_shown_where_it_is_not_the_command(driven: Driven) -> None:
-    changed = film(*driven.arguments(), every=5, size=SIZE)
-    same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=5, size=SIZE)
+    changed = film(*driven.arguments(), every=15, size=SIZE)
+    same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=15, size=SIZE)
     apart = [np.abs(one.frame.astype(int) - other.frame).max() > 60 for one, other in zip(changed, same, strict=True)]
-    moved = [bool(np.abs(action).max() > 0.05) for action in driven.a[::5]]
+    moved = [bool(np.abs(action).max() > 0.05) for action in driven.a[::15]]
     assert apart[: len(moved)] == moved
     assert not apart[-1] or len(apart) == len(moved), "after the last decision nothing is commanded"
 
@@ -133,6 +133,7 @@ def test_others_tasks_show_what_their_camera_sees() -> None:
 def test_arrows_point_to_where_actions_lead(name: str) -> None:
     task = make_task(name, 1, observe=())
     assert isinstance(task, HasScene)
+    assert stick(object(), np.array([1.0, 0.0])) is None, "of a task that does not say how it is driven"
     full = {"goal1": 0.05, "race1": 0.02}[name]
     pushes = {"forward": [1.0, 0.0] if name == "goal1" else [full, full], "left": [0.0, 1.0] if name == "goal1" else [full, -full]}
     for way, action in pushes.items():
@@ -151,11 +152,7 @@ def test_arrows_point_to_where_actions_lead(name: str) -> None:
             assert after.forward @ before.left > 0.1
 
 
-def test_a_task_that_does_not_say_how_it_is_driven_has_no_arrows() -> None:
-    assert stick(object(), np.array([1.0, 0.0])) is None
-
-
-@pytest.mark.parametrize("name", ["goal1", "race1", "formula1"])
+@pytest.mark.parametrize("name", ["goal1", "formula1"])
 def test_the_map_follows_a_robot_that_leaves_it(name: str) -> None:
     task = make_task(name, 1, observe=())
     assert isinstance(task, HasScene)
@@ -185,8 +182,8 @@ def test_marks_lie_where_their_places_are() -> None:
 
 
 def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
-    made = sprite_of(*driven.arguments(), every=7, size=SIZE, columns=4)
-    moments = list(film(*driven.arguments(), every=7, size=SIZE))
+    made = sprite_of(*driven.arguments(), every=30, size=SIZE, columns=4)
+    moments = list(film(*driven.arguments(), every=30, size=SIZE))
     assert made.decisions == [moment.decision for moment in moments]
     assert len(made.data) <= films.LIMIT
     sheet = np.asarray(Image.open(io.BytesIO(made.data)).convert("RGB")).astype(int)
@@ -204,12 +201,3 @@ def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatc
     assert len(made.decisions) > 8
     assert (width, height <= 4 * 16) == (16 * made.columns, True)
     assert 4 * (made.columns - 1) < len(made.decisions), "no wider than it has to be"
-
-
-def test_without_webp_a_sheet_is_png(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(films.features, "check", lambda name: False)
-    frames = [np.full((8, 8, 3), shade, np.uint8) for shade in (0, 100, 200)]
-    data, mime = sprite(frames, 2)
-    shown = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
-    assert mime == "image/png"
-    assert [int(shown[4, 4, 0]), int(shown[4, 12, 0]), int(shown[12, 4, 0])] == [0, 100, 200]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.drive.browser import CHROMIUM, Browser, chromium
-from wasp_cli.view import site_of
 from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import site_of
 
 PUBLISHED = Path(__file__).parents[2] / "results" / "published"
 

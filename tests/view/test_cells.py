@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -18,18 +17,18 @@ from tests.store.untrusted import UntrustedStore
 from tests.view.conftest import brought, viewed
 from tests.view.test_server import ask
 from tests.view.test_walk import HUMAN, WASP
-from wasp_cli import view as module
 from wasp_cli.report.explain import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.view.pages import first_difference
 from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import FRESH
 
 
 def numbers(server: ViewServer) -> dict[str, list[str]]:
     """What the table says of every cell, once it has read them."""
     ask(server, "/cells")
-    end = time.monotonic() + 300
+    end = time.monotonic() + 600
     while (found := json.loads(ask(server, "/cells/numbers")[2]))["left"]:
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -80,7 +79,7 @@ def test_a_cell_that_comes_to_a_folder_without_runs_is_listed(tmp_path: Path) ->
         brought(tmp_path / "more", HUMAN)
         for folder in (tmp_path / "more" / "store" / "evaluate").iterdir():
             shutil.copytree(folder, results / "store" / "evaluate" / folder.name)
-        time.sleep(module.FRESH + 0.1)
+        time.sleep(FRESH + 0.1)
         assert len(numbers(server)) == 2
 
 
@@ -104,14 +103,6 @@ def test_the_page_says_where_two_cells_differ(results: Path) -> None:
             assert ask(server, f"/compare/cells{wrong}")[0] == 404
 
 
-def test_rewards_alone_may_differ(results: Path) -> None:
-    episode = read_episode(find_cell(Layout(results), WASP), 0)
-    rewards = episode.numbers["reward"].copy()
-    rewards[7] += 1.0
-    assert first_difference(episode, episode) is None
-    assert first_difference(episode, replace(episode, numbers={**episode.numbers, "reward": rewards})) == 7
-
-
 def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
     layout = Layout(results)
     wasp, human = (read_episode(find_cell(layout, label), 0) for label in (WASP, HUMAN))
@@ -132,5 +123,5 @@ def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
         # One scrubber moves both.
         tab.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight", code="ArrowRight")
         tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first + 1}')")
-        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)", 30)
+        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)")
         tab.close()

@@ -1,8 +1,12 @@
-"""Who may ask: token, Host, Origin; and nothing that is asked for becomes a path."""
+"""Who may ask: token, Host, Origin; nothing that is asked for becomes a path; and the command as a process."""
 
 from __future__ import annotations
 
 import json
+import re
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
@@ -10,6 +14,7 @@ from urllib.parse import quote
 
 import pytest
 
+from tests.commands import run_here
 from tests.view.conftest import brought, viewed
 from wasp_cli.view.server import ViewServer
 
@@ -26,7 +31,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewServer]:
 def ask(
     server: ViewServer, path: str, method: str = "GET", body: str | None = None, known: bool = True, **headers: str
 ) -> tuple[int, dict[str, str], str]:
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=600)
     if known:
         headers["Cookie"] = f"wasp_view_{server.port}={server.token}"
     connection.request(method, path, body, headers)
@@ -40,11 +45,20 @@ PLACES = (
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_every_page_needs_the_token(server: ViewServer, place: str) -> None:
+def test_every_page_needs_the_token_and_may_load_nothing_from_elsewhere(server: ViewServer, place: str) -> None:
     assert ask(server, place, known=False)[0] == 403
     assert ask(server, place, known=False, Cookie=f"wasp_view_{server.port}=guess")[0] == 403
     assert ask(server, place + ("&" if "?" in place else "?") + "token=guess", known=False)[0] == 403
-    assert ask(server, place)[0] == 200
+    for host in ("evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80"):
+        assert ask(server, place, Host=host)[0] == 403
+    assert ask(server, place, "POST", "text=x", Origin=f"http://127.0.0.1:{server.port}")[0] == 405, "nothing can be sent"
+    status, headers, body = ask(server, place)
+    assert status == 200
+    if place != "/cells/numbers":
+        assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self'")
+        assert (headers["x-frame-options"], headers["referrer-policy"]) == ("DENY", "same-origin")
+    assert server.token not in body
+    assert "<form method" not in body
 
 
 def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(server: ViewServer) -> None:
@@ -54,32 +68,16 @@ def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(server
     assert "samesite=strict" in headers["set-cookie"].lower()
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80"])
-def test_a_name_of_another_host_is_refused(server: ViewServer, place: str, host: str) -> None:
-    assert ask(server, place, Host=host)[0] == 403
-
-
-@pytest.mark.parametrize("place", [each for each in PLACES if each != "/cells/numbers"])
-def test_a_page_may_load_nothing_from_elsewhere(server: ViewServer, place: str) -> None:
-    _, headers, body = ask(server, place)
-    assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self'")
-    assert headers["x-frame-options"] == "DENY"
-    assert headers["referrer-policy"] == "same-origin"
-    assert server.token not in body
-
-
 ODD = [
     "/static/../server.py", "/static/%2e%2e/server.py", "/static/base.html", "/cell/../../etc/passwd", "/cell/%2e%2e%2f%2e%2e",
     "/film/../x/0/film", "/film/0123456789abcdef0123/0/film", f"{CELL}/episode/99", f"{CELL}/episode/0?step=x", "/cell/x",
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("path", ODD)
-def test_nothing_that_is_asked_for_becomes_a_path(server: ViewServer, path: str) -> None:
-    status, _, body = ask(server, path)
-    assert status == 404
-    assert "root:" not in body
+def test_nothing_that_is_asked_for_becomes_a_path(server: ViewServer) -> None:
+    for path in ODD:
+        status, _, body = ask(server, path)
+        assert (status, "root:" in body) == (404, False), path
 
 
 def test_a_film_is_only_begun_by_a_page_of_ours(server: ViewServer) -> None:
@@ -95,16 +93,6 @@ def test_a_film_is_only_begun_by_a_page_of_ours(server: ViewServer) -> None:
     assert json.loads(ask(server, film)[2])["state"] == "absent"
     assert ask(server, f"{film}/frame/0")[0] == 404
     assert json.loads(ask(server, film, "POST", Origin=here)[2])["state"] == "drawing"
-
-
-def test_nothing_else_can_be_sent(server: ViewServer) -> None:
-    here = f"http://127.0.0.1:{server.port}"
-    for place in PLACES:
-        assert ask(server, place, "POST", "text=x", Origin=here)[0] == 405
-        assert "<form method" not in ask(server, place)[2]
-    for place in ("/note", "/run/x/ask"):
-        assert ask(server, place, "POST", "text=x", Origin=here)[0] == 404
-    assert not (server.site.layout.root / "notes.jsonl").exists()
 
 
 def test_the_pages_change_nothing(server: ViewServer) -> None:
@@ -127,3 +115,40 @@ def test_a_session_of_a_person_shows_who_drove_and_how_well_in_time(server: View
         path.unlink()
     for name, value in (("participant", "7"), ("timing: late", "3"), ("sittings 1: begun", "2026-05-01T12:00:00")):
         assert f"<dt>{name}</dt><dd>{value}</dd>" in body
+
+
+def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
+    results = brought(tmp_path / "results", LABEL)
+    command = [sys.executable, "-m", "wasp_cli", "view", str(results), "--no-browser", "--open", f"/cell/{LABEL}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline())
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=600)
+        connection.request("GET", found[2])
+        answer = connection.getresponse()
+        answer.read()
+        cookie = (answer.getheader("set-cookie") or "").partition(";")[0]
+        connection.request("GET", answer.getheader("location") or "", headers={"Cookie": cookie})
+        assert LABEL in connection.getresponse().read().decode()
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=600)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+    assert "Traceback" not in errors
+    assert "ssh -L" in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (("RESULTS", "--open", "cells"), 2, "places begin with a slash"), (("/nowhere",), 1, "neither runs nor a store"),
+        (("RESULTS", "--episodes", "1"), 2, "go with --bundle"),
+        (("RESULTS", "--bundle", "OUT", "--cell", "zzz"), 2, "zzz"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_shown_is_said(tmp_path: Path, arguments: tuple[str, ...], code: int, expected: str) -> None:
+    places = {"RESULTS": str(brought(tmp_path / "results", LABEL)), "OUT": str(tmp_path / "out")}
+    done = run_here("view", *(places.get(word, word) for word in arguments), "--no-browser", columns=200)
+    assert (done.exit_code, expected in done.stderr) == (code, True), done.output

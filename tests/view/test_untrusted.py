@@ -16,10 +16,11 @@ from tests.store.test_untrusted import SECRET
 from tests.store.untrusted import LABEL, RUN, UntrustedStore
 from tests.view.conftest import viewed
 from tests.view.test_server import ask
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.notes import FILE
+from wasp_cli.store.find import find_cell
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
-from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films
+from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films, draw
 from wasp_cli.view.server import ViewServer
 
 HOSTILE = '<img src=x onerror="window.owned=1">\'"><script>window.owned=1</script>'
@@ -101,14 +102,15 @@ def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Pat
     it = UntrustedStore(tmp_path)
     it.rows(task=["evil_module:X-v0"])
     it.manifest(task="evil_module:X-v0")
+    for kind in (REPLAY, BRANCHES):
+        with pytest.raises(UsageError, match="no task of ours"):
+            draw(it.layout, find_cell(it.layout, it.key), 0, kind, 0, tmp_path)
     films = Films(it.layout)
-    for kind in (FILM, REPLAY, BRANCHES):
-        films.ask(it.key, 0, kind)
-        end = time.monotonic() + 600
-        while (state := films.state(it.key, 0, kind))["state"] == "drawing":
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        assert state["state"] == "failed"
-        assert "no task of ours" in state["problem"]
+    films.ask(it.key, 0, FILM)
+    end = time.monotonic() + 600
+    while (state := films.state(it.key, 0, FILM))["state"] == "drawing":
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert (state["state"], "no task of ours" in state["problem"]) == ("failed", True)
     films.close()
     assert not (outside / "imported").exists()

@@ -32,7 +32,6 @@ def main_options(
 
 
 def main() -> None:
-    """Run the program."""
     os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working directory, which may be somebody's results
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # an ASCII terminal shows ? where it has no character

@@ -15,8 +15,7 @@ from typing import Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from wasp_cli.cli.early import INTERRUPTED, end_in_order
-from wasp_cli.console import report_error, silence
+from wasp_cli.console import INTERRUPTED, end_in_order, report_error, silence
 from wasp_cli.errors import WaspError, refusal
 
 PIPE_CLOSED = 141
@@ -148,6 +147,5 @@ def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON."""
     json.dump(value, sys.stdout, indent=1)
     sys.stdout.write("\n")

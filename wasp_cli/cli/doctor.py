@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from wasp_cli.cli.command import command
 from wasp_cli.cli.options import RESULTS, ResultsOption
@@ -21,8 +19,7 @@ from wasp_cli.store.provenance import installed, memory_gb, processor
 
 NEEDED = ("torch", "mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
-ON_DEVICE = ("world_model", "latents", "evaluate")
-"""The stages that compute on a GPU where there is one; a test holds this against their code."""
+ON_DEVICE = ("world_model", "latents", "evaluate")  # stages that compute on a GPU where there is one; a test holds this against their code
 
 
 @command("wasp doctor", codes="0 all is there, 1 something is missing or broken, 2 usage")
@@ -31,29 +28,29 @@ def doctor(results: ResultsOption = RESULTS) -> None:
 
     And whether the results folder can be written.
     """
-    findings = examine(results)
-    show(findings)
+    from rich.table import Table
+    from rich.text import Text
+
+    findings = list(examine(results))
+    table = Table(box=None, padding=(0, 2), show_header=False)
+    colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
+    for finding in findings:
+        state = Text("none" if finding.state == "optional" else finding.state, style=colours[finding.state])
+        table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))
+    out().print(table)
     require(findings)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One checked property of the machine."""
-
+class Finding(NamedTuple):
     what: str
     state: Literal["ok", "missing", "broken", "low", "optional"]
     found: str
     meaning: str = ""
 
 
-def examine(results: Path) -> list[Finding]:
+def examine(results: Path) -> Iterator[Finding]:
     """Check everything that a run can use. Imports torch and MuJoCo."""
-    return [*_software(), *_plugins(), *_hardware(), _writable(results)]
-
-
-def _software() -> Iterator[Finding]:
-    fits = sys.version_info >= (3, 11)
-    yield Finding("Python", "ok" if fits else "missing", platform.python_version(), "" if fits else "wasp needs 3.11 or newer")
+    yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         try:
             import_module(name.replace("-", "_"))
@@ -61,6 +58,17 @@ def _software() -> Iterator[Finding]:
             yield Finding(name, "missing", str(error).partition("\n")[0], f"required: pip install {name}")
         else:
             yield Finding(name, "ok", installed(name) or "found")
+    yield from _plugins()
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
+    memory = memory_gb()
+    if memory is None:
+        yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
+    else:
+        small = memory < SMALL_MEMORY_GB
+        yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
+    yield _gpu()
+    yield _writable(results)
 
 
 def registries() -> tuple[Registry[Any], ...]:
@@ -95,25 +103,13 @@ def _plugins() -> Iterator[Finding]:
                 yield Finding(what, "ok", package)
 
 
-def _hardware() -> Iterator[Finding]:
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
-    memory = memory_gb()
-    if memory is None:
-        yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
-    else:
-        small = memory < SMALL_MEMORY_GB
-        yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
-    yield _gpu()
-
-
 def _gpu() -> Finding:
     try:
         import torch
+
+        from wasp_cli.learning.device import VARIABLE, training_device
     except (ImportError, OSError):
         return Finding("GPU", "optional", "unknown without torch")
-    from wasp_cli.learning.device import VARIABLE, training_device
-
     stages = ", ".join(ON_DEVICE)
     name = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none that torch can use"
     try:
@@ -135,27 +131,11 @@ def _writable(results: Path) -> Finding:
         place = folder
         while not os.path.lexists(place) and place != place.parent:
             place = place.parent
-        if not os.path.isdir(place):
-            return Finding("results", "missing", f"'{place}' is not a folder", "choose another folder with --results DIR")
-        if not os.access(place, os.W_OK | os.X_OK):
-            return Finding("results", "missing", f"cannot write to '{place}'", "choose another folder with --results DIR")
+        if not os.path.isdir(place) or not os.access(place, os.W_OK | os.X_OK):
+            return Finding("results", "missing", f"'{place}' is no folder that can be written", "choose another folder with --results DIR")
     return Finding("results", "ok", f"'{results}' can be written")
 
 
 def require(findings: list[Finding]) -> None:
-    """Check that nothing is missing which every run needs."""
     if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
         raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
-
-
-def show(findings: list[Finding]) -> None:
-    """Print findings as a table."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, padding=(0, 2), show_header=False)
-    colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
-    for finding in findings:
-        state = Text("none" if finding.state == "optional" else finding.state, style=colours[finding.state])
-        table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))
-    out().print(table)

@@ -12,6 +12,8 @@ from wasp_cli.cli.options import (
     Folder,
     JobsOption,
     JsonOption,
+    NoBrowserOption,
+    PortOption,
     PresetOption,
     ResultsArgument,
     ResultsOption,
@@ -21,6 +23,7 @@ from wasp_cli.cli.options import (
     flag,
     method_names,
     option,
+    require_extra,
 )
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import out, say
@@ -46,8 +49,8 @@ def drive(
     number: Annotated[int | None, option("N", "Number of the session: its worlds. (default: the next one)", "--session", min=0)] = None,
     speed: Annotated[float | None, option("X", "Simulated seconds per second. (default: 1)", min=0.05, max=4.0)] = None,
     hide: Annotated[list[str] | None, option("NAME", "Do not show: cameras, map, cost, goals, gate or imagined (repeatable).")] = None,
-    port: Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)] = 0,
-    browser: Annotated[bool, flag("--no-browser", "Only print the address.")] = False,
+    port: PortOption = 0,
+    browser: NoBrowserOption = False,
     check: Annotated[bool, flag("--check", "Measure with a scripted driver whether decisions are in time; record nothing.")] = False,
     simulate: Annotated[
         bool, flag("--simulate", "Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
@@ -65,12 +68,7 @@ def drive(
     The page is served on this machine alone, under an address with a token; through an SSH tunnel it works from elsewhere. What is driven
     is a cell like any other: wasp report, explain, replay and compare show it.
     """
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise UsageError(f"driving needs packages that are not here: {error}", "pip install 'wasp-cli[drive]'") from error
+    require_extra("drive", "starlette", "uvicorn", "websockets")
     from wasp_cli.drive.check import Habits
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
 

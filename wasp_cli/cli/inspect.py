@@ -14,7 +14,9 @@ from wasp_cli.cli.options import (
     EpisodeOption,
     Folder,
     JsonOption,
+    NoBrowserOption,
     NodeArgument,
+    PortOption,
     RunOption,
     StoredCellArgument,
     Whereabouts,
@@ -22,6 +24,7 @@ from wasp_cli.cli.options import (
     directory,
     flag,
     option,
+    require_extra,
 )
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
@@ -234,8 +237,8 @@ def _say_address(results: Path, cell: FoundCell, episode: int, step: int | None)
 def view(
     results: Folder,
     place: Annotated[str, option("PLACE", "The page that opens: an address as pages and commands print it.", "--open")] = "/",
-    port: Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)] = 0,
-    browser: Annotated[bool, flag("--no-browser", "Only print the address.")] = False,
+    port: PortOption = 0,
+    browser: NoBrowserOption = False,
     bundle: Annotated[Path | None, directory("Write the pages to a folder that works from any host, and serve nothing.")] = None,
     cell: Annotated[
         list[str] | None, option("CELL", "With --bundle: a cell whose episodes have pages (repeatable). (default: all cells)")
@@ -247,14 +250,10 @@ def view(
     Cells, episodes, decisions and why; runs as they go on. The pages are served on this machine alone, under an address with a token;
     through an SSH tunnel they work from elsewhere. Nothing of the results is executed or changed.
     """
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError as error:
-        raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
-    from wasp_cli.view import site_of
-    from wasp_cli.view.server import bundle as write_bundle
+    require_extra("web", "starlette", "uvicorn")
+    from wasp_cli.view.bundle import bundle as write_bundle
     from wasp_cli.view.server import serve
+    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")

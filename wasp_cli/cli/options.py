@@ -7,6 +7,7 @@ plugin that does not load offers nothing, instead of a traceback.
 from __future__ import annotations
 
 import functools
+import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,6 +66,15 @@ preset_names = _offered("wasp_cli.spec.presets:PRESETS")
 setting_names = _offered("wasp_cli.spec.hints:settings", "=")  # the keys of `--set` and `--vary`
 
 
+def require_extra(extra: str, *packages: str) -> None:
+    """Check that the packages of an extra can be imported."""
+    for package in packages:
+        try:
+            importlib.import_module(package)
+        except ImportError as error:
+            raise UsageError(f"this command needs packages that are not here: {error}", f"pip install 'wasp-cli[{extra}]'") from error
+
+
 def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
@@ -87,12 +97,10 @@ def option(metavar: str, text: str, *names: str, among: Completion = None, **mor
 
 
 def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> Any:
-    """Declare an argument."""
     return typer.Argument(metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
 
 
 def flag(name: str, text: str, *names: str, **more: Any) -> Any:
-    """Declare a switch, which takes no value."""
     return typer.Option(name, *names, help=text, **more)
 
 
@@ -121,6 +129,8 @@ ReuseOption = Annotated[
     str | None, option("none|published|DIR", "Use results of results/published, or of DIR. (default: what the spec says)", "--reuse")
 ]
 JsonOption = Annotated[bool, flag("--json", "Print JSON.")]
+PortOption = Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)]
+NoBrowserOption = Annotated[bool, flag("--no-browser", "Only print the address.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,16 +149,12 @@ class Folder:
 
 @dataclass(frozen=True, kw_only=True)
 class Whereabouts:
-    """Where a node or a cell is looked for."""
-
     run: RunOption = None
     results: ResultsOption = RESULTS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sized:
-    """Which tasks of a spec, how large, and for which results folder."""
-
     task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=task_names)] = None
     preset: PresetOption = None
     set_: SetOption = None
@@ -163,12 +169,9 @@ class Sized:
 
 @dataclass(frozen=True, kw_only=True)
 class SizedSpec(Sized):
-    """A spec, with some of its tasks."""
-
     spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)]
 
     def load(self) -> Loaded:
-        """Load the spec that is meant."""
         from wasp_cli.spec.derived import restricted
         from wasp_cli.spec.load import load
 
@@ -177,8 +180,6 @@ class SizedSpec(Sized):
 
 @dataclass(frozen=True, kw_only=True)
 class SelectedSpec(SizedSpec):
-    """A spec, with some of its tasks, methods, cells and episodes."""
-
     method: MethodOption = None
     select: SelectOption = None
     limit: Annotated[int | None, option("N", "Only the first N episodes of each cell: a look before the whole.", min=1)] = None
@@ -194,8 +195,6 @@ class SelectedSpec(SizedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """How a run is carried out."""
-
     dry_run: Annotated[bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")] = False
     jobs: JobsOption = None
     timeout: Annotated[float | None, option("TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration)] = None
@@ -204,7 +203,6 @@ class Work:
     scheduler: Annotated[str | None, option("URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER")] = None
 
     def options(self) -> RunOptions:
-        """Return it as a run takes it."""
         from wasp_cli.run.pool import BACKENDS
         from wasp_cli.run.session import RunOptions, cores
 

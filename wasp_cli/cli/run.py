@@ -210,7 +210,6 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
 def run_and_report(
     loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
-    """Run a spec, then write and print its report."""
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded, reported
     from wasp_cli.run.session import run_spec
@@ -229,7 +228,6 @@ def run_and_report(
 
 
 def say_next(results: Path, methods: Mapping[str, str]) -> None:
-    """Name three commands that lead on: to the episodes behind the numbers, to one episode in words, to films."""
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
     if methods:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JsonOption, SetOption, argument, flag, option, parse_folder, spec_names, task_names
+from wasp_cli.cli.options import JsonOption, SetOption, argument, option, parse_folder, spec_names, task_names
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
 from wasp_cli.spec.shipped import copy_specs, spec_path
 
 if TYPE_CHECKING:
-    from rich.table import Table
     from rich.text import Text
 
     from wasp_cli.spec.read import Problem
@@ -86,15 +85,16 @@ def init(folder: Annotated[Path, argument("DIR", "Where to.", parser=parse_folde
     say(*(f"{path}: written" for path in written), *(f"{path}: is there, not changed" for path in kept))
 
 
-@command("wasp schema > specs/wasp.schema.json", "wasp schema --plugins > mine.schema.json")
-def schema(plugins: Annotated[bool, flag("--plugins", "Include the names of installed plugins.")] = False) -> None:
+@command("wasp schema > specs/wasp.schema.json")
+def schema() -> None:
     """Print the JSON Schema of specs, for editors.
 
-    It is for completion and checks. The first line of a spec names it: `# yaml-language-server: $schema=wasp.schema.json`.
+    It is for completion and checks, with the names of installed plugins. The first line of a spec names it:
+    `# yaml-language-server: $schema=wasp.schema.json`.
     """
     from wasp_cli.spec.schema import spec_schema
 
-    print_json(spec_schema(plugins=plugins))
+    print_json(spec_schema())
 
 
 @command("wasp list", "wasp list methods", "wasp list tasks --json | jq '.[].gym_id'", name="list")
@@ -109,21 +109,31 @@ def list_names(
     What a spec can name, with what plugins bring: how an assistant decides and what it needs trained, what an operator's severity means,
     and a task's spaces, cost sources and limits.
     """
-    listed = {name: rows() for name, (rows, _, _) in LISTS.items() if what in (None, name)}
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    listed = {name: rows() for name, (rows, *_) in LISTS.items() if what in (None, name)}
     if json:
         print_json(listed if what is None else listed[what])
         return
     for name, rows in listed.items():
-        _, table, further = LISTS[name]
-        out().print(table(rows))
+        _, headings, cells, further = LISTS[name]
+        # Only the second column may break a line between words.
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+        for number, heading in enumerate(headings):
+            table.add_column(heading, no_wrap=number != 1)
+        for row in rows:
+            table.add_row(named(row), *map(Text, cells(row)))
+            table.add_section()
+        out().print(table)
         say(further)
 
 
-Rows = Sequence[Mapping[str, Any]]
+Row = dict[str, Any]
 
 
-def methods() -> Rows:
-    """Return the assistants."""
+def methods() -> list[Row]:
     from wasp_cli.methods.registry import METHODS
 
     return [
@@ -136,8 +146,7 @@ def methods() -> Rows:
     ]  # fmt: skip
 
 
-def operators() -> Rows:
-    """Return the simulated operators."""
+def operators() -> list[Row]:
     from wasp_cli.operators.registry import OPERATORS
 
     return [
@@ -149,78 +158,53 @@ def operators() -> Rows:
     ]  # fmt: skip
 
 
-def tasks() -> Rows:
-    """Return the tasks. Imports MuJoCo."""
+def tasks() -> list[Row]:
     from wasp_cli.tasks.describe import describe
 
     return [asdict(task) for task in describe()]
 
 
-def method_table(methods: Rows) -> Table:
-    """Make a row per assistant: its name, how it decides, the stages that it needs of its own, and its variants."""
-    table = listing("Method", "How it decides", "Stages", "Variants")
-    for info in methods:
-        stages = [*info["needs"], *(f"({kind})" for kind in info["needs_with"])]
-        variants = [variant for variant in info["variants"] if variant != "full"]
-        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(stages), "\n".join(variants))
-        table.add_section()
-    return table
+def method_cells(info: Row) -> tuple[str, ...]:
+    stages = [*info["needs"], *(f"({kind})" for kind in info["needs_with"])]
+    variants = [variant for variant in info["variants"] if variant != "full"]
+    return info["rule"] or "see its documentation", "\n".join(stages), "\n".join(variants)
 
 
-def operator_table(operators: Rows) -> Table:
-    """Make a row per operator variant: its name, what its severity means, and from where to where."""
-    table = listing("Operator", "Severity", "Range")
-    for info in operators:
-        table.add_row(named(info), info["severity"], f"{info['low']:g} to {info['high']:g}")
-    return table
+def operator_cells(info: Row) -> tuple[str, ...]:
+    return info["severity"], f"{info['low']:g} to {info['high']:g}"
 
 
-def task_table(tasks: Rows) -> Table:
-    """Make a row per task: its names, its spaces, what costs, and when an episode ends."""
+def task_cells(task: Row) -> tuple[str, ...]:
+    pixels = "x".join(map(str, task["pixels_shape"]))
+    sides = zip(task["action_low"], task["action_high"], strict=True)
+    bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in sides)
+    action = f"action {len(task['action_low'])} in {', '.join(bounds)}"
+    spaces = f"state {task['state_size']}\npixels {pixels}\nprivileged {task['privileged_size']}\n{action}"
+    goals = f"{task['success_goals']} goal{'s' if task['success_goals'] > 1 else ''}"
+    return spaces, "\n".join(task["cost_sources"]) or "none", f"{task['env_steps']} steps\n{task['seconds']:g} s\n{goals}"
+
+
+LISTS: dict[str, tuple[Callable[[], list[Row]], tuple[str, ...], Callable[[Row], tuple[str, ...]], str]] = {
+    "methods": (
+        methods, ("Method", "How it decides", "Stages", "Variants"), method_cells,
+        "Stages are trained besides world model and policies; in brackets: under some settings only.",
+    ),
+    "operators": (operators, ("Operator", "Severity", "Range"), operator_cells, "Your own assistant or operator: docs/extending.md"),
+    "tasks": (tasks, ("Task", "Spaces", "Costs", "Limit"), task_cells, "Any gymnasium id is a task too: docs/own_task.md"),
+}  # fmt: skip
+
+
+def named(info: Row) -> Text:
+    """Return a name; below it the title of a method or operator where that is another word, the id of a task, and a plugin's package."""
     from rich.text import Text
 
-    table = listing("Task", "Spaces", "Costs", "Limit")
-    for task in tasks:
-        pixels = "x".join(map(str, task["pixels_shape"]))
-        sides = zip(task["action_low"], task["action_high"], strict=True)
-        bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in sides)
-        action = f"action {len(task['action_low'])} in {', '.join(bounds)}"
-        spaces = f"state {task['state_size']}\npixels {pixels}\nprivileged {task['privileged_size']}\n{action}"
-        goals = f"{task['success_goals']} goal{'s' if task['success_goals'] > 1 else ''}"
-        limit = f"{task['env_steps']} steps\n{task['seconds']:g} s\n{goals}"
-        name = Text(task["name"], style="bold").append(f"\n{task['gym_id']}", style="dim")
-        table.add_row(name, *map(Text, (spaces, "\n".join(task["cost_sources"]) or "none", limit)))
-        table.add_section()
-    return table
-
-
-LISTS = {
-    "methods": (methods, method_table, "Stages are trained besides world model and policies; in brackets: under some settings only."),
-    "operators": (operators, operator_table, "Your own assistant or operator: docs/extending.md"),
-    "tasks": (tasks, task_table, "Any gymnasium id is a task too: docs/own_task.md"),
-}
-
-
-def named(info: Mapping[str, Any]) -> Text:
-    """Return the name, below it the title in tables where that is another word, and for what a plugin brings its package."""
-    from rich.text import Text
-
-    name, title, package = str(info["name"]), str(info["title"]), str(info["module"]).partition(".")[0]
-    text = Text(name, style="bold")
+    name, text = info["name"], Text(info["name"], style="bold")
+    if "gym_id" in info:
+        return text.append(f"\n{info['gym_id']}", style="dim")
+    title, package = info["title"], info["module"].partition(".")[0]
     if title.lower().replace(",", "").replace(" ", "-") != name:
         text.append(f"\n{title}", style="dim")
     return text if package == "wasp_cli" else text.append(f"\nfrom {package}", style="dim")
-
-
-def listing(*headings: str) -> Table:
-    """Make an empty table; only its second column may break a line between words."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for number, heading in enumerate(headings):
-        table.add_column(heading, no_wrap=number != 1)
-    return table
 
 
 @command(

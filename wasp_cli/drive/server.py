@@ -20,7 +20,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.web import LocalServer, local, own_origin, page
+from wasp_cli.web.server import LocalServer, local, own_origin, page
 
 LONGEST = 8192  # bytes of a message
 MOST = 2000

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Loaded, Override, chain_of, load, loaded, override, path_of, value_of
@@ -22,27 +20,18 @@ from wasp_cli.spec.read import InvalidSpec, Problem, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
-WHOLE, AS_PRINTED = "full", "as-printed"
-"""Of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own."""
+WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
-    """Return settings as `--set` takes them, with a preset before them.
-
-    Raises:
-        UnknownName: no such preset.
-    """
+    """Return settings as `--set` takes them, with a preset before them."""
     if preset is not None and preset not in preset_names():
         raise UnknownName("preset", preset, preset_names())
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
 
 
 def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them.
-
-    Raises:
-        UnknownName: the spec has no such task, or no such method.
-    """
+    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them."""
     update: dict[str, tuple[str, ...]] = {}
     for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
         for name in chosen or ():
@@ -54,7 +43,6 @@ def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[st
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
-    """Return a spec with so many episodes in each cell."""
     evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
     return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
@@ -69,12 +57,7 @@ def limited(loaded: Loaded, episodes: int | None) -> Loaded:
 def ablation(
     path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
-    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone.
-
-    Raises:
-        UnknownName: no such variant, task or preset.
-        InvalidSpec: the spec at `path` is not valid.
-    """
+    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone."""
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)
@@ -90,12 +73,7 @@ def ablation(
 
 
 def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys.
-
-    Raises:
-        InvalidSpec: the spec at `path` is not valid, or lists no operators.
-        UsageError: a setting is not of the form `a.b=value`.
-    """
+    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys."""
     whole = load(path, settings)
     if not whole.spec.operators:
         hint = "for example operators: {laggy: {mild: 0.5, moderate: 0.7, severe: 0.85}}"
@@ -107,8 +85,7 @@ def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
 
 OPTION = "--vary"
 EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
-UNIMPAIRED_REFERENCE = "human"
-"""Runs beside the method whose setting varies: what that method adds is seen against it."""
+UNIMPAIRED_REFERENCE = "human"  # runs beside the method whose setting varies: what that method adds is seen against it
 CELLS = {
     "name": "a sweep names its own reports",
     "task": "name one with --task; without it every task of the spec has its rows",
@@ -123,23 +100,17 @@ CELLS = {
 
 @dataclass(frozen=True)
 class Point:
-    """One value of the setting."""
-
     text: str
-    """As it was written."""
     value: Any
-    loaded: Loaded
-    """The spec with it, under a name of its own."""
+    loaded: Loaded  # the spec with it, under a name of its own
 
 
 @dataclass(frozen=True)
 class Sweep:
     """A spec under several values of one setting."""
 
-    name: str
-    """Of the reports."""
-    spec: str
-    """The name of the spec without any of the values."""
+    name: str  # of the reports
+    spec: str  # the name of the spec without any of the values
     key: str
     points: tuple[Point, ...]
 
@@ -150,18 +121,12 @@ def read_sweep(
     """Read and validate a spec file under every value of `vary`, which is a text `a.b=v1,v2`.
 
     Without `methods` the setting of a method runs this method and Human-only, and any other setting all that the spec lists.
-
-    Raises:
-        UsageError: `vary` has another form, fewer than two values or one twice, or says which cells there are.
-        InvalidSpec: with every problem of every value.
-        UnknownName: the spec has no such method or task.
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     chain = chain_of(read(spec_path(path)))
     specs: list[Loaded] = []
-    problems: dict[Problem, None] = {}
-    """What is wrong with all values is said once."""
+    problems: dict[Problem, None] = {}  # what is wrong with all values is said once
     for option in options:
         try:
             specs.append(loaded(chain, (*overrides, option)))
@@ -173,7 +138,7 @@ def read_sweep(
     name = specs[0].spec.name
     points: list[Point] = []
     for option, valid in zip(options, specs, strict=True):
-        text = written(option)
+        text = shown(option.value)
         taken = [point.loaded.spec.name for point in points]
         # Not validated again: what is listed for other methods (`variants`) is no mistake here.
         update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
@@ -184,7 +149,6 @@ def read_sweep(
 
 
 def values_of(vary: str) -> list[Override]:
-    """Read `a.b=v1,v2`: for each value what a `--set` option would do."""
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -192,29 +156,18 @@ def values_of(vary: str) -> list[Override]:
     if path[0] in CELLS:
         raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
     name = ".".join(path)
-    options = [Override(f"{name}={text}", path, value, OPTION) for text, value in split(rest)]
-    if len(options) < 2:
+    values = value_of(f"[{rest}]", rest, OPTION)
+    if not values or rest.rstrip().endswith(","):
+        raise UsageError(f"{OPTION}: '{rest}' has an empty value", "write null where no value is meant")
+    if len(values) < 2:
         raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
-    written_before: dict[str, str] = {}
-    for option in options:
-        canonical = json.dumps(option.value, sort_keys=True)  # 1 and true are equal to Python
-        if canonical in written_before:
-            raise UsageError(f"{OPTION}: '{written(option)}' is the same value as '{written_before[canonical]}'", "write each value once")
-        written_before[canonical] = written(option)
-    return options
+    texts = [json.dumps(value, sort_keys=True) for value in values]  # 1 and true are equal to Python
+    for place, text in enumerate(texts):
+        if text in texts[:place]:
+            raise UsageError(f"{OPTION}: the value {text} stands there twice", "write each value once")
+    return [Override(f"{name}={shown(value)}", path, value, OPTION) for value in values]
 
 
-def written(option: Override) -> str:
-    """Return the value of an option on one line, as it was written."""
-    return " ".join(option.text.partition("=")[2].split())
-
-
-def split(values: str) -> list[tuple[str, Any]]:
-    """Return each value of a comma-separated list in YAML: as it is written, and what it means."""
-    meant = value_of(f"[{values}]", values, OPTION)
-    if not meant or values.rstrip().endswith(","):
-        raise UsageError(f"{OPTION}: '{values}' has an empty value", "write null where no value is meant")
-    text = f"value: [{values}]"
-    ((_, written_list),) = YAML(typ="safe", pure=True).compose(text).value
-    texts = [text[item.start_mark.index : item.end_mark.index].strip() for item in written_list.value]
-    return list(zip(texts, meant, strict=True))
+def shown(value: Any) -> str:
+    """Return a value as people write it in a spec, on one line."""
+    return value if isinstance(value, str) and value.isprintable() else json.dumps(value)

@@ -111,8 +111,7 @@ class Finding:
     loc: Loc
     message: str
     hint: str | None = None
-    at_key: bool = False
-    """The key is wrong (or its whole section), not its value."""
+    at_key: bool = False  # the key is wrong (or its whole section), not its value
 
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
@@ -164,33 +163,26 @@ def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
     return loc
 
 
-_WORDS = {
-    "an object": "a mapping of keys to values",
-    "a valid dictionary": "a mapping of keys to values",
-    "a valid array": "a list",
-    "a valid integer": "an integer",
-    "a valid ": "a ",
-}
-"""pydantic's words for what a YAML file holds, and ours."""
+_WORDS = {  # pydantic's words for what a YAML file holds, and ours
+    "an object": "a mapping of keys to values", "a valid dictionary": "a mapping of keys to values", "a valid array": "a list",
+    "a valid integer": "an integer", "a valid ": "a ",
+}  # fmt: skip
 
 
 def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description: Hint) -> Finding:
     first = entries[0]
-    context = first.get("ctx") or {}
-    name = str(loc[-1]) if loc else ""
-    if first["type"] == "extra_forbidden":
-        return Finding(loc, f"unknown key '{name}'", key_hint(loc), at_key=True)
-    if first["type"] == "missing":
+    kind, context, shown = first["type"], first.get("ctx") or {}, _shown(first["input"])
+    if kind == "extra_forbidden":
+        return Finding(loc, f"unknown key '{loc[-1]}'", key_hint(loc), at_key=True)
+    if kind == "missing":
         inside = f" in '{'.'.join(map(str, loc[:-1]))}'" if len(loc) > 1 else ""
-        return Finding(loc, f"missing key '{name}'{inside}" if loc[-1:] != (KEY,) else first["msg"], description(loc))
-    if "hint" in context or first["type"] in ("repeated", "no_operator", "severity_range"):
-        value = "" if first["type"] != "severity_range" else f", not {_shown(first['input'])}"
-        return Finding(loc, first["msg"] + value, context.get("hint"))
-    if first["type"] == "value_error":
+        return Finding(loc, f"missing key '{loc[-1]}'{inside}" if loc[-1:] != (KEY,) else first["msg"], description(loc))
+    if "hint" in context or kind in ("repeated", "no_operator", "severity_range"):
+        return Finding(loc, first["msg"] + (f", not {shown}" if kind == "severity_range" else ""), context.get("hint"))
+    if kind == "value_error":
         return Finding(loc, str(context["error"]), at_key=True)
-    if first["type"] in ("too_short", "string_too_short"):
+    if kind in ("too_short", "string_too_short"):
         return Finding(loc, "should not be empty", description(loc))
-    shown = _shown(first["input"])
     if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
         return Finding(
             loc, f"{shown} is not a usable name", "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
@@ -212,5 +204,5 @@ def _shown(value: Any) -> str:
         return "nothing (null)"
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # as it is written
-    text = repr(value) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else str(value)
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 40 else text[:37] + "..."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Problem, Source, dotted, kind_of, meant, parse, read
+from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Place, Problem, Source, dotted, kind_of, meant, parse, read
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")
@@ -36,26 +36,16 @@ class Loaded:
 
 
 def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Read and validate a spec file under `--set` options.
+    """Read and validate a spec file, or a spec that comes with the package by its name, under settings `a.b=value` as of `--set`.
 
-    Args:
-        path: the YAML file, or the name of a spec that comes with the package.
-        settings: texts `a.b=value`, validated as if they stood in the file.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-        UsageError: a setting is not of the form `a.b=value`.
+    An InvalidSpec has every problem, each with file, line and column.
     """
     overrides = tuple(override(number, text) for number, text in enumerate(settings, start=1))
     return loaded(chain_of(read(spec_path(path))), overrides)
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
-    """Validate the document of a spec file and those that it extends.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Validate the document of a spec file and those that it extends."""
     document, problems = chain.document(named=any(option.path == ("name",) for option in overrides))
     document = apply(document, overrides)
     places = {(problem.source, problem.position) for problem in problems}
@@ -74,7 +64,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
-    loc, depth = finding.loc, max(_depth(source, finding.loc) for source in chain.sources)
+    loc, depth = finding.loc, max(source.depth(finding.loc) for source in chain.sources)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         # The option wins where the files have nothing nearer to the place.
@@ -106,9 +96,8 @@ class Chain:
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
-            document, also = _listed(source, {name: value for name, value in source.document.items() if name != EXTENDS})
-            problems += source.problems + also
-            values = merged(values, document)
+            problems += source.problems
+            values = merged(values, {name: value for name, value in source.document.items() if name != EXTENDS})
         nearest = self.sources[0]
         if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
             for variant, severities in operators.items():
@@ -122,8 +111,8 @@ class Chain:
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
         """Return a problem in the nearest of the files that have most of a place: its value is the one in force."""
-        source = max(self.sources, key=lambda source: _depth(source, loc))  # of equal ones the first
-        return source.problem(_as_written(source, loc), message, hint, at_key=at_key)
+        source = max(self.sources, key=lambda source: source.depth(loc))  # of equal ones the first
+        return source.problem(loc, message, hint, at_key=at_key)
 
     def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
         """Return the problems file by file, nearest first; those of no file (options) last."""
@@ -132,60 +121,45 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends."""
-    sources = [source]
+    """Return a source with all files that it extends: each one beside the file that names it, or a spec that comes with the package."""
+    sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
-        path = _extended(last)
+        value, message, hint = last.document[EXTENDS], "", None
+        if value is None and last.problems:  # what stands there is no value at all
+            raise InvalidSpec(last.problems)
+        if not isinstance(value, str) or Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
+            shown = repr(value) if isinstance(value, str) else kind_of(value)
+            raise InvalidSpec([last.problem((EXTENDS,), f"should be the name of a spec or of a {SUFFIX} file, not {shown}")])
+        path = spec_path(Path(value), Path(last.name).parent)
         files = [os.path.realpath(before.name) for before in sources]
         if os.path.realpath(path) in files:
-            circle = " -> ".join([*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)])
-            raise _refused(last, f"extends itself: {circle}")
-        if len(sources) == LONGEST_CHAIN:
-            raise _refused(last, f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them")
-        if not os.path.exists(path):
-            raise _refused(last, f"no such file: '{path}'", meant(path))
-        sources.append(read(path))
+            circle = [*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)]
+            message = f"extends itself: {' -> '.join(circle)}"
+        elif len(sources) == LONGEST_CHAIN:
+            message, hint = f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them"
+        elif not os.path.exists(path):
+            message, hint = f"no such file: '{path}'", meant(path)
+        if message:
+            raise InvalidSpec([last.problem((EXTENDS,), message, hint)])
+        sources.append(_with_list(read(path)))
     return Chain(tuple(sources))
 
 
-def _extended(source: Source) -> Path:
-    """The file that a source extends: one beside it, or a spec that comes with the package."""
-    value = source.document[EXTENDS]
-    if not isinstance(value, str):
-        if value is None and source.problems:  # what stands there is no value at all
-            raise InvalidSpec(source.problems)
-        shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
-        raise _refused(source, f"should be the name of one file, not {shown}")
-    if Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
-        raise _refused(source, f"should be the name of a spec or of a {SUFFIX} file, not {value!r}")
-    return spec_path(Path(value), Path(source.name).parent)
-
-
-def _refused(source: Source, message: str, hint: str | None = None) -> InvalidSpec:
-    return InvalidSpec([source.problem((EXTENDS,), message, hint)])
-
-
-def _as_written(source: Source, loc: Loc) -> Loc:
-    """`task: a` in a file is `tasks: [a]` in its document."""
-    return (SHORT,) if loc[:1] == ("tasks",) and SHORT in source.document else loc
-
-
-def _depth(source: Source, loc: Loc) -> int:
-    """How many parts of a place a file has."""
-    return source.depth(loc) if _as_written(source, loc) == loc else len(loc)
-
-
-def _listed(source: Source, document: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+def _with_list(source: Source) -> Source:
     """`task: a` is a short way to write `tasks: [a]`."""
-    if SHORT not in document:
-        return document, []
-    rest = {name: value for name, value in document.items() if name != SHORT}
+    if SHORT not in source.document:
+        return source
+    document, places, problems = dict(source.document), dict(source.places), list(source.problems)
+    name, place = document.pop(SHORT), places[SHORT,]
     if "tasks" in document:
-        return rest, [source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them")]
-    if isinstance(document[SHORT], list):
-        return rest | {"tasks": document[SHORT]}, [source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]")]
-    return rest | {"tasks": [document[SHORT]]}, []
+        problems.append(source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them"))
+    else:
+        if isinstance(name, list):
+            problems.append(source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]"))
+        document["tasks"] = name if isinstance(name, list) else [name]
+        places |= {("tasks",): place, ("tasks", 0): Place(place.value, place.value)}
+    return replace(source, document=document, places=places, problems=problems)
 
 
 @dataclass(frozen=True)
@@ -195,8 +169,7 @@ class Override:
     text: str
     path: tuple[str, ...]
     value: Any
-    option: str = "--set"
-    """The option that brought it, for messages."""
+    option: str = "--set"  # the option that brought it, for messages
 
 
 def override(number: int, text: str) -> Override:

@@ -40,8 +40,7 @@ from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
-Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
-"""Where, what, and the value that is wrong."""
+Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]  # where, what, and the value that is wrong
 DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
 """What every spec trains besides what its methods need."""
 
@@ -54,21 +53,16 @@ def refuse(problems: list[Problem]) -> None:
 
 
 def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    refuse(
-        [
-            ((variant, severity), _out_of_range(variant), value)
-            for variant, severities in operators.items()
-            for severity, value in severities.items()
-            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high
-        ]
-    )
+    values = [((variant, severity), value) for variant, severities in operators.items() for severity, value in severities.items()]
+    refuse([(place, wrong, value) for place, value in values if (wrong := _out_of_range(place[0], value))])
     return operators
 
 
-def _out_of_range(variant: str) -> PydanticCustomError:
+def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
     info = OPERATORS[variant]
     context = {"low": f"{info.low:g}", "high": f"{info.high:g}", "unit": info.unit}
-    return PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+    wrong = PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+    return None if info.low <= value <= info.high else wrong
 
 
 class Spec(Config):
@@ -95,9 +89,7 @@ class Spec(Config):
     )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
     side_by_side: int = assumed(
-        10,
-        "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over",
-        ge=1,
+        10, "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over", ge=1
     )
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
@@ -136,7 +128,6 @@ class Spec(Config):
         return seed if self.training_seed is None else self.training_seed
 
     def chain_seeds(self) -> tuple[int, ...]:
-        """Return the seeds of all training chains, each once."""
         return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
 
     @model_validator(mode="after")
@@ -162,8 +153,8 @@ def _check_tasks(spec: Spec) -> None:
     """Refuse what the sections of single tasks have wrong, each mistake at its own place."""
     sections = [name for name in (*STAGES, *method_sections()) if name not in EVERYWHERE]
     errors: list[InitErrorDetails] = []
-    for task, own in spec.by_task.items():
-        for name, values in own.items():
+    for task, changes in spec.by_task.items():
+        for name, values in changes.items():
             here = ("by_task", task, name)
             places = {name: ("[key]",)} | {f"{name}.{field}": (field, "[key]") for field in values}
             same = [key for key in places if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]]
@@ -185,10 +176,9 @@ def _check_tasks(spec: Spec) -> None:
 
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
-    """The same error at a place below another one."""
     context = error.get("ctx", {})
-    own = error["type"] not in get_args(ErrorType)
-    what = PydanticCustomError(error["type"], error["msg"], context) if own else error["type"]
+    pydantics = error["type"] in get_args(ErrorType)
+    what = error["type"] if pydantics else PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
 
 
@@ -226,10 +216,9 @@ def _skill_problems(spec: Spec) -> list[Problem]:
                 problems.append(((section, "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
                 continue
             for index, value in enumerate(values):
-                if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
-                    problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
-                elif variant == "limited-skill" and value not in checkpoints:
-                    problems.append(((section, "operators", variant, index), what, value))
+                unknown_skill = what if variant == "limited-skill" and value not in checkpoints else None
+                if wrong := _out_of_range(variant, value) or unknown_skill:
+                    problems.append(((section, "operators", variant, index), wrong, value))
     return problems
 
 
@@ -246,11 +235,7 @@ def mixing_stages() -> tuple[str, ...]:
 
 @cache
 def spec_type() -> type[Spec]:
-    """Build `Spec` with one section for each registered stage and method.
-
-    Raises:
-        WaspError: a plugin's stage or method cannot have a section.
-    """
+    """Build `Spec` with one section for each registered stage and method."""
     _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}
@@ -276,7 +261,6 @@ def _check_plugins() -> None:
 
 
 def preset_names() -> tuple[str, ...]:
-    """Return the presets, smallest first."""
     return get_args(Preset)
 
 
@@ -291,13 +275,11 @@ def validate(document: Mapping[str, Any]) -> Spec:
 
 def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:
     """`episodes` at the top is the canonical spelling; the section of `evaluate` follows it."""
-    section = document.get("evaluate", {})
-    default = Spec.model_fields["episodes"].default
+    section, default = document.get("evaluate", {}), Spec.model_fields["episodes"].default
     if not isinstance(section, dict):
         return document
     if "episodes" in section and "episodes" not in document:
         return {**document, "episodes": section["episodes"]}
     episodes = document.get("episodes", default)
-    # A wrong value is reported once, at the top.
-    usable = isinstance(episodes, int) and not isinstance(episodes, bool) and episodes >= 1
+    usable = type(episodes) is int and episodes >= 1  # a wrong value is reported once, at the top
     return {**document, "evaluate": {**section, "episodes": episodes if usable else default}}

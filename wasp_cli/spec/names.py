@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from itertools import count
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo
@@ -18,8 +19,7 @@ from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
 EXTENDS = "extends"
 SHORT = "task"
-TOP = (EXTENDS, SHORT)
-"""What a file may say at the top beside the fields of a spec."""
+TOP = (EXTENDS, SHORT)  # what a file may say at the top beside the fields of a spec
 RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
 
@@ -30,13 +30,23 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
 
-def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
+def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
     def check(name: str) -> str:
-        if name not in (known := list(names())):
-            raise unknown(kind, name, known)
+        if name not in (there := list(names())):
+            raise unknown(kind, name, there)
         return name
 
     return AfterValidator(check)
+
+
+def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
+    """The name of what is somebody's own, if it can be used."""
+    try:
+        if not (info.context or {}).get(RECORDED):
+            use()
+    except WaspError as error:
+        raise PydanticCustomError("own", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+    return name
 
 
 def _task(name: str, info: ValidationInfo) -> str:
@@ -50,24 +60,14 @@ def _task(name: str, info: ValidationInfo) -> str:
         task = TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    if isinstance(task, ForeignInfo) and not (info.context or {}).get(RECORDED):
-        try:
-            task.examine()
-        except WaspError as error:
-            raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
-    return name
+    return _usable(name, info, task.examine) if isinstance(task, ForeignInfo) else name
 
 
 def _method(name: str, info: ValidationInfo) -> str:
     """A registered method, or a class of one's own that can be imported."""
     if name not in METHODS:
         raise unknown("method", name, METHODS)
-    if isinstance(METHODS[name], OwnMethod) and not (info.context or {}).get(RECORDED):
-        try:
-            METHODS.load(name)
-        except WaspError as error:
-            raise PydanticCustomError("method", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
-    return name
+    return _usable(name, info, lambda: METHODS.load(name)) if isinstance(METHODS[name], OwnMethod) else name
 
 
 def training_stages() -> list[str]:
@@ -76,15 +76,11 @@ def training_stages() -> list[str]:
 
 
 def _stage(name: str) -> str:
-    unit = STAGES[name].unit if name in STAGES else None
-    if unit == "method":
-        raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
-    if unit == "person":
-        raise PydanticCustomError(
-            "of_person", "'{name}' is of a person", {"name": name, "hint": "wasp clone RESULTS --participant N makes it"}
-        )
-    if unit is None:
+    if name not in STAGES:
         raise unknown("stage", name, training_stages())
+    elsewhere = {"method": "list its method under `methods`", "person": "wasp clone RESULTS --participant N makes it"}
+    if hint := elsewhere.get(unit := STAGES[name].unit):
+        raise PydanticCustomError("elsewhere", "'{name}' runs for a {unit}", {"name": name, "unit": unit, "hint": hint})
     return name
 
 
@@ -94,8 +90,8 @@ def assistant_variants() -> list[str]:
 
 
 def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
-    for index, item in enumerate(items):
-        if item in items[:index]:
+    for item in items:
+        if items.count(item) > 1:
             raise PydanticCustomError("repeated", "'{item}' is listed twice", {"item": str(item)})
     return items
 
@@ -109,18 +105,13 @@ SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$"
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
 MethodName = Annotated[str, AfterValidator(_method)]
-VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
+VariantName = Annotated[str, known("assistant variant", assistant_variants)]
 StageName = Annotated[str, AfterValidator(_stage)]
-OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
+OperatorName = Annotated[str, known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
     """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
-    taken = set(taken)
-    clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
-    for number in range(1, len(taken) + 2):
-        end = f"-{clean}" + (f"-{number}" if number > 1 else "")
-        name = head[: LONGEST - len(end)] + end
-        if name not in taken:
-            break
-    return name
+    taken, clean = set(taken), re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
+    ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
+    return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -25,7 +25,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
-from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
+from wasp_cli.spec.names import NO_REPEATS, TaskName, known, unknown
 from wasp_cli.spec.read import InvalidSpec, Loc, Source, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
@@ -42,8 +42,7 @@ class Printed(NamedTuple):
     """A number as the paper prints it, in the unit of the page."""
 
     mean: float
-    spread: float | None = None
-    """After ±."""
+    spread: float | None = None  # after ±
 
 
 class Who(NamedTuple):
@@ -80,15 +79,9 @@ def _who(value: Any) -> Who:
     return Who(method, variant or FULL)
 
 
-def _column(name: str) -> str:
-    if name not in COLUMNS:
-        raise unknown("column", name, COLUMNS)
-    return name
-
-
 PrintedNumber = Annotated[Printed, PlainValidator(_printed)]
 WhoName = Annotated[Who, PlainValidator(_who)]
-ColumnName = Annotated[str, AfterValidator(_column)]
+ColumnName = Annotated[str, known("column", lambda: COLUMNS)]
 Text = Annotated[str, Field(min_length=1)]
 Tasks = Annotated[tuple[TaskName, ...], Field(min_length=1), NO_REPEATS]
 Columns = Annotated[tuple[ColumnName, ...], Field(min_length=1), NO_REPEATS]
@@ -127,8 +120,7 @@ class Comparison:
     relation: Relation
     right: Who | None = None
     bound: float | None = None
-    margin: float = 0.0
-    """Share of the right side's value."""
+    margin: float = 0.0  # share of the right side's value
 
 
 class Statement(Config):
@@ -168,8 +160,7 @@ class Claim(Config):
     id: Name
     section: Text
     says: Text
-    reading: str | None = None
-    """How the words were made answerable, where that is not obvious."""
+    reading: str | None = None  # how the words were made answerable, where that is not obvious
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
@@ -207,11 +198,7 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
-    """Read and validate a paper; by default the one that this project reproduces.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Read and validate a paper; by default the one that this project reproduces."""
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
     return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 
@@ -222,11 +209,7 @@ def is_paper(source: Source) -> bool:
 
 
 def paper_of(source: Source) -> Paper:
-    """Validate the document of a paper.
-
-    Raises:
-        InvalidSpec: with every problem, each with file, line and column.
-    """
+    """Validate the document of a paper."""
     document, problems = source.document, list(source.problems)
     places = {problem.position for problem in problems}
     try:
@@ -243,10 +226,6 @@ def paper_of(source: Source) -> Paper:
     return paper
 
 
-_SECTIONS: Mapping[Loc, type[Config]] = {(): Paper, ("tables",): PrintedTable, ("claims",): Claim, ("claims", "statements"): Statement}
-
-
 def _key_hint(loc: Loc) -> str | None:
-    """Close keys of the same section."""
-    section = tuple(part for part in loc[:-1] if isinstance(part, str))
-    return did_you_mean(str(loc[-1]), _SECTIONS[section].model_fields) if section in _SECTIONS else None
+    fields = {field for model in (Paper, PrintedTable, Claim, Statement) for field in model.model_fields}
+    return did_you_mean(str(loc[-1]), sorted(fields))

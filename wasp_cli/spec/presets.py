@@ -9,15 +9,13 @@ from wasp_cli.stages.registry import STAGES
 
 Document = Mapping[str, Any]
 
+PLANNERS = ("wasp", "ida-guarded", "planner")  # the methods that search as WASP does
 # Planner of the feasibility study: a decision in 0.6 s on two cores; the models' defaults are the paper's sizes.
-_CPU: Document = {
-    "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
-    "ida-guarded": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
-    "planner": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
-    "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64, "rollouts": 2},
-}
+_CPU_SEARCH: Document = {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20}
+_CPU: Document = {**dict.fromkeys(PLANNERS, _CPU_SEARCH), "printed": {**_CPU_SEARCH, "probe": 64, "rollouts": 2}}
 
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
+_SMOKE_SEARCH: Document = {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1}
 _SMOKE: Document = {
     "episodes": 2,
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
@@ -47,15 +45,15 @@ _SMOKE: Document = {
     "ida-least": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "reach": {"candidates": 8, "segment": 8, "quantile": 0.5},
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
-    "ida-guarded": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1, "vote": 0.0, "quantile": 0.5},
+    **dict.fromkeys(("wasp", "planner"), _SMOKE_SEARCH),
+    "ida-guarded": {**_SMOKE_SEARCH, "vote": 0.0, "quantile": 0.5},
     "mpmi": {"candidates": 8, "rollouts": 1, "quantile": 0.5},
-    "planner": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
-    "printed": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "rollouts": 1},
+    "printed": {**_SMOKE_SEARCH, "probe": 8},
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
 # many small updates of the world model beat few large ones.
+_QUICK_SEARCH: Document = {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10}
 _QUICK: Document = {
     "episodes": 10,
     "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
@@ -79,10 +77,8 @@ _QUICK: Document = {
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},
-    "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
-    "ida-guarded": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
-    "planner": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
-    "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 1},
+    **dict.fromkeys(PLANNERS, _QUICK_SEARCH),
+    "printed": {**_QUICK_SEARCH, "probe": 32, "rollouts": 1},
 }  # fmt: skip
 
 # Sizes for a large GPU, and the planner's are the paper's. The world model trains, latents are filtered and assistants are evaluated on one
@@ -114,9 +110,7 @@ _PAPER: Document = {
     "denoiser": {"updates": 30_000, "batch": 4096},
     "consistency": {"teacher_updates": 15_000, "updates": 20_000, "batch": 4096, "width": 256, "depth": 4},
     "residual": {"interactions": 1_000_000},
-    "wasp": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
-    "ida-guarded": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
-    "planner": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
+    **{name: {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100} for name in PLANNERS},
     "printed": {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 

@@ -37,21 +37,15 @@ class Position:
 START = Position(1, 1)
 
 
-_WIDTH = 110
-"""Longest excerpt of a line."""
-
-
 @dataclass(frozen=True)
 class Problem:
     """One mistake: its place, what is wrong, how to fix it, and the line it stands in."""
 
-    source: str
-    """The file as the user named it, or the option that brought the value."""
+    source: str  # the file as the user named it, or the option that brought the value
     position: Position | None
     message: str
     hint: str | None = None
-    line: str | None = None
-    """Text of the line at `position`."""
+    line: str | None = None  # text of the line at `position`
 
     @property
     def place(self) -> str:
@@ -65,20 +59,15 @@ class Problem:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        """Return this for machines."""
         line, column = (None, None) if self.position is None else (self.position.line, self.position.column)
         return {"file": self.source, "line": line, "column": column, "message": self.message, "hint": self.hint, "excerpt": self.line}
 
     def _excerpt(self) -> list[str]:
         if self.position is None or self.line is None:
             return []
-        number, column = f"{self.position.line:>5} | ", self.position.column
-        # A caret far to the right is of no use: show the part of the line around it.
-        start = 0 if column < _WIDTH else column - _WIDTH // 2
-        shown = self.line[start : start + _WIDTH]
         # Tabs stay tabs, so that the caret stands under its character at any tab width.
-        before = "".join("\t" if character == "\t" else " " for character in shown[: column - 1 - start])
-        return [number + shown, " " * (len(number) - 2) + "| " + before + "^"]
+        before = "".join("\t" if character == "\t" else " " for character in self.line[: self.position.column - 1])
+        return [f"{self.position.line:>5} | {self.line}", f"      | {before}^"]
 
 
 def _printable(text: str) -> str:
@@ -87,37 +76,31 @@ def _printable(text: str) -> str:
 
 
 class InvalidSpec(SpecError):
-    """A spec with problems, all of them: file by file as they are first named, each in its order, then those of options."""
+    """A spec with all its problems: file by file as they are first named, each in its order, then those of options."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
-        self.problems = tuple(sorted(problems, key=lambda problem: _order(problem, files)))
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+        def order(problem: Problem) -> tuple[int, int, int]:
+            place = problem.position
+            return (len(files), 0, 0) if place is None else (files.index(problem.source), place.line, place.column)
+
+        self.problems = tuple(sorted(problems, key=order))
+        super().__init__("\n".join(map(str, self.problems)))
 
     def __reduce__(self) -> tuple[type[InvalidSpec], tuple[tuple[Problem, ...]]]:  # type: ignore[override]
         return type(self), (self.problems,)
 
 
-def _order(problem: Problem, files: Sequence[str]) -> tuple[int, int, int]:
-    position = problem.position
-    return (len(files), 0, 0) if position is None else (files.index(problem.source), position.line, position.column)
-
-
 MAX_BYTES = 1_000_000
-MAX_DEPTH = 32
-"""Of lists and mappings in each other; JSON readers give up at some depth without a place."""
-LARGEST = 2**63
-"""Numbers of a spec lie below it."""
+MAX_DEPTH = 32  # of lists and mappings in each other; JSON readers give up at some depth without a place
+LARGEST = 2**63  # numbers of a spec lie below it
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where something stands."""
-
-    key: Position
-    """Of what is in a list, that of the value."""
-    value: Position
-    """Of what is empty, that of the key."""
+    key: Position  # of what is in a list, that of the value
+    value: Position  # of what is empty, that of the key
 
 
 @dataclass(frozen=True)
@@ -126,11 +109,9 @@ class Source:
 
     name: str
     text: str
-    document: dict[str, Any] = field(default_factory=dict)
-    """As JSON values; null where a value has no such form."""
+    document: dict[str, Any] = field(default_factory=dict)  # as JSON values; null where a value has no such form
     places: dict[Loc, Place] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    """What has no form as a JSON value."""
+    problems: list[Problem] = field(default_factory=list)  # what has no form as a JSON value
 
     def depth(self, loc: Loc) -> int:
         """Return how many parts of what pydantic calls a `loc` the document really has."""
@@ -141,7 +122,6 @@ class Source:
         return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
-        """Return a problem at a position of the text."""
         lines = lines_of(self.text)
         line = lines[position.line - 1] if 0 < position.line <= len(lines) else None
         return Problem(self.name, position, message, hint, line or None)
@@ -180,11 +160,7 @@ def _has(node: Any, part: str | int) -> bool:
 
 
 def read(path: Path) -> Source:
-    """Read the YAML mapping in a file.
-
-    Raises:
-        InvalidSpec: no such file, not text, not YAML, or not a mapping.
-    """
+    """Read the YAML mapping in a file."""
     return parse(_text(path), str(path))
 
 
@@ -214,16 +190,13 @@ def parse(text: str, name: str) -> Source:
 
 
 SHARING = {AnchorToken: "an anchor (&)", AliasToken: "an alias (*)", TagToken: "a tag (!)"}
-MERGE = "<<"
 
 
 def _refuse_sharing(source: Source) -> None:
     """See that a text has no anchors, aliases, merges and tags: what is meant at one place should be read there."""
     for token in YAML(typ="safe", pure=True).scan(source.text):
-        what = SHARING.get(type(token))
-        if isinstance(token, ScalarToken) and token.plain and token.value == MERGE:
-            what = f"a merge ({MERGE})"
-        if what is not None:
+        merge = isinstance(token, ScalarToken) and token.plain and token.value == "<<"
+        if what := "a merge (<<)" if merge else SHARING.get(type(token)):
             hint = "write the value where it is used; whole sections are shared with `extends`"
             raise InvalidSpec([source.problem_at(_at(token), f"{what} is no part of a spec", hint)])
 
@@ -231,7 +204,6 @@ def _refuse_sharing(source: Source) -> None:
 _TAG = "tag:yaml.org,2002:"
 _NO_SCALAR = {"int": "not an integer", "float": "not a number", "timestamp": "not a valid date", "bool": "not a boolean"}
 """By tag: what is said of a scalar that cannot be built."""
-_LONGEST = 40
 
 
 @dataclass(frozen=True)
@@ -251,20 +223,18 @@ class _Reader:
                 self.source.places[*loc, index] = Place(_at(item), _at(item))
             return [self.value(item, (*loc, index)) for index, item in enumerate(node.value)]
         scalar = self.scalar(node)
-        reason, hint = _no_value(scalar)
-        if reason is None:
+        if (reason := _no_value(scalar)) is None:
             # 1e6 is a float in YAML and a count to people.
             return int(scalar) if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53 else scalar
-        self.source.problems.append(self.source.problem_at(_at(node), reason, hint))
+        self.source.problems.append(self.source.problem_at(_at(node), reason))
         return None
 
     def entries(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Any]]:
         keys: set[str] = set()
         for key_node, value_node in node.value:
             key = self.scalar(key_node)
-            reason = _no_key(key)
-            if reason is not None:
-                self.source.problems.append(self.source.problem_at(_at(key_node), reason))
+            if (reason := _no_key(key)) is not None:
+                self.source.problems.append(self.source.problem_at(_at(key_node), f"a key should be a plain word, not {reason}"))
                 continue
             name = str(key)
             if name in keys:
@@ -285,32 +255,31 @@ class _Reader:
         try:
             return self.yaml.constructor.construct_object(node)
         except Exception as error:  # whatever Python says of a text that is no number
-            value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
+            value = node.value if len(node.value) <= 40 else node.value[:37] + "..."
             message = f"not valid YAML: '{value}' is {_NO_SCALAR.get(tag, 'no value')}"
             raise InvalidSpec([self.source.problem_at(_at(node), message)]) from error
 
 
-def _no_value(scalar: Any) -> tuple[str | None, str | None]:
-    """Why a scalar is no value of a spec, and a hint."""
+def _no_value(scalar: Any) -> str | None:
+    """Why a scalar is no value of a spec."""
     if isinstance(scalar, int) and abs(scalar) >= LARGEST:
-        return "is too large a number", None
+        return "is too large a number"
     if isinstance(scalar, float) and not math.isfinite(scalar):
-        return f"should be a finite number, not {scalar}", None
+        return f"should be a finite number, not {scalar}"
     if isinstance(scalar, str) and not _whole(scalar):
-        return "holds an unpaired surrogate escape", None
-    if isinstance(scalar, datetime.date):
-        return "a date is no value of a spec", "put it in quotes"
-    return None, None
+        return "holds an unpaired surrogate escape"
+    return "a date is no value of a spec; put it in quotes" if isinstance(scalar, datetime.date) else None
 
 
 def _no_key(key: Any) -> str | None:
-    """Why something is no key of a spec."""
-    if isinstance(key, bool) or not isinstance(key, str | int | float):
-        shown = repr(key) if key is None or isinstance(key, bool) else kind_of(key)
-        return f"a key should be a plain word, not {shown}"
+    """What stands where a key should."""
     if isinstance(key, str):
-        return None if _whole(key) else "a key should be a plain word, not an unpaired surrogate escape"
-    return None if abs(key) < LARGEST else "a key should be a plain word, not so large a number"  # nan is too
+        return None if _whole(key) else "an unpaired surrogate escape"
+    if key is None or isinstance(key, bool):
+        return repr(key)
+    if isinstance(key, int | float):
+        return None if abs(key) < LARGEST else "so large a number"  # nan is too
+    return kind_of(key)
 
 
 def _whole(text: str) -> bool:
@@ -323,50 +292,32 @@ def _at(node: Any) -> Position:
 
 
 def _text(path: Path) -> str:
-    def refuse(message: str, hint: str | None = None) -> InvalidSpec:
-        return InvalidSpec([Problem(str(path), START, message, hint)])
-
+    position, hint = START, None
     try:
-        if path.is_dir():
-            raise refuse("is a folder, not a spec file", inside(path))
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise refuse("no such file", meant(path)) from error
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if len(data) > MAX_BYTES:
-        raise refuse(f"is larger than {MAX_BYTES:,} bytes, too large for a spec")
-    try:
-        return data.decode("utf-8-sig")
+        if len(data) <= MAX_BYTES:
+            return data.decode("utf-8-sig")
+        message = f"is larger than {MAX_BYTES:,} bytes, too large for a spec"
+    except IsADirectoryError:
+        message, hint = "is a folder, not a spec file", meant(path / "*")
+    except FileNotFoundError:
+        message, hint = "no such file", meant(path)
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8", errors="replace")
-        position = _position_of(before, len(before))
-        raise InvalidSpec([Problem(str(path), position, f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8")]) from error
+        position, message = _position_of(before, len(before)), f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8"
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+    raise InvalidSpec([Problem(str(path), position, message, hint)])
 
 
 def meant(path: Path) -> str:
     """Return a hint for those who look for a spec that is not there: what is nearly called so, or what there is."""
-    # Compared without the ending, which makes all of them alike.
-    files = {file.stem: file.name for file in _specs_in(path.parent)}
-    names = shipped_names()
-    shown = {name: name for name in names} | files
-    there = "; ".join(filter(None, (inside(path.parent), f"by name there are: {', '.join(names)}")))
-    hint = did_you_mean(path.stem, list(shown), otherwise=there)
-    return hint if hint == there else re.sub(r"'([^']*)'", lambda match: f"'{shown.get(match[1], match[1])}'", hint)
-
-
-def inside(folder: Path) -> str | None:
-    """Return a hint that names the first specs in a folder; None where there are none."""
-    files = _specs_in(folder)[:8]
-    return "here are: " + ", ".join(map(str, files)) if files else None
-
-
-def _specs_in(folder: Path) -> list[Path]:
     try:
-        return sorted(folder.glob("*.yaml"))
+        names = [file.stem for file in sorted(path.parent.glob("*.yaml"))]
     except OSError:
-        return []
+        names = []
+    return did_you_mean(path.stem, dict.fromkeys([*names, *shipped_names()]))
 
 
 def _position_of(text: str, index: int) -> Position:
@@ -388,11 +339,8 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
 
 
 def kind_of(value: Any) -> str:
-    """Return what people call a value."""
-    if isinstance(value, str):
-        return "plain text" if " " in value or "\n" in value else "a single word"
-    names = {datetime.date: "a date", Mapping: "a mapping", list: "a list"}
-    return next((name for kind, name in names.items() if isinstance(value, kind)), f"a {type(value).__name__}")
+    names = {str: "text", int: "a number", float: "a number", datetime.date: "a date", Mapping: "a mapping", list: "a list"}
+    return next((name for kind, name in names.items() if isinstance(value, kind)), "nothing")
 
 
 def dotted(loc: Loc) -> str:

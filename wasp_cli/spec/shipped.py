@@ -15,8 +15,7 @@ from wasp_cli.errors import UsageError
 
 _PACKAGE = Path(__file__).parents[1]
 SUFFIX, FOLDER = ".yaml", "specs"
-PAPER = "paper"
-"""Lies beside the specs and is none."""
+PAPER = "paper"  # lies beside the specs and is none
 
 
 def specs_folder() -> Path:
@@ -32,16 +31,12 @@ def published_folder() -> Path | None:
 
 
 def shipped_names() -> list[str]:
-    """List the names of the specs."""
     return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
 
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
-    """Return the file that was meant: the typed one, else one of that name here or in `specs/`, else the one that comes with the package.
-
-    Args:
-        typed: a file or the name of a spec.
-        folder: where a relative path begins.
+    """Return the file that was meant by a file or a name: the typed one in `folder`, else one of that name there or in its `specs/`,
+    else the one that comes with the package.
     """
     path = folder / typed
     if os.path.exists(path) or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
@@ -54,22 +49,14 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays.
-
-    Raises:
-        UsageError: the package came without specs.
-    """
+    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays."""
     source = specs_folder()
     if not source.is_dir():
         raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")
-    written: list[Path] = []
-    kept: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
-    for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")]):
-        target = folder / path.name
-        if target.exists():
-            kept.append(target)
-        else:
-            shutil.copyfile(path, target)
-            written.append(target)
+    targets = {folder / path.name: path for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")])}
+    kept = [target for target in targets if target.exists()]
+    written = [target for target in targets if target not in kept]
+    for target in written:
+        shutil.copyfile(targets[target], target)
     return written, kept

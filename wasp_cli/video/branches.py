@@ -43,8 +43,6 @@ class BranchTrace(NamedTuple):
 
 @dataclass
 class _BranchStates:
-    """What a branch passed through: w + 1 states, w actions."""
-
     pixels: list[Pixels] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
     actions: list[Floats] = field(default_factory=list)
@@ -131,7 +129,7 @@ class BranchPair:
         if self.appearance is None:
             front = np.ascontiguousarray(np.moveaxis(states.pixels[now][:3], 0, -1))
             return Image.fromarray(front).resize((MAP, MAP), Image.Resampling.BICUBIC)
-        paths = {each: along([scene.position[0, :2] for scene in self._states[each].scenes]) for each in self._states}
+        paths = {branch: along([scene.position[0, :2] for scene in passed.scenes]) for branch, passed in self._states.items()}
         picture = MapPicture.of(self.appearance, states.scenes[now], MAP, *_window(list(paths.values())))
         other = ALONE if name == ASSISTED else ASSISTED
         picture.line(paths[other][: step + 1], _COLOURS[other] + "60", 2.0)

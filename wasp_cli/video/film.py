@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, features
+from PIL import Image, ImageColor, ImageDraw
 
 from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
@@ -39,15 +39,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {"GIF": {"optimize": True, "disposal": 1},
 def checked(path: Path, still: Sequence[str] = ()) -> Path:
     """Return the path if a video, or a picture with an ending of `still`, can be written there, else raise a UsageError."""
     if path.suffix.lower() not in ENDINGS:
-        raise UsageError(
-            f"'{path}': unsupported video format", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
-        )
+        hint = f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
+        raise UsageError(f"'{path}': unsupported video format", hint)
     if not path.parent.is_dir():
         raise UsageError(f"'{path}': its folder does not exist", f"create the folder '{path.parent}'")
     if path.is_dir():
         raise UsageError(f"'{path}' is a folder", "name a file")
-    if path.suffix.lower() == ".webp" and not features.check("webp"):
-        raise UsageError("this Pillow was built without WebP", "use .gif or .png")
     return path
 
 
@@ -100,8 +97,6 @@ TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by l
 
 
 class Moment(NamedTuple):
-    """A frame of a film."""
-
     frame: Pixels  # uint8 [size, size, 3]
     decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
     positions: Floats  # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is
@@ -147,52 +142,19 @@ def film(
                 picture.edge(COST, size / 50)
             frame = np.asarray(picture.finished())
         else:
-            frame = _camera(played, size, costly)
+            image = Image.fromarray(_seen(played)[0]).resize((size, size), Image.Resampling.NEAREST)
+            if costly:
+                ImageDraw.Draw(image).rectangle((0, 0, size - 1, size - 1), outline=COST, width=max(1, size // 50))
+            frame = np.asarray(image)
         yield Moment(frame, played.t, along(positions), things, _seen(played) if cameras else None)
         costly = False
 
 
-def _seen(played: Played) -> Pixels | None:
-    """Images of three channels each, behind one another in the channels of the observation."""
+def _seen(played: Played) -> Pixels:
+    """Images of three channels each, [cameras, side, side, 3]: they lie behind one another in the channels of the observation."""
     pixels = played.observation.pixels
-    return None if pixels is None else np.ascontiguousarray(np.moveaxis(pixels[0].reshape(-1, 3, *pixels.shape[2:]), 1, -1))
-
-
-def _camera(played: Played, size: int, costly: bool) -> Pixels:
-    assert played.observation.pixels is not None
-    image = Image.fromarray(np.ascontiguousarray(np.moveaxis(played.observation.pixels[0, :3], 0, -1))).resize(
-        (size, size), Image.Resampling.NEAREST
-    )
-    if costly:
-        edge = max(1, size // 50)
-        image.paste(COST, (0, 0, size, edge))
-        image.paste(COST, (0, size - edge, size, size))
-    return np.asarray(image)
-
-
-def sprite(frames: list[Pixels], columns: int) -> tuple[bytes, str]:
-    """Put frames [size, size, 3] into one image, and name its MIME type.
-
-    WebP of the best quality that stays below LIMIT; PNG where Pillow has no WebP.
-    """
-    size = len(frames[0])
-    sheet = Image.new("RGB", (columns * size, -(-len(frames) // columns) * size))
-    for index, frame in enumerate(frames):
-        sheet.paste(Image.fromarray(frame), (index % columns * size, index // columns * size))
-    if not features.check("webp"):
-        return _saved(sheet.quantize(64, dither=Image.Dither.NONE), format="PNG", optimize=True), "image/png"
-    data = b""
-    for quality in _QUALITIES:
-        data = _saved(sheet, format="WEBP", quality=quality, method=4)
-        if len(data) <= LIMIT:
-            break
-    return data, "image/webp"
-
-
-def _saved(image: Image.Image, **options: Any) -> bytes:
-    file = io.BytesIO()
-    image.save(file, **options)
-    return file.getvalue()
+    assert pixels is not None
+    return np.ascontiguousarray(np.moveaxis(pixels[0].reshape(-1, 3, *pixels.shape[2:]), 1, -1))
 
 
 def sprite_of(
@@ -200,9 +162,16 @@ def sprite_of(
 ) -> Sprite:
     """Draw the film of an episode as a sprite sheet of `columns` frames beside each other, or more where it would become too high.
 
-    See `film` for the other arguments and the errors.
+    It is WebP of the best quality that stays below LIMIT. See `film` for the other arguments and the errors.
     """
     moments = list(film(task, action_repeat, layout_seed, a, a_h, reward, every, size))
     columns = max(columns, -(-len(moments) // (LONGEST // size)))
-    data, mime = sprite([moment.frame for moment in moments], columns)
-    return Sprite(data, mime, columns, size, [moment.decision for moment in moments], moments[-1].things)
+    sheet = Image.new("RGB", (columns * size, -(-len(moments) // columns) * size))
+    for index, moment in enumerate(moments):
+        sheet.paste(Image.fromarray(moment.frame), (index % columns * size, index // columns * size))
+    for quality in _QUALITIES:
+        file = io.BytesIO()
+        sheet.save(file, format="WEBP", quality=quality, method=4)
+        if file.tell() <= LIMIT:
+            break
+    return Sprite(file.getvalue(), "image/webp", columns, size, [moment.decision for moment in moments], moments[-1].things)

@@ -37,11 +37,10 @@ WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
 MAP, SIDE, BETWEEN = 436, 98, 4  # sides of the map and of a camera image, and between images
 TIMELINE = 178
-ARROW = 0.15
-"""Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined imagined."""
+ARROW = 0.15  # length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for futures
 _RIGHT = GAP + MAP + 16
+# Of the two blocks of images, below a line for what they imagine and a line for the columns.
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
-"""Of the two blocks of images, below a line for what they imagine and a line for the columns."""
 POOR = 0.5  # R2 below which a readout is said to be poor
 SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
 LAST_MS = 2000  # how long the last frame stays
@@ -62,8 +61,6 @@ class Correction(NamedTuple):
 
 
 class WrittenVideo(NamedTuple):
-    """A written video."""
-
     frames: int
     r2: dict[str, float] | None  # of the readout that draws imagined paths (forward, left, turn); None where there is none
 
@@ -104,8 +101,6 @@ class Painter:
         draw.line((x, top + 4, x, HEIGHT - 34), _GREY, 2)
         return image
 
-    # -- map --------------------------------------------------------------------------------------------------------------------
-
     def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         where = (GAP, HEADER + TITLE)
         if self._view is None or decision.scene is None or self.played.appearance is None or decision.pose is None:
@@ -141,13 +136,6 @@ class Painter:
                 if number == 0:
                     picture.dots(places[list(self.shown)], colour, 3.2, "#FFFFFF")
 
-    def _readout_note(self) -> str:
-        if self.played.readout is None:
-            return "no imagined paths: the episode is too short to learn to read them out of latents"
-        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(MOVES, self.played.explained, strict=True))
-        poor = " (poor: a hint only)" if np.nanmin(self.played.explained) < POOR else ""
-        return f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
-
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         x, y = float(GAP), HEADER + TITLE + MAP + 5
         for text, colour, kind in (
@@ -155,9 +143,12 @@ class Painter:
             ("corrected", EXECUTED, "line"), ("cost", COST, "dot"),
         ):  # fmt: skip
             x = _legend_entry(draw, x, y, text, colour, kind)
-        draw.text((GAP, y + 17), self._readout_note(), _GREY, font(10))
-
-    # -- cameras ----------------------------------------------------------------------------------------------------------------
+        note = "no imagined paths: the episode is too short to learn to read them out of latents"
+        if self.played.readout is not None:
+            r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(MOVES, self.played.explained, strict=True))
+            poor = " (poor: a hint only)" if np.nanmin(self.played.explained) < POOR else ""
+            note = f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
+        draw.text((GAP, y + 17), note, _GREY, font(10))
 
     def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         rows = range(self.played.cameras)
@@ -213,7 +204,8 @@ def film_episode(
     """Play a cell again and write the video of one of its rows: a frame at every `every`-th decision, and at the last."""
     checked(out)
     shown = decisions_shown(stored, every)
-    painter = _painter(source, stored, episode, correction, horizon, shown, lambda share, text: progress(_PLAYED * share, text))
+    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
+    painter = Painter(played, stored, horizon, correction)
 
     def painted(index: int) -> None:
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
@@ -221,14 +213,7 @@ def film_episode(
     times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
     with threads_of_evaluations():
         write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
-    r2 = None if painter.played.readout is None else dict(zip(MOVES, painter.played.explained.tolist(), strict=True))
-    return WrittenVideo(len(shown), r2)
-
-
-def _painter(
-    source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, shown: list[int], progress: Progress
-) -> Painter:
-    return Painter(play_episode(source, episode, correction.residuals, shown, horizon, progress), stored, horizon, correction)
+    return WrittenVideo(len(shown), None if played.readout is None else dict(zip(MOVES, played.explained.tolist(), strict=True)))
 
 
 def seconds_of(stored: Episode) -> float:
@@ -244,7 +229,8 @@ def decisions_shown(stored: Episode, every: int) -> list[int]:
 def frames_of(source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
     """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
     shown = decisions_shown(stored, every)
-    painter = _painter(source, stored, episode, correction, horizon, shown, lambda share, text: None)
+    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
+    painter = Painter(played, stored, horizon, correction)
     for index in range(len(shown)):
         with threads_of_evaluations():
             frame = np.asarray(painter.frame(index))
@@ -292,7 +278,6 @@ class Timeline:
         return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
 
     def cursor(self, t: int) -> float:
-        """Return the column of decision t in px."""
         return self._x(t + 0.5)
 
 

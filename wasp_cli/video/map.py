@@ -17,9 +17,9 @@ from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.make import require_mujoco
 
+# Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
+# colour blindness, and unlike the things on the maps.
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
-"""Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
-colour blindness, and unlike the things on the maps."""
 WIDEST = 4.0  # half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
 REACH, ROBOT = 0.24, 0.05  # as shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins
@@ -75,7 +75,6 @@ class Pose:
 
     @property
     def yaw(self) -> float:
-        """Direction of the front in rad."""
         return float(np.arctan2(self.forward[1], self.forward[0]))
 
 
@@ -121,13 +120,10 @@ class MapPicture:
     def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
         """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is left out."""
         points = self._pixels(places)
-        if len(points) < 2:
-            return
-        if not dash:
-            self._draw.line(points, colour, round(width * _SMOOTH), joint="curve")
-        for index in range(len(points) - 1) if dash else ():
-            if (index + 1) % (dash + 1):
-                self._draw.line(points[index : index + 2], colour, round(width * _SMOOTH))
+        stretches = [points[index : index + 2] for index in range(len(points) - 1) if (index + 1) % (dash + 1)] if dash else [points]
+        for stretch in stretches:
+            if len(stretch) > 1:
+                self._draw.line(stretch, colour, round(width * _SMOOTH), joint=None if dash else "curve")
 
     def trail(self, places: Floats, width: float) -> None:
         """Draw where the robot has been [N, 2] in m: visible on light and dark ground."""
@@ -160,12 +156,10 @@ class MapPicture:
             self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
 
     def edge(self, colour: str, width: float) -> None:
-        """Draw a frame around the map."""
         side = self._image.width - 1
         self._draw.rectangle((0, 0, side, side), outline=colour, width=round(width * _SMOOTH))
 
     def finished(self) -> Image.Image:
-        """Return the image at its size."""
         return self._image.reduce(_SMOOTH)
 
 
@@ -183,13 +177,11 @@ def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: 
 
 
 def along(places: Sequence[Floats]) -> Floats:
-    """Stack places [2] into one array [N, 2]."""
     return np.array(places, np.float64).reshape(-1, 2)
 
 
 @lru_cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Load a typeface that has the paper's symbols: the one that matplotlib brings along."""
     import matplotlib
 
     folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"

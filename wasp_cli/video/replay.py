@@ -42,10 +42,7 @@ HORIZON = 15  # imagined steps of a method that has no horizon of its own: the p
 FRAMES = 125  # of a video for which nothing else is said: some megabytes
 MODELS = ("world_model", "policies")  # kinds of the artifacts that a cell is played again with
 EXPERT = "expert"  # is read by cells of tasks whose operators know more than assistants perceive
-SAID: dict[str, tuple[type, ...]] = {
-    "task": (str,), "action_repeat": (int,), "seed": (int,), "operator": (str,), "value": (int, float, type(None)),
-}  # fmt: skip
-"""What its manifest has to say, with the types."""
+SAID = {"task": str, "action_repeat": int, "seed": int, "operator": str, "value": float | int | None}  # by a cell's manifest
 
 
 def replay(
@@ -60,22 +57,25 @@ def replay(
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    source, horizon = source_of(layout, cell, episode), stored.constants.horizon or HORIZON
-    every = every or -(-stored.decisions // FRAMES)
-    return path, film_episode(source, stored, episode - source.first, correction(stored), horizon, every, path, progress)
+    return path, film_episode(*_drawn(layout, cell, stored, every), path, progress)
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
     """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
     from wasp_cli.video.frame import frames_of
 
-    stored, source = read_episode(cell, episode), source_of(layout, cell, episode)
+    yield from frames_of(*_drawn(layout, cell, read_episode(cell, episode), every))
+
+
+def _drawn(layout: Layout, cell: FoundCell, stored: Episode, every: int | None) -> tuple[Source, Episode, int, Correction, int, int]:
+    """What `frame` draws a stored episode from."""
+    episode = int(stored.row["episode"])
+    source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
-    yield from frames_of(source, stored, episode - source.first, correction(stored), horizon, every)
+    return source, stored, episode - source.first, correction(stored), horizon, every
 
 
 def default_name(stored: Episode, ending: str) -> Path:
-    """Name a picture of an episode in the current folder."""
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
@@ -193,7 +193,6 @@ class Verdict:
     alone: dict[str, list[Any]]  # the same under the command alone
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
         return asdict(self)
 
     def lines(self) -> list[str]:
@@ -270,9 +269,9 @@ def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
     calibration = dict(upstream_of(cell.manifest).values()).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
-            found = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}
+            record = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}
             window = mapping(read_manifest(layout, "calibration", calibration).get("config")).get("window")
-            tau_R = found.get("tau_R")
+            tau_R = record.get("tau_R")
             if isinstance(tau_R, float) and number(tau_R) is not None and type(window) is int and window > 0:
                 return Criterion(window, tau_R, "the calibration of the method")
     return Criterion(WINDOW, None, "nothing in the results folder says what τ_R is")

@@ -56,8 +56,6 @@ class RolloutStart(NamedTuple):
 
 
 class ImaginedTrajectories(NamedTuple):
-    """Imagined futures of one decision."""
-
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
     cost: NDArray[np.float32]  # [S, H] probability of a cost at the arrived states, mean over the rollouts
     images: dict[int, NDArray[np.float32]]  # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
@@ -125,8 +123,7 @@ class Readout:
 
     def __call__(self, features: NDArray[Any]) -> Floats:
         """[..., F] to [..., 3]."""
-        moves: Floats = (np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset
-        return moves
+        return np.asarray((np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset)
 
     def explained(self, features: NDArray[Any], moves: Floats) -> Floats:
         """Return R2 [3] on other decisions: features [N, F] with their displacements [N, 3]; NaN where these are all the same."""
@@ -169,10 +166,8 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
 
 
 def _explained(predicted: Floats, true: Floats) -> Floats:
-    spread = ((true - true.mean(0)) ** 2).sum(0)
-    error = ((predicted - true) ** 2).sum(0)
-    shares: Floats = 1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12)
-    return shares
+    spread, error = ((true - true.mean(0)) ** 2).sum(0), ((predicted - true) ** 2).sum(0)
+    return np.asarray(1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12))
 
 
 def displacements(places: Floats) -> Floats:
@@ -221,7 +216,6 @@ class Source:
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 
     def operator_in(self, world: VectorTask) -> Operator:
-        """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
         if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
@@ -290,8 +284,6 @@ def threads_of_evaluations() -> Iterator[None]:
 
 
 class PlayedDecision(NamedTuple):
-    """What there is to show of one decision."""
-
     start: RolloutStart
     pixels: Pixels  # [6, 64, 64] what the cameras saw
     decoded: NDArray[np.float32]  # [6, 64, 64] in [0, 1]: what the filtered latent remembers of it

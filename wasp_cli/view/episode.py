@@ -27,22 +27,20 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import Criterion, Verdict, judge
-from wasp_cli.view import Site
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
+from wasp_cli.view.site import Site
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-WIDTH = 92  # columns of an explanation where the page does not say how many it has room for
-NARROWEST, WIDEST = 40, 140
+WIDTH = 92  # columns of an explanation
 KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
 )  # fmt: skip
 """What is shown of an episode in numbers."""
-COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}
-"""Classes of a page by the colours of a terminal."""
+COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}  # classes of a page by the colours of a terminal
 
 
 def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
@@ -79,12 +77,12 @@ def episode_view(
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
         "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
-        "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)}, "legend": film.get("legend", []),
-        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "ending")},
+        "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)},
+        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "legend")},
     }  # fmt: skip
 
 
-def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: int | None = None) -> Markup:
+def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Markup:
     """Return the explanation of a decision, with both branches where they were computed."""
     from markupsafe import Markup
 
@@ -94,17 +92,21 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
         verdict = verdict_of(stored, branches_of(site.layout, cell), step)
     drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    words = as_html(decision_lines(stored, step, min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
+    words = as_html(decision_lines(stored, step, WIDTH))
     return Markup(site.render("step.html", "", words=words, verdict=verdict, film=film))
 
 
 def load(cell: FoundCell, number: int) -> Episode:
     """Read an episode, or take it from memory where its file is as it was."""
     try:
-        state = cell.path.stat()
-    except OSError as error:
+        return _load(cell.path, cell.key, number, _stamp(cell.path))
+    except FileNotFoundError as error:
         raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
-    return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    state = path.stat()
+    return state.st_mtime_ns, state.st_size
 
 
 @lru_cache(KEPT)
@@ -123,10 +125,7 @@ def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
-    if not path.is_file():
-        return None
-    state = path.stat()
-    return _branches(path, (state.st_mtime_ns, state.st_size))
+    return _branches(path, _stamp(path)) if path.is_file() else None
 
 
 @lru_cache(KEPT)
@@ -139,8 +138,8 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
     """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
-    (rows,) = np.nonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step))
-    if not len(rows):
+    rows = np.flatnonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step)).tolist()
+    if not rows:
         return None
     traces: dict[str, dict[str, list[Any]]] = {
         name: {"cost": (branches.cost[name][rows[0]] > 0).tolist(), "reward": branches.reward[name][rows[0]].tolist()}
@@ -155,12 +154,11 @@ def as_html(lines: Iterable[Text]) -> Markup:
     from markupsafe import Markup
 
     console, span = Console(), Markup('<span class="{}">{}</span>')
-    pieces = [[(_classes(piece.style), piece.text) for piece in line.render(console)] for line in lines]
-    return Markup("\n").join(Markup("").join(span.format(*piece) if piece[0] else piece[1] for piece in line) for line in pieces)
 
+    def piece(text: str, style: Style | None) -> str:
+        look = style or Style.null()
+        colour = COLOURS.get(look.color.name, "") if look.color is not None else ""
+        classes = " ".join(filter(None, ("b" if look.bold else "", "dim" if look.dim else "", colour)))
+        return span.format(classes, text) if classes else text
 
-def _classes(style: Style | None) -> str:
-    if style is None:
-        return ""
-    colour = COLOURS.get(style.color.name, "") if style.color is not None else ""
-    return " ".join(filter(None, ("b" if style.bold else "", "dim" if style.dim else "", colour)))
+    return Markup("\n").join(Markup("").join(piece(part.text, part.style) for part in line.render(console)) for line in lines)

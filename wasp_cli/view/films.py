@@ -16,13 +16,13 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from PIL import Image, features
+from PIL import Image
 
-from wasp_cli.errors import StoreError, UsageError, WaspError
+from wasp_cli.errors import StoreError, UsageError, WaspError, described
 from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
@@ -36,8 +36,8 @@ KINDS = (FILM, REPLAY, BRANCHES)
 ROOM = 400 * 2**20  # bytes of all films together, beyond which the ones that were asked for longest ago go
 AT_ONCE = 2  # films that are drawn side by side
 LARGEST = 32 * 2**20  # bytes of a frame
-DRAWS = "import sys; from wasp_cli.view.films import main; sys.exit(main(sys.argv[1:]))"  # the process that draws one film
-MIME = {"webp": "image/webp", "png": "image/png"}
+DRAWS = "import sys; from wasp_cli.view.films import main; main(*sys.argv[1:])"  # the process that draws one film
+NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 
 class Films:
@@ -62,93 +62,87 @@ class Films:
         """Begin a film unless it is there or being drawn; return how far it is, see `state`."""
         name = _name(key, episode, kind, step)
         with self._lock:
-            self._reap()
             state = self._state(name)
             if state["state"] in ("done", "drawing"):
                 return state
-            if len(self._drawing) >= AT_ONCE:
-                return {"state": "waiting", "ready": 0, "frames": 0}
-            self._tidy()
+            if sum(process.poll() is None for process in self._drawing.values()) >= AT_ONCE:
+                return {**NOTHING, "state": "waiting"}
+            self._make_room()
             folder = self.folder / name
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            command = drawing(self._layout, key, episode, kind, step, folder)
             with (folder / "log").open("wb") as log:
-                environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+                command, environment = drawing(self._layout, key, episode, kind, step, folder), {**os.environ, "OMP_NUM_THREADS": "1"}
                 self._drawing[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
-            return {"state": "drawing", "ready": 0, "frames": 0}
+            return {**NOTHING, "state": "drawing"}
 
     def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
         """Return how far a film is.
 
         `state` is absent, drawing, done, or failed, with `problem`; of a film that is begun `frames`, `ready` of them, decisions between
-        two (`every`), `ending` of the files and `legend`.
+        two (`every`) and `legend`.
         """
         with self._lock:
-            self._reap()
             return self._state(_name(key, episode, kind, step))
 
-    def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> tuple[bytes, str] | None:
-        """Return a frame and its MIME type; None where it is not there."""
-        folder = self.folder / _name(key, episode, kind, step)
-        for ending, mime in MIME.items():
-            try:
-                with open_plain(folder / f"{number:05d}.{ending}") as file:
-                    return file.read(LARGEST), mime
-            except OSError:
-                continue
-        return None
+    def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
+        """Return a frame as WebP; None where it is not there."""
+        try:
+            with open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
+                return file.read(LARGEST)
+        except OSError:
+            return None
 
     def close(self) -> None:
         """Stop drawing."""
         with self._lock:
             for name, process in self._drawing.items():
-                process.kill()
-                process.wait()
-                shutil.rmtree(self.folder / name, ignore_errors=True)
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+                    shutil.rmtree(self.folder / name, ignore_errors=True)
             self._drawing.clear()
         if self._own is not None:
             self._own.cleanup()
 
     def _state(self, name: str) -> dict[str, Any]:
-        record = read_state(self.folder / name)
-        if record is None:
-            return {"state": "drawing" if name in self._drawing else "absent", "ready": 0, "frames": 0}
-        if record["state"] == "drawing" and name not in self._drawing:
-            return {"state": "absent", "ready": 0, "frames": 0}  # of a server that was killed
-        return record
+        folder, process = self.folder / name, self._drawing.get(name)
+        code = None if process is None else process.poll()
+        record = read_state(folder)  # after its process was asked: what that said last is there
+        if record is not None and record["state"] != "drawing":
+            return record
+        if process is None:
+            return {**NOTHING, "state": "absent"}  # also of a server that was killed
+        if code is None:
+            return record or {**NOTHING, "state": "drawing"}
+        try:
+            lines = [line for line in read_plain(folder / "log").splitlines() if line.strip()]
+        except (OSError, ValueError):
+            lines = []
+        return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({code})"}
 
-    def _reap(self) -> None:
-        for name, process in list(self._drawing.items()):
-            if process.poll() is not None:
-                del self._drawing[name]
-                folder = self.folder / name
-                record = read_state(folder)
-                if record is None or record["state"] == "drawing":
-                    why = _last_line(folder / "log") or f"its process ended ({process.returncode})"
-                    write_state(folder, {"state": "failed", "ready": 0, "frames": 0, "problem": why})
-
-    def _tidy(self) -> None:
-        """Make room: the films that were written longest ago go first."""
+    def _make_room(self) -> None:
+        """The films that were written longest ago go first."""
         films = []
         for folder in self.folder.iterdir():
-            if folder.is_symlink() or not folder.is_dir() or folder.name in self._drawing:
-                continue
-            sizes = [path.lstat().st_size for path in folder.iterdir()]
-            films.append((folder.lstat().st_mtime_ns, sum(sizes), folder))
+            process = self._drawing.get(folder.name)
+            if not folder.is_symlink() and folder.is_dir() and (process is None or process.poll() is not None):
+                films.append((folder.lstat().st_mtime_ns, sum(path.lstat().st_size for path in folder.iterdir()), folder))
         total = sum(size for _, size, _ in films)
         for _, size, folder in sorted(films):
-            if total <= self._room:
-                break
-            shutil.rmtree(folder, ignore_errors=True)
-            total -= size
+            if total > self._room:
+                shutil.rmtree(folder, ignore_errors=True)
+                total -= size
 
 
-def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> list[str]:
+def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> list[str]:
     """Return the command that draws a film into a folder (see `main`)."""
     # -P: the working directory may be the results themselves: their modules are not ours.
-    places = (layout.root.absolute(), key, episode, kind, step, folder, *(() if every is None else (every,)))
-    return [sys.executable, "-P", "-c", DRAWS, *map(str, places)]
+    return [sys.executable, "-P", "-c", DRAWS, *map(str, (layout.root.absolute(), key, episode, kind, step, folder, every))]
+
+
+def frame_name(number: int) -> str:
+    return f"{number:05d}.webp"
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
@@ -160,25 +154,16 @@ def read_state(folder: Path) -> dict[str, Any] | None:
     return record if isinstance(record, dict) and isinstance(record.get("state"), str) else None
 
 
-def write_state(folder: Path, record: dict[str, Any]) -> None:
-    """Write what there is to say of a film; readers see the old words or the new ones."""
+def _write_state(folder: Path, record: dict[str, Any]) -> None:
     part = folder / "film.json.part"
     part.write_text(json.dumps(record), encoding="utf-8")
-    part.replace(folder / "film.json")
+    part.replace(folder / "film.json")  # readers see the old words or the new ones
 
 
 def _name(key: str, episode: int, kind: str, step: int) -> str:
     if not is_key(key) or kind not in KINDS or episode < 0 or step < 0:
         raise UsageError("there is no such film")
     return f"{key}-{episode}-{kind}" + (f"-{step}" if kind == BRANCHES else "")
-
-
-def _last_line(path: Path) -> str:
-    try:
-        lines = [line for line in read_plain(path).splitlines() if line.strip()]
-    except (OSError, ValueError):
-        return ""
-    return lines[-1][:500] if lines else ""
 
 
 def problem_of(error: WaspError) -> str:
@@ -192,7 +177,7 @@ REPLAYED = 125  # frames at most of a film with imagined futures, which take lon
 Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and meaning of each
 
 
-def require_drawable(stored: Episode) -> int:
+def _require_drawable(stored: Episode) -> int:
     """Return the env steps of a decision; a UsageError where drawing would import a module that the results name, or last for hours."""
     task, repeat = str(stored.row["task"]), stored.constants.action_repeat
     if task not in TASKS:
@@ -202,12 +187,12 @@ def require_drawable(stored: Episode) -> int:
     return repeat
 
 
-def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Legend]]:
+def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Legend]]:
     """Draw the map, and beside it what the robot's cameras see; each frame with the legend."""
     from wasp_cli.video.film import film
     from wasp_cli.video.map import legend_of
 
-    repeat, row = require_drawable(stored), stored.row
+    repeat, row = _require_drawable(stored), stored.row
     seed, rewards = int(row["episode_seed"]), stored.numbers["reward"]
     for moment in film(str(row["task"]), repeat, seed, stored.a, stored.a_h, rewards, every, SIZE, cameras=True):
         image = Image.new("RGB", (SIZE + GAP + CAMERA, SIZE), (255, 255, 255))
@@ -218,23 +203,22 @@ def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Lege
         yield image, legend_of(moment.things)
 
 
-def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> dict[str, Any]:
+def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> dict[str, Any]:
     """Draw a film into a folder, frame by frame, and return what `Films.state` says of it then."""
     stored = read_episode(cell, episode)
-    ending = "webp" if features.check("webp") else "png"
-    state: dict[str, Any] = {"state": "drawing", "ready": 0, "frames": 0, "every": every or 1, "ending": ending, "legend": []}
+    state: dict[str, Any] = {**NOTHING, "state": "drawing", "every": every or 1, "legend": []}
+    if kind != FILM:
+        _require_drawable(stored)
     if kind == BRANCHES:
-        require_drawable(stored)
         from wasp_cli.video.replay import replay_step
 
         def tell(share: float, text: str) -> None:
-            write_state(folder, {**state, "share": round(share, 3), "text": text})
+            _write_state(folder, {**state, "share": round(share, 3), "text": text})
 
-        replay_step(layout, cell, episode, step, folder / f"00000.{ending}", tell)
+        replay_step(layout, cell, episode, step, folder / frame_name(0), tell)
         return {**state, "state": "done", "ready": 1, "frames": 1}
     images: Iterator[tuple[Image.Image, Legend]]
     if kind == REPLAY:
-        require_drawable(stored)
         from wasp_cli.video.replay import replay_frames
 
         state["every"] = every or math.ceil(stored.decisions / REPLAYED)
@@ -242,29 +226,25 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
         images = ((Image.fromarray(frame), ()) for frame in replay_frames(layout, cell, episode, state["every"]))
     else:
         state["frames"] = math.ceil(stored.decisions / state["every"]) + 1
-        images = film_frames(stored, state["every"])
+        images = _film_frames(stored, state["every"])
     for number, (image, legend) in enumerate(images):
         part = folder / "frame.part"
-        image.save(part, format=ending.upper(), **({"quality": QUALITY, "method": 2} if ending == "webp" else {}))
-        part.replace(folder / f"{number:05d}.{ending}")
+        image.save(part, format="WEBP", quality=QUALITY, method=2)
+        part.replace(folder / frame_name(number))
         state |= {"ready": number + 1, "legend": legend}
-        write_state(folder, state)
+        _write_state(folder, state)
     return {**state, "state": "done", "frames": state["ready"]}
 
 
-def main(arguments: list[str], say: Callable[[str], Any] = print) -> int:
-    """Draw what the arguments say; the exit code is 0 also where the film could not be drawn, and its state says why."""
-    results, key, episode, kind, step, target, *rest = arguments
-    folder = Path(target)
+def main(results: str, key: str, episode: str, kind: str, step: str, target: str, every: str) -> None:
+    """Draw what the arguments say; where the film cannot be drawn, its state says why."""
     os.nice(5)  # pages go first
-    layout = Layout(Path(results))
+    layout, folder = Layout(Path(results)), Path(target)
     try:
-        state = draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(rest[0]) if rest else None)
+        state = draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(every))
     except WaspError as error:
-        state = {"state": "failed", "ready": 0, "frames": 0, "problem": problem_of(error)}
+        state = {**NOTHING, "state": "failed", "problem": problem_of(error)}
     except Exception as error:
-        say(traceback.format_exc())
-        problem = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        state = {"state": "failed", "ready": 0, "frames": 0, "problem": problem}
-    write_state(folder, state)
-    return 0
+        print(traceback.format_exc())
+        state = {**NOTHING, "state": "failed", "problem": described(error)[:300]}
+    _write_state(folder, state)

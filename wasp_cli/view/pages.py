@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -32,8 +33,9 @@ from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.tasks.registry import TASKS
-from wasp_cli.view import COLUMNS, Site, episode, words
+from wasp_cli.view import episode
 from wasp_cli.view.films import problem_of
+from wasp_cli.view.site import COLUMNS, Site, words
 
 FIRST = 400  # rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls.
 MOST = 1500  # cells whose numbers are read for the first page: seconds
@@ -69,9 +71,6 @@ def numbers(site: Site, after: int = 0) -> dict[str, Any]:
 
 def cell_page(site: Site, text: str) -> str:
     """Return a cell: its numbers, its episodes, what is beside it."""
-    listed, _ = site.cells.find(text)
-    if len(listed) > 1:
-        return site.render("several.html", text, text=text, cells=listed)
     cell, artifact = site.one(text)
     if not artifact.path.is_file():
         raise StoreError(f"{cell.label} has no rows", "it is not computed yet, failed, or was removed; the page of its run says which")
@@ -202,7 +201,6 @@ TAIL = 200_000  # bytes of a log that are shown: its end
 STATE_OF = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked", "cancelled": "cancelled"}
 UNNEEDED = "not needed"  # said of a node that is not in the store, since everything that needs it was there
 STATES = ("done", "running", "failed", "blocked", "cancelled", "waiting", "cached", UNNEEDED)
-BAR = 640  # of the bar of a run: its width in px
 
 
 def runs_of(site: Site) -> list[PlannedRun]:
@@ -217,17 +215,15 @@ def home_page(site: Site) -> str:
     """Return the first page: the main table of each spec, runs, what the store holds, notes."""
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
-    kinds = [(kind, len(stored_keys(site.layout, kind))) for kind in stored_kinds(site.layout)]
-    published = _published(site)
-    problems = list(site.cells.problems)
-    notes = []
+    problems, notes = list(site.cells.problems), []
     try:
         notes = notes_of(site.layout)
     except StoreError as error:
         problems.append(error.message)
     return site.render(
         "home.html", "Results", states=[(state, life(state, datetime.now(UTC))) for state in states], more=max(len(runs) - LISTED, 0),
-        kinds=kinds, published=published, notes=notes[-50:][::-1], left_out=len(invalid(notes)), problems=problems,
+        kinds=[(kind, len(stored_keys(site.layout, kind))) for kind in stored_kinds(site.layout)], published=list(_published(site)),
+        notes=notes[-50:][::-1], left_out=len(invalid(notes)), problems=problems,
         listed={cell.key: cell for cell in site.cells.listed()}, tables=list(main_tables(site)), columns=PAPER_COLUMNS,
     )  # fmt: skip
 
@@ -263,13 +259,11 @@ def reports(site: Site) -> Iterator[Path]:
             yield from (report for report in sorted(site.layout.within(folder).iterdir()) if report.is_dir() and not report.is_symlink())
 
 
-def _published(site: Site) -> list[tuple[str, list[tuple[str, str]]]]:
-    published = []
+def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     for report in reports(site):
-        pages = sorted(path for path in report.iterdir() if path.suffix in (".html", ".md") and path.stem == "report")
+        pages = [path for path in (report / "report.html", report / "report.md") if os.path.lexists(path)]
         name = str(report if site.links.live else report.relative_to(site.layout.root))
-        published.append((name, [(path.name, site.links.report(str(path))) for path in pages]))
-    return published
+        yield name, [(path.name, site.links.report(str(path))) for path in pages]
 
 
 def run_page(site: Site, run_id: str) -> str:
@@ -285,16 +279,12 @@ def run_now(site: Site, run_id: str) -> Any:
 
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
-    bar, x = [], 0.0
-    for name, count in (("done", state.done + state.shared), ("running", state.running), ("failed", len(state.failed))):
-        width = BAR * min(count / max(state.total, 1), 1.0)
-        bar.append((name, round(x, 1), round(width, 1)))
-        x += width
+    counts = {"done": state.done + state.shared, "running": state.running, "failed": len(state.failed)}
     moment, stages = datetime.now(UTC), stages_of(site, run, state)
     running = [(node, duration((moment - node.started).total_seconds()) if node.started else "") for node in state.active if not node.gone]
     return Markup(
         site.render(
-            "now.html", "", run=run, state=state, life=life(state, moment), pace=pace(state), bar=bar,
+            "now.html", "", run=run, state=state, life=life(state, moment), pace=pace(state), counts=counts,
             stages=stages, states=[name for name in STATES if any(counts[name] for counts in stages.values())],
             running=running if state.state == "running" else [],
         )
@@ -314,10 +304,9 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
     return stages
 
 
-def log_page(site: Site, run_id: str, key: str) -> str:
+def log_text(site: Site, run_id: str, key: str) -> str:
     """Return the log of a node, its end where it is long."""
-    run = named_run(runs_of(site), run_id)
-    log = find_log(site.layout, [run], key)
+    log = find_log(site.layout, [named_run(runs_of(site), run_id)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:
             size = file.seek(0, 2)
@@ -325,5 +314,4 @@ def log_page(site: Site, run_id: str, key: str) -> str:
             text = file.read(TAIL).decode("utf-8", "replace")
     except OSError as error:
         raise StoreError(f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}") from error
-    lines = [printable(line.rpartition("\r")[2]) for line in text.replace("\r\n", "\n").split("\n")]
-    return site.render("log.html", f"Log of {log.label}", run=run, log=log, text="\n".join(lines), cut=size > TAIL)
+    return "\n".join(printable(line.rpartition("\r")[2]) for line in text.replace("\r\n", "\n").split("\n"))

@@ -1,25 +1,18 @@
-"""The server of `wasp view`: who may ask, which address is which page, and what is sent back; or the same pages as a folder of files.
+"""The server of `wasp view`: who may ask, which address is which page, and what is sent back.
 
 A browser that opens the address with the token gets a cookie; links then need no token. It only reads: what begins to draw a film, which
-takes time and changes no result, is a POST from one of our own pages. Files have relative links and work from any host or none, without
-films on demand and without pages of runs.
+takes time and changes no result, is a POST from one of our own pages.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
-import tempfile
 import time
 import traceback
 import webbrowser
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from importlib.resources import files
-from pathlib import Path
-from subprocess import run
 from typing import Any
 from urllib.parse import quote
 
@@ -28,16 +21,14 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from wasp_cli.console import following, plain, say
-from wasp_cli.errors import StoreError, UsageError, WaspError
-from wasp_cli.notebook import ListedCell
-from wasp_cli.store.find import KIND
+from wasp_cli.console import plain, say
+from wasp_cli.errors import UsageError, WaspError, described
 from wasp_cli.store.plain import open_plain
-from wasp_cli.store.tables import cell_file
-from wasp_cli.view import REPORT, Links, Site, pages
+from wasp_cli.view import pages
 from wasp_cli.view.episode import episode_page, load, step_part
-from wasp_cli.view.films import FILM, KINDS, Films, drawing, problem_of, read_state
-from wasp_cli.web import LocalServer, local, own_origin, page
+from wasp_cli.view.films import KINDS, Films
+from wasp_cli.view.site import REPORT, Site
+from wasp_cli.web.server import LocalServer, local, own_origin, page
 
 POLICY = (  # what a page may load: nothing but from this server. It has no form to send.
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
@@ -80,7 +71,9 @@ class ViewServer(LocalServer):
             "/report/{spec}": self._report,
             "/run/{run}": lambda request: pages.run_page(site, request.path_params["run"]),
             "/run/{run}/now": lambda request: str(pages.run_now(site, request.path_params["run"])),
-            "/run/{run}/log/{key}": lambda request: pages.log_page(site, request.path_params["run"], request.path_params["key"]),
+            "/run/{run}/log/{key}": lambda request: page(
+                pages.log_text(site, request.path_params["run"], request.path_params["key"]).encode(), "text/plain", POLICY
+            ),
         }
         drawn = Route(film, self._guard(lambda request: _json(self._films(request).ask(*_film(request))), draws=True), methods=["POST"])
         routes = [Route(place, self._guard(answer), methods=["GET"]) for place, answer in answers.items()]
@@ -93,12 +86,9 @@ class ViewServer(LocalServer):
         return f"http://127.0.0.1:{self.port}{joined}token={self.token}"
 
     def stop(self) -> None:
-        """End the connections, the thread, and what is being drawn."""
         super().stop()
         if self.site.films is not None:
             self.site.films.close()
-
-    # -- who may ask ----------------------------------------------------------------------------------------------------------------
 
     @property
     def _cookie(self) -> str:
@@ -137,13 +127,11 @@ class ViewServer(LocalServer):
             return self._problem(error.message, error.hint, 404 if isinstance(error, UsageError) else 409)
         except Exception as error:  # a damaged file may hold what nobody thought of: the page says so, and the server goes on
             traceback.print_exc(file=sys.stderr)
-            return self._problem(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}", "the terminal shows where", 500)
+            return self._problem(described(error)[:300], "the terminal shows where", 500)
         return content if isinstance(content, Response) else _html(content)
 
     def _problem(self, message: str, hint: str | None, status: int) -> Response:
         return _html(self.site.render("problem.html", "This cannot be shown", message=message, hint=hint), status)
-
-    # -- what is more than a page of one function -----------------------------------------------------------------------------------
 
     def _file(self, request: Request) -> Response:
         # By name among FILES: what was asked for never becomes a path.
@@ -165,7 +153,7 @@ class ViewServer(LocalServer):
     def _explain(self, request: Request) -> str:
         cell, artifact = self.site.one(request.path_params["cell"])
         stored = load(artifact, request.path_params["number"])
-        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
+        return str(step_part(self.site, cell, stored, _number(request, "step") or 0))
 
     def _beside(self, request: Request) -> str:
         a, b = (request.query_params.get(name, "") for name in ("a", "b"))
@@ -182,7 +170,7 @@ class ViewServer(LocalServer):
     def _frame(self, request: Request) -> Response:
         key, number, kind, step = _film(request)
         frame = self._films(request).frame(key, number, kind, request.path_params["frame"], step)
-        return PlainTextResponse("not found", 404) if frame is None else page(*frame, POLICY)
+        return PlainTextResponse("not found", 404) if frame is None else page(frame, "image/webp", POLICY)
 
 
 def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
@@ -227,121 +215,3 @@ def _html(text: str, status: int = 200) -> Response:
 
 def _json(value: Any) -> Response:
     return JSONResponse(value, headers={"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"})
-
-
-MARK = "wasp-bundle.txt"  # stands in a folder that we wrote, so that we may write it again
-FRAMES = 125  # of a film at most (about): some hundred kilobytes
-LISTED = 12  # problems that are named
-
-
-def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> None:
-    """Write the pages of a results folder to a new folder, an empty one or an earlier bundle, and say what is in them.
-
-    All cells are in the table and have a page; the episodes numbered `0,3` of the named `cells` (none: of all) have pages too.
-    """
-    try:
-        numbers = sorted({int(part) for part in episodes.split(",")})
-    except ValueError:
-        raise UsageError(f"'{episodes}' are no episodes", "numbers with commas between them: 0,3") from None
-    listed = {cell.key: cell for cell in site.cells.listed() if _is_there(site, cell)}
-    chosen = {site.one(text)[0].key for text in cells} if cells else set(listed)
-    if missing := sorted(chosen - listed.keys()):
-        raise UsageError(f"the cell {missing[0]} has no rows")
-    problems: list[str] = []
-    readable: dict[str, list[int]] = {key: [] for key in listed}
-    for key in listed:
-        for number in numbers if key in chosen else ():
-            try:
-                load(site.one(key)[1], number)
-            except WaspError as error:
-                problems.append(f"{listed[key].label}, episode {number}: {problem_of(error)}")
-            else:
-                readable[key].append(number)
-    _prepare(folder)
-    try:
-        still = Site(site.layout, site.cells, Links(site.cells, readable, _reports(site, folder)))
-        films = _write(still, folder, listed, readable, problems)
-    except OSError as error:
-        raise StoreError(f"the bundle cannot be written to '{folder}': {(error.strerror or str(error)).lower()}") from error
-    for problem in problems[:LISTED]:
-        plain(problem)
-    if len(problems) > LISTED:
-        plain(f"and {len(problems) - LISTED} more")
-    say(f"{folder / 'index.html'}: {len(listed)} cells, {sum(map(len, readable.values()))} episodes, {films} films")
-
-
-def _is_there(site: Site, cell: ListedCell) -> bool:
-    try:
-        return site.layout.within(cell_file(site.layout.artifact(KIND, cell.key))).is_file()
-    except StoreError:
-        return False
-
-
-def _reports(site: Site, folder: Path) -> dict[str, str]:
-    """Where the pages of reports are for a bundle that lies in the results folder. One that lies elsewhere names them without an address.
-
-    They are not copied: whoever made the results wrote them, with whatever script.
-    """
-    target = folder.resolve()
-    if not target.is_relative_to(site.layout.root.resolve()):
-        return {}
-    paths = [report / "report.html" for report in pages.reports(site)]
-    return {
-        str(path): Path(os.path.relpath(path.resolve(), target)).as_posix() for path in paths if path.is_file() and not path.is_symlink()
-    }
-
-
-def _prepare(folder: Path) -> None:
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise UsageError(f"'{folder}' is no folder of its own")
-    if folder.is_dir() and any(folder.iterdir()):
-        if not (folder / MARK).is_file():
-            raise UsageError(f"'{folder}' holds something else", "name a new folder")
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / MARK).write_text(
-        "Written by wasp view --bundle; index.html is where to begin. Everything here is replaced when it is written again.\n"
-    )
-
-
-def _write(site: Site, folder: Path, listed: Mapping[str, ListedCell], episodes: Mapping[str, Collection[int]], problems: list[str]) -> int:
-    """Write all files; returns how many films there are."""
-
-    def write(name: str, text: str) -> None:
-        (folder / name).write_text(text, encoding="utf-8", errors="replace")
-
-    for name, (package, place, _) in FILES.items():
-        (folder / name).write_bytes((files(package) / place).read_bytes())
-    write("index.html", pages.home_page(site))
-    write("cells.html", pages.cells_page(site))
-    for key, cell in listed.items():
-        try:
-            text = pages.cell_page(site, key)
-        except WaspError as error:
-            text = site.render("problem.html", cell.label, message=error.message, hint=error.hint)
-        write(site.links.cell(cell), text)
-    todo = [(listed[key], number) for key, numbers in episodes.items() for number in numbers]
-    films = 0
-    with ThreadPoolExecutor(2) as threads, following("bundle") as tell:
-        drawn = threads.map(lambda place: _drawn(site, place[0], place[1], folder), todo)
-        for count, ((cell, number), (state, problem)) in enumerate(zip(todo, drawn, strict=True)):
-            tell(count / len(todo), f"{cell.label}, episode {number}")
-            if problem:
-                problems.append(f"{cell.label}, episode {number}: no film: {problem}")
-            films += not problem
-            write(site.links.episode(cell, number), episode_page(site, cell.key, number, film=state))
-    return films
-
-
-def _drawn(site: Site, cell: ListedCell, number: int, folder: Path) -> tuple[dict[str, Any], str]:
-    """Draw a film in a process of its own, as the server does; what it says of the film, and what went wrong."""
-    target = folder / site.links.film(cell, number, FILM)
-    target.mkdir(parents=True, exist_ok=True)
-    every = max(1, -(-load(site.one(cell.key)[1], number).decisions // FRAMES))
-    with tempfile.TemporaryFile() as log:
-        run(drawing(site.layout, cell.key, number, FILM, 0, target, every), stdout=log, stderr=log, check=False)
-    state = read_state(target) or {"state": "failed", "ready": 0, "problem": "its process ended"}
-    for name in ("film.json", "film.json.part", "frame.part"):
-        with suppress(OSError):
-            (target / name).unlink()
-    return state, "" if state["state"] == "done" else str(state.get("problem", "it is not whole"))

@@ -81,7 +81,7 @@
     let base = figure.dataset.film, state = null, decision = 0, frame = -1, timer = null, still = false;
 
     function name(index) {
-      if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + "." + state.ending;
+      if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + ".webp";
       const [path, query] = base.split("?");
       return path + "/frame/" + index + (query ? "?" + query : "");
     }
@@ -105,13 +105,9 @@
     function explainColours() {
       if (!state.legend || legend.childElementCount) return;
       for (const [thing, colour, meaning] of state.legend) {
-        const item = document.createElement("li");
-        const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-        const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-        for (const [key, value] of [["width", 12], ["height", 12]]) { svg.setAttribute(key, value); rect.setAttribute(key, value); }
-        rect.setAttribute("fill", colour);
-        svg.append(rect);
-        item.append(svg, " " + thing + (meaning ? ": " + meaning : ""));
+        const item = document.createElement("li"), sample = document.createElement("i");
+        sample.style.backgroundColor = colour;
+        item.append(sample, " " + thing + (meaning ? ": " + meaning : ""));
         legend.append(item);
       }
     }
@@ -136,10 +132,8 @@
     }
     if (figure.dataset.done) {
       state = JSON.parse(figure.dataset.done);
-      if (state && state.ready) { told.textContent = ""; } else state = null;
-    } else {
-      choose(base);
-    }
+      if (state.ready) { told.textContent = ""; explainColours(); } else state = null;
+    } else choose(base);
     for (const button of all(".films-of button", figure)) {
       button.addEventListener("click", () => {
         for (const other of all(".films-of button", figure)) other.setAttribute("aria-pressed", String(other === button));
@@ -153,18 +147,8 @@
     const decisions = Number(section.dataset.decisions);
     const part = one(".step", section), pictures = film(one(".film-of", section));
     const kept = new Map();
-    let current = null, columns = 92;
+    let current = null;
 
-    function measure() {
-      const pre = one("pre.explain", part);
-      if (!pre) return;
-      const probe = document.createElement("span");
-      probe.textContent = "0".repeat(100);
-      pre.append(probe);
-      const wide = probe.getBoundingClientRect().width / 100;
-      probe.remove();
-      if (wide > 0) columns = Math.max(40, Math.min(140, Math.floor((pre.clientWidth - 20) / wide)));
-    }
     function fill(content) {
       part.replaceChildren(content);
       for (const button of all(".branch-film", part)) button.addEventListener("click", () => pictures.choose(button.dataset.kind));
@@ -176,7 +160,7 @@
       if (!section.dataset.explain) return;
       let html = kept.get(t);
       if (html === undefined) {
-        const answer = await fetch(section.dataset.explain + "?step=" + t + "&width=" + columns);
+        const answer = await fetch(section.dataset.explain + "?step=" + t);
         html = await answer.text();
         if (!answer.ok) return;
         kept.set(t, html);
@@ -198,7 +182,6 @@
       }
       explain(here);
     }
-    measure();
     return { at, decisions, stops: JSON.parse(section.dataset.stops), first: Number(section.dataset.step), section };
   }
 
