@@ -36,29 +36,22 @@ class Branch(NamedTuple):
     """One branch, of w <= W decision steps: fewer where its episode ended."""
 
     episode: int
-    t: int
-    """the decision at which it begins"""
-    name: str
-    """ASSISTED or ALONE"""
-    cost: NDArray[np.bool_]
-    """[w] c_t"""
-    cost_env: NDArray[np.int64]
-    """[w] env steps with cost"""
-    reward: NDArray[np.float64]
-    """[w]"""
+    t: int  # the decision at which it begins
+    name: str  # ASSISTED or ALONE
+    cost: NDArray[np.bool_]  # [w] c_t
+    cost_env: NDArray[np.int64]  # [w] env steps with cost
+    reward: NDArray[np.float64]  # [w]
 
 
 class _Start(NamedTuple):
     """The state in which a decision of one episode was made, and the two actions."""
 
     t: int
-    world: dict[str, NDArray[Any]]
-    """arrays without the dimension of the batch"""
+    world: dict[str, NDArray[Any]]  # arrays without the dimension of the batch
     operator: Memory
     h: Tensor
     z: Tensor
-    first: dict[str, Tensor]
-    """[A] by branch"""
+    first: dict[str, Tensor]  # [A] by branch
 
 
 def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[int]]:
@@ -94,12 +87,6 @@ def branches(rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progres
     Args:
         rerun: the episodes; its task and operator carry out the branches afterwards.
         chosen: per episode [B], decisions in ascending order.
-        window: W.
-        progress: called with the finished share and a text.
-
-    Raises:
-        ArtifactError: the episodes do not come back.
-        TaskError: the task cannot be snapshot.
     """
     batches = max(map(len, chosen), default=0)
     again = 1 + max((decisions[-1] for decisions in chosen if decisions), default=-1)

@@ -16,11 +16,7 @@ VARIABLE = "WASP_DEVICE"
 
 
 def training_device() -> torch.device:
-    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU.
-
-    Raises:
-        UsageError: the variable names no device that torch can use here.
-    """
+    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU."""
     wanted = os.environ.get(VARIABLE, "")
     if not wanted:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -27,12 +27,7 @@ def informed_policies(task: str, inputs: Mapping[str, Path], device: torch.devic
     """Return the policies of operators in a task by skill, on privileged observations [B, P]; None where they perceive what assistants do.
 
     Args:
-        task: its name.
         inputs: artifact folders by stage kind; that of the expert is read.
-        device: of the commands.
-
-    Raises:
-        ArtifactError: a checkpoint is missing or damaged.
     """
     if not TASKS[task].informed:
         return None

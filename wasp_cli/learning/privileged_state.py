@@ -21,8 +21,7 @@ from wasp_cli.models.nets import mlp
 from wasp_cli.models.world_model import SafetyWorldModel
 
 Report = Callable[[float, str], None]
-CONSTANT = 1e-3
-"""Standard deviation below which an entry of the vector counts as constant."""
+CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts as constant
 
 
 Mirror = tuple[NDArray[np.int64], NDArray[np.float32]]
@@ -89,9 +88,6 @@ def teach_encoder(
         model: its encoder is trained in place.
         recording: pixels and privileged of the whole dataset [N].
         rows: [K] those of it that may be learned from.
-        config: updates, batch, learning rate.
-        seed: of the batches and the head's first weights.
-        report: called every 20 updates.
         mirror: where given, half of the images are seen in a mirror.
 
     Returns:

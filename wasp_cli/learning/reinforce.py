@@ -40,12 +40,7 @@ def reinforce(
     Args:
         actor: stays as it is.
         task: config.envs episodes with pixels.
-        model: the frozen filter.
-        config: sizes and budgets.
         cost_limit: per 1000 env steps.
-        name: of the task, for its random streams.
-        seed: of this training.
-        report: called after every rollout.
 
     Returns:
         A better actor of the same layers, frozen, and the learning curve.

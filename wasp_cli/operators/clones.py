@@ -21,8 +21,7 @@ from wasp_cli.errors import UsageError
 class PlacedClone:
     """A clone, and what the person really commanded where that is played again."""
 
-    folder: Path
-    """the artifact of the stage `clone`"""
+    folder: Path  # the artifact of the stage `clone`
     said: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
     """[T, A] commands by the seed of the operator's episode; empty where nobody is played again"""
 
@@ -46,11 +45,7 @@ def placed_clone() -> PlacedClone | None:
 
 
 def required_clone() -> PlacedClone:
-    """Return the clone of the block that runs.
-
-    Raises:
-        UsageError: there is none: the operator was built somewhere where clones are not known.
-    """
+    """Return the clone of the block that runs."""
     found = _PLACED.get()
     if found is None:
         raise UsageError("the clone of a person drives evaluations and their branches alone", "name other operators here")

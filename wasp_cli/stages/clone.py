@@ -23,10 +23,6 @@ class CloneStage:
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Say that the clone is not there.
-
-        Raises:
-            UsageError: always.
-        """
+        """Say that the clone is not there."""
         number = f"{job.axes['value']:g}"
         raise UsageError(f"nobody has cloned participant {number}", f"wasp clone RESULTS --participant {number}")

@@ -13,8 +13,7 @@ from typing import Any, cast
 from wasp_cli.learning.configs.consistency import ConsistencyConfig
 from wasp_cli.stages.base import Job
 
-STEPS = 40
-"""Of the teacher, in whose place the student has one."""
+STEPS = 40  # of the teacher, in whose place the student has one
 
 
 class ConsistencyStage:

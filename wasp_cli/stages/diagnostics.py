@@ -13,8 +13,7 @@ from wasp_cli.learning.configs.world import DiagnosticsConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
-SHOWN = (1, 5, 10, 15)
-"""Imagined steps that the summary shows."""
+SHOWN = (1, 5, 10, 15)  # imagined steps that the summary shows
 
 
 class DiagnosticsStage:

@@ -18,8 +18,7 @@ from wasp_cli.learning.configs.latent import PoliciesConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
-LIMIT_BATCHES = 4
-"""Times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement."""
+LIMIT_BATCHES = 4  # times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement
 
 
 class PoliciesStage:

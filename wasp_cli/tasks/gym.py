@@ -31,8 +31,7 @@ from wasp_cli.tasks.gym_common import (
 )
 from wasp_cli.tasks.registry import TASKS
 
-Seen = NDArray[Any] | dict[str, NDArray[Any]]
-"""An observation: an array, or with `all` and `vision` a dictionary."""
+Seen = NDArray[Any] | dict[str, NDArray[Any]]  # an observation: an array, or with `all` and `vision` a dictionary
 OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
 
 
@@ -58,16 +57,10 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
     for). Actions beyond the bounds of the action space are clipped to them, as the reference package does.
 
     A copy (`copy.deepcopy`, pickle) goes on bit for bit, in another process too.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an unknown option, which is a `TypeError` too.
-        UsageError: an unknown observation or render mode.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
-    _row = 0
-    """Of the task's batch."""
+    _row = 0  # of the task's batch
 
     def __init__(
         self,
@@ -127,9 +120,6 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """Start an episode. A seed below 2^32 names a layout, the same as in the reference package; without one a new layout is drawn.
 
         Larger seeds, as Minari draws them, seed the draw of a layout.
-
-        Raises:
-            UsageError: `options` holds something; there are none.
         """
         super().reset(seed=seed, options=options)
         for option in options or {}:
@@ -139,11 +129,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._seen(self._task.reset([drawn_layout(self.np_random, seed)], rows)), self._info(None)
 
     def step(self, action: NDArray[Any]) -> tuple[Seen, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Advance by `action_repeat` env steps under `action` [A].
-
-        Raises:
-            TaskError: the action is no finite [A], or the episode has not begun or has ended.
-        """
+        """Advance by `action_repeat` env steps under `action` [A]."""
         step, row = self._advance(action), self._row
         self._goals += int(step.goals[row])
         seen, info = self._seen(step.observation), self._info(step)
@@ -189,19 +175,12 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """Return everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
 
         Which layouts later resets without a seed draw is not part of it (a copy of the environment keeps that too).
-
-        Raises:
-            TaskError: no episode has begun.
         """
         arrays = {name: array[self._row : self._row + 1] for name, array in self._task.snapshot().items()}
         return {**arrays, "goals_reached": np.array([self._goals])}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Seen:
-        """Return to a snapshot of an environment with the same task and options, and see what was seen there.
-
-        Raises:
-            TaskError: it is no snapshot of such an environment.
-        """
+        """Return to a snapshot of an environment with the same task and options, and see what was seen there."""
         if "goals_reached" not in snapshot:
             raise TaskError("the snapshot is not one of an environment: 'goals_reached' is missing")
         observation = self._task.restore({name: array for name, array in snapshot.items() if name != "goals_reached"})
@@ -229,10 +208,6 @@ def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
         id: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with
             `observation="vision"`, `...Gymnasium-v0` the same with gymnasium's five values.
         options: of `TaskEnv`; `width` and `height` among them.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an option that neither has, or that only the reference package has (`wasp_cli.tasks.reference.MISSING`).
     """
     known = reference.parse_id(id)
     reference.refuse_missing(known, options)

@@ -24,8 +24,7 @@ class _Batch:
     """What the rows of a vector share."""
 
     task: VectorTask
-    step: Step | None = None
-    """The last one, of all rows."""
+    step: Step | None = None  # the last one, of all rows
 
 
 class _Row(TaskEnv):
@@ -60,11 +59,6 @@ class TaskVectorEnv(SyncVectorEnv):
         max_episode_steps: truncates episodes earlier than the task does, like `gymnasium.make`'s.
         registered: as for `TaskEnv`.
         options: `render_mode` (`render` gives B pictures), `width` and `height`, as for `TaskEnv`.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an unknown option, which is a `TypeError` too.
-        UsageError: an unknown observation or render mode.
     """
 
     def __init__(
@@ -92,11 +86,7 @@ class TaskVectorEnv(SyncVectorEnv):
         self.env_fns = ()  # no pickle could hold them
 
     def step(self, actions: NDArray[Any]) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Advance every running episode under `actions` [B, A], and start those anew whose turn it is (see `autoreset_mode`).
-
-        Raises:
-            TaskError: the actions are no finite [B, A], or an episode has not begun, or has ended and nothing starts another.
-        """
+        """Advance every running episode under `actions` [B, A], and start those anew whose turn it is (see `autoreset_mode`)."""
         control = checked_control(actions, (self.num_envs, self._batch.task.action_size))
         over = self._autoreset_envs
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.features import RAYS
 
-WHOLE = "all"
-"""The whole vector; the only group of a task of somebody else's."""
+WHOLE = "all"  # the whole vector; the only group of a task of somebody else's
 MOTION, GOAL, WAY, WALLS, THINGS = "motion", "goal", "way", "walls", "things"
 ROUND = "round"
 """Rays around the robot, counter-clockwise from its front: their order turns round. Any other part has a sign per entry: minus where it

@@ -30,21 +30,13 @@ _SUFFIX = re.compile(r"(?P<name>.*?)(?P<vision>Vision)?(?P<five>Gymnasium)?(?P<d
 class Known(NamedTuple):
     """An id of the reference package, taken apart."""
 
-    task: str
-    """Name of the task."""
-    vision: bool
-    """Its observation is a dictionary with the front image."""
-    five_values: bool
-    """`step` returns gymnasium's five values."""
+    task: str  # name of the task
+    vision: bool  # its observation is a dictionary with the front image
+    five_values: bool  # `step` returns gymnasium's five values
 
 
 def parse_id(text: str) -> Known:
-    """Read an id: `SafetyPointGoal1-v0`, `SafetyPointGoal1Vision-v0`, `SafetyPointGoal1Gymnasium-v0`, or both.
-
-    Raises:
-        UnknownName: no task is called so.
-        UsageError: a Debug id, which the keyboard drives.
-    """
+    """Read an id: `SafetyPointGoal1-v0`, `SafetyPointGoal1Vision-v0`, `SafetyPointGoal1Gymnasium-v0`, or both."""
     found = _SUFFIX.fullmatch(text)
     if found is None:
         return Known(_task(text, text), False, False)
@@ -61,12 +53,7 @@ def _task(text: str, asked: str) -> str:
 
 
 def refuse_missing(known: Known, options: Mapping[str, Any]) -> None:
-    """Refuse what the reference package has and these tasks have not.
-
-    Raises:
-        UnknownOption: one of `MISSING`.
-        UsageError: one of `MISSING_MODES`.
-    """
+    """Refuse what the reference package has and these tasks have not."""
     for option in options:
         if option in MISSING and not (known.five_values and option in _FOR_FIVE_VALUES):
             words = f"upstream() got an unexpected keyword argument '{option}'"
