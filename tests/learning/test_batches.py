@@ -16,8 +16,7 @@ from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
 
-EAGER = {"vote": 0.0}
-"""IDA that intervenes at some decisions, and not at others, although nothing is trained."""
+EAGER = {"vote": 0.0}  # IDA that intervenes at some decisions, and not at others, although nothing is trained
 
 
 def test_batches_have_one_size_but_for_the_last():

@@ -1,6 +1,5 @@
 """Clones of operators: densities, what is learned of a rule that is known, and where a plan has one."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,10 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.errors import UnknownName
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs import CloneConfig
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.clone import Clone
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.plan.grid import OPERATOR_CLONE, lay_out
@@ -94,16 +91,6 @@ DOCUMENT: dict[str, Any] = {
     "name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0],
     "operators": {"laggy": {"low": 0.5, "high": 0.7}, "noisy": {"some": 0.4}},
 }  # fmt: skip
-
-
-def test_a_run_makes_no_clone_and_no_method_can_ask_for_one(monkeypatch):
-    with pytest.raises(Exception, match="'clone' is of a person"):
-        validate({**DOCUMENT, "stages": ["clone"]})
-    assert not [node for node in lay_out(validate(DOCUMENT)).nodes if node.kind == "clone"]
-    monkeypatch.setitem(METHODS._own, "human", replace(METHODS["human"], needs=("clone",)))
-    monkeypatch.setattr(METHODS, "_all", None)
-    with pytest.raises(UnknownName, match="the method 'human' needs an unknown stage 'clone'"):
-        lay_out(validate(DOCUMENT))
 
 
 def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key():

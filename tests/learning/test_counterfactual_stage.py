@@ -56,12 +56,6 @@ def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_the
     assert all(row.items() >= identity.items() for row in rows)
 
 
-def test_the_same_job_gives_the_same_bytes(cell, tmp_path):
-    one, other = tmp_path / "a", tmp_path / "b"
-    assert judge(cell, one) == judge(cell, other)
-    assert (one / BRANCHES_FILE).read_bytes() == (other / BRANCHES_FILE).read_bytes()
-
-
 def test_a_limit_makes_the_stride_grow(cell, tmp_path):
     interventions = judge(cell, tmp_path)["interventions"]
     summary = judge(cell, tmp_path, CounterfactualConfig(window=1, stride=2, most=4))

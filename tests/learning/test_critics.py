@@ -13,7 +13,7 @@ from torch import Tensor
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
-from wasp_cli.learning.critics import imagine, starts_of, train_critics
+from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.recorded_values import Segments, recorded_values
 from wasp_cli.learning.sampling import generator
@@ -155,19 +155,6 @@ def test_held_out_rows_move_nothing(recorded):
     moved[torch.from_numpy(out)] = 50.0
     again, _ = trained(Plain(), other, config, still(36)._replace(h=moved))
     assert all(torch.equal(a, b) for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True))
-
-
-def test_steps_after_a_likely_end_count_little():
-    rollout = imagine(Plain(0.5), Skills([1.0], 3, [8], 1), still(2).at(torch.arange(2)), 4, generator(0))
-    assert rollout.weight().tolist() == [[1, 1], [0.5, 0.5], [0.25, 0.25], [0.125, 0.125]]
-    assert rollout.features[:, 0, 0].tolist() == [0, 1, 2, 3]
-    assert rollout.arrived.h[:, 0, 0].tolist() == [1, 2, 3, 4]
-
-
-def test_starts_leave_out_ends_and_held_out_episodes():
-    data = recording((12, 9, 15, 4))  # the last one is held out
-    data.terminal[[20, 5]] = 1
-    assert starts_of(data).tolist() == [i for i in range(36) if i not in (5, 20)]
 
 
 def test_returns_ahead_by_hand():

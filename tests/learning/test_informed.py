@@ -12,7 +12,6 @@ from tests.cells import REPEAT, SETTINGS, Evaluated, evaluated
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
 from wasp_cli.learning.configs.baselines import ResidualConfig
-from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.heldout import load_heldout
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.methods.registry import METHODS
@@ -21,7 +20,7 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.plan.grid import lay_out, stage_class
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import load
-from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.stages.base import Job
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.make import make_task
@@ -85,16 +84,6 @@ def test_the_expert_of_a_cell_is_the_privileged_one(inputs, tmp_path):
             wanted = policy(torch.from_numpy(seen.privileged)).numpy()
         np.testing.assert_array_equal(np.stack([commands[t] for commands in recorded.a_h]), wanted)
         seen = world.step(wanted).observation
-
-
-def test_branches_without_an_assistant_are_the_episode_itself(inputs, tmp_path):
-    alone = evaluated(inputs, tmp_path, variant="laggy", value=0.5, task=TASK)
-    rewards = Recorded(**read_recorded(alone.path)).reward
-    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, no_progress)
-    assert len(found) == 6
-    for branch in found:
-        wanted = rewards[branch.episode][branch.t : branch.t + 4]
-        np.testing.assert_array_equal(branch.reward.astype(np.float32), wanted)
 
 
 @pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])

@@ -160,20 +160,6 @@ def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_ove
     assert (found[0][1:] != found[1][1:]).all() == reacts
 
 
-def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(parts):
-    issued = []
-    for residual in (0.0, 0.5):
-        env = AssistedTask(Staggered(2), parts.world_model, parts.skills, ResidualConfig(operators={"reactive": (0.5,)}), "t", 0)
-        env.reset()
-        told = env._operator.operators[0].memory
-        assert not told["pushed"].any()
-        env.step_async(np.full((2, 2), residual, np.float32))
-        env.step_wait()
-        issued.append(env._operator.operators[0].memory["pushed"])
-    assert not issued[0].any()
-    assert (issued[1] < 0).all()
-
-
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts, tmp_path):
     seeds = [0, 1, 2, 3]
     task = Staggered(4)

@@ -50,14 +50,6 @@ def test_there_is_a_moment_before_every_decision_and_one_after_the_last(recorded
     assert [moment.last.ended.sum() for moment in moments[1:]] == [0, 1, 2, 3]
 
 
-def test_rows_are_padded_with_zeros_after_their_ends(recorded):
-    stacked = side_by_side(recorded[0])
-    assert (stacked.shape, stacked.dtype) == ((4, 3, 2), np.float32)
-    for e, length in enumerate(LENGTHS):
-        np.testing.assert_array_equal(stacked[:length, e], recorded[0][e])
-        assert not stacked[length:, e].any()
-
-
 def test_a_reward_may_differ_by_the_tolerance_and_no_more(recorded):
     actions, rewards = recorded
     rewards[2][1] += 3e-5
@@ -73,10 +65,3 @@ def test_an_episode_of_another_length_is_refused(by, what, at, recorded):
     actions[1], rewards[1] = np.resize(actions[1], (2 + by, 2)), np.resize(rewards[1], 2 + by)
     with pytest.raises(ArtifactError, match=f"episode 1 is not the recorded one from decision {at} on: the episode {what} here"):
         played(actions, rewards)
-
-
-def test_no_number_is_no_reward(recorded):
-    actions, rewards = recorded
-    rewards[0][0] = np.nan
-    with pytest.raises(ArtifactError, match="the reward is"):
-        played(actions, rewards, 1e-4)

@@ -129,15 +129,6 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
     assert all(torch.allclose(weights[name], others[name], atol=1e-4) for name in weights)
 
 
-def test_latents_learn_to_tell_the_vector(tmp_path):
-    data = blocks(120)
-    config = TAUGHT.model_copy(update={"updates": 60, "batch": 8, "learning_rate": 3e-3, "privileged": 100.0})
-    model = fresh(data, config)
-    readout = new_readout(model, data, np.arange(120), config)
-    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, no_progress, readout=readout)
-    assert curves["privileged"][-1] < 0.8 * curves["privileged"][0]
-
-
 class Interrupted(Exception):
     """Somebody presses Ctrl-C."""
 

@@ -53,18 +53,6 @@ def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, part
     assert decisions == len(loop.reward) == 500 // REPEAT
 
 
-def test_a_snapshot_that_is_held_with_a_moment_goes_on_as_the_episode_did(cell):
-    rerun = again(cell)
-    other = cell.world()
-    for moment in rerun:
-        if moment.t == 7:
-            other.restore(rerun.task.snapshot())
-            break
-    steps = [other.step(np.stack([a[t] for a in rerun.recorded.a])) for t in range(7, len(rerun.recorded.a[0]))]
-    found = np.stack([step.reward for step in steps]).astype(np.float32)
-    np.testing.assert_array_equal(found, np.stack(rerun.recorded.reward, 1)[7:])
-
-
 def test_a_changed_action_is_noticed(cell):
     recorded = Recorded(**read_recorded(cell.path))
     changed = [actions.copy() for actions in recorded.a]
@@ -98,9 +86,3 @@ def test_episodes_of_different_lengths_end_where_they_ended(parts):
     assert [moment.alive.tolist() for moment in moments] == [[t < n for n in lengths] for t in range(5)]
     for t, moment in enumerate(moments):
         assert torch.equal(moment.a_h[moment.alive], torch.from_numpy(loop.a_h[t][moment.alive]))
-
-
-def test_actions_of_another_size_are_of_another_task(cell):
-    recorded = Recorded(**read_recorded(cell.path))
-    with pytest.raises(ArtifactError, match="an action has 2 numbers"):
-        again(cell, a=[actions[:, :1] for actions in recorded.a])

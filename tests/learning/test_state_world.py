@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
+from wasp_cli.learning.closed_loop import Loop, run_episodes
 from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.learning.denoiser import train_denoiser
 from wasp_cli.learning.latents import Latents
@@ -91,17 +91,6 @@ def parts(tmp_path_factory) -> Parts:
     save_weights(critics, folder / "ensemble.safetensors", members=4, features=1, action=1, hidden=[])
     inputs = {"denoiser": folder, "ida_q": folder}
     return Parts(WORLD, Skills((1.0,), 1, (1,), 1), inputs, {}, gamma_r=0.99, gamma_c=0.99, lam=0.95)
-
-
-def test_the_latent_is_the_state_and_nothing_else():
-    line = Line(2)
-    filter_ = Filter(WORLD, 2)
-    seen = line.reset([0, 1])
-    assert filter_.see(seen, torch.ones(2)).features.shape == (2, 1)
-    line.step(np.ones((2, 1)))
-    moved = filter_.see(line._observed(), torch.zeros(2))
-    assert moved.features.flatten().tolist() == pytest.approx([0.1, 0.1])
-    assert moved.z.shape == (2, 0)
 
 
 def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have():

@@ -96,14 +96,6 @@ def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
     assert (head is None) == (weight == 0)
 
 
-def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path):
-    data = recording()
-    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, no_progress)
-    data.reward[:] = np.nan
-    _, skipped = train(build(TINY, 2), data, ROWS, TINY, 7, 5, tmp_path, no_progress)
-    assert skipped == 3
-
-
 def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path):
     module, source = torch.nn.Linear(3, 2), generator(1)
     optimizer = torch.optim.Adam(module.parameters())

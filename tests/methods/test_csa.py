@@ -5,7 +5,6 @@ import torch
 from torch import Tensor
 
 from wasp_cli.learning.assistants import build_assistant
-from wasp_cli.methods.configs import CSAConfig
 from wasp_cli.methods.csa import CSA
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
@@ -63,11 +62,3 @@ def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_
     assert torch.equal(noisy, commands)
     assert sigma.tolist() == pytest.approx([sigma_at(0.4)] * ROWS)
     assert torch.equal(action, (3 * commands).clamp(-1, 1))
-
-
-def test_it_acts_by_what_the_latent_holds(parts, latent, commands):
-    made = build_assistant("csa", {}, parts)
-    here, _ = executed(made, latent, commands)
-    there, _ = executed(made, Latent(latent.h + 1, latent.z), commands)
-    assert not torch.equal(here, there)
-    assert CSAConfig().ratio == pytest.approx(20 / 29, abs=1e-3)  # level 9 of 30, counted from the top

@@ -10,7 +10,6 @@ from torch import Tensor
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
-from wasp_cli.methods.guarded import GuardedIDA
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator
@@ -90,15 +89,3 @@ def test_ida_behind_the_gate_has_idas_threshold(parts):
     guarded = calibrated("ida-guarded", SMALL | VOTE | {"tau_c": 2.0})
     assert least == ida
     assert guarded == ida | {"tau_c": 2.0}
-
-
-def test_ended_episodes_rest_behind_the_gate(parts):
-    assistant = build_assistant("ida-guarded", SMALL | {"vote": 0.99, "tau_c": 1e-9}, parts)
-    assert isinstance(assistant, GuardedIDA)
-    latent, a_h, operator = situation(parts)
-    assistant.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
-    resting = torch.arange(B) % 2 == 0
-    assistant.rest(resting)
-    with torch.inference_mode():
-        record = assistant.decide(latent, a_h, operator).record
-    assert ((record.gate == GATE_SAFETY) == ~resting).all()

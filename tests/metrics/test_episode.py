@@ -69,13 +69,6 @@ def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one():
     assert row.mag == pytest.approx((2e-6 + 1e-5 + 1e-4) / 4)
 
 
-def test_safe_success_needs_both():
-    costly = {"cost": [True] * 4, "cost_env": [1] * 4}  # 4 of 16 env steps
-    assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 250.0).safe_success
-    assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 249.0).safe_success
-    assert not episode_metrics(trajectory(), 1, 25.0).safe_success
-
-
 def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
     """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and too much in one of 500."""
 
@@ -101,17 +94,6 @@ def test_timeouts_stay_in_every_denominator():
     assert pooled["mag"].tolist() == [1 / 10]
     assert pooled["mag_int"].tolist() == [1.0]
     assert pooled["cost"].tolist() == [0.5]
-
-
-def test_pools_groups_apart():
-    rows = [episode_metrics(trajectory(reward=[float(i)] * 4), 1, 25.0) for i in range(4)]
-    pooled = pool(columns(rows), np.array([1, 0, 1, 0]))
-    assert pooled["return"].tolist() == [8.0, 4.0]
-    assert np.isnan(pooled["mag_int"]).all()
-
-
-def test_pool_of_nothing():
-    assert pool(columns([]))["return"].tolist() == []
 
 
 ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32))
@@ -166,8 +148,3 @@ def test_refuses_what_cannot_be_measured(changes):
 def test_refuses_plans_of_other_steps():
     with pytest.raises(ValueError, match=r"plans\.residuals has shape \(3, 3, 2\), not \(4, 3, 2\)"):
         trajectory(plans=plans_of([0.5, np.nan, 0.0]))
-
-
-def test_refuses_an_empty_episode():
-    with pytest.raises(ValueError, match="at least one step"):
-        trajectory(steps=0)

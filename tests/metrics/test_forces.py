@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 
 from tests.metrics.test_episode import columns, trajectory
 from wasp_cli.metrics.episode import Trajectory, episode_metrics, pool
-from wasp_cli.report.stats import CellNumbers
-from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.motors import Motors
 
 MOTORS = Motors((0.02, 0.5))
@@ -80,14 +78,3 @@ def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the
     assert row == episode_metrics(always, 1, 25.0)
     quiet = episode_metrics(trajectory(steps=1), 1, 25.0, MOTORS.force)
     assert (quiet.int_eff, quiet.mag_eff, quiet.jump) == (0.0, 0.0, None)
-
-
-def test_rows_that_do_not_define_a_column_take_no_part_in_its_mean():
-    old, new = trajectory(a=np.full((4, 2), 0.3)), trajectory(a=[[0, 0], [0.4, 0], [0.4, 0], [0.4, 0]])
-    numbers = columns([episode_metrics(each, 1, 25.0) for each in (old, new)])
-    for name in ("int_eff", "mag_eff", "jump", "handovers"):
-        numbers[name][0] = np.nan
-    pooled = pool(numbers)
-    assert (pooled["int_eff"][0], pooled["jump"][0]) == (0.75, 0.4)
-    cell = CellNumbers(CellIdentity("goal1", "ida", "full", "noisy", 0.2, 0), None, {}, numbers)
-    assert [values.tolist() for values in cell.weighted("jump")] == [[0.0, 0.4], [0.0, 1.0]]

@@ -38,16 +38,6 @@ def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows, sha
     assert recall_at(np.array(event), np.array(score, float), share) == pytest.approx(best)
 
 
-def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined():
-    assert recall_at(np.array([True, False, False]), np.zeros(3)) == 0.0
-    assert np.isnan(recall_at(np.zeros(3, bool), np.arange(3.0)))
-
-
-def test_a_constant_score_has_the_base_rate_and_no_event_has_none():
-    assert average_precision(np.array([True, False, False, False]), np.zeros(4)) == pytest.approx(0.25)
-    assert np.isnan(average_precision(np.zeros(4, bool), np.arange(4.0)))
-
-
 def test_the_interval_is_that_of_explicitly_resampled_episodes():
     random = np.random.default_rng(5)
     episode = np.repeat(np.arange(6), [30, 10, 25, 5, 40, 12])

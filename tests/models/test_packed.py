@@ -103,10 +103,3 @@ def test_weights_that_have_changed_are_laid_out_anew():
         net[0].weight.mul_(3.0)
         coded.known.clear()
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
-
-
-def test_where_a_gradient_is_wanted_the_features_are_read_as_they_are():
-    net = mlp(10, [8], 3)
-    coded = Coded.of(torch.randn(2, 4), torch.tensor([[0, 3], [1, 5]], dtype=torch.int32), 6)
-    coded.through(net).sum().backward()
-    assert net[0].weight.grad is not None

@@ -98,16 +98,6 @@ def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(varian
             fork.observe(issued * 0.5)
 
 
-def test_new_episodes_begin_without_memory(expert):
-    both = Both("reaction-time", expert)
-    for _ in range(STEPS):
-        both.command()
-    both.operator.reset(torch.tensor([True, False, False]))
-    queue = both.operator.memory["queue"]
-    assert (queue[0] == 0).all()
-    assert (queue[1:] != 0).any()
-
-
 def test_operators_of_other_tasks_perceive_what_assistants_do(expert):
     assert informed_policies("goal1", {"expert": expert}) is None
     operator = build_operator("laggy", 0.5, OperatorContext(skill, 2, 0.08), EpisodeNoise(range(ROWS)), ROWS)

@@ -1,6 +1,5 @@
 """Modes of the noisy operator: Gaussian noise, and bursts of random commands."""
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -32,12 +31,6 @@ def test_gaussian_noise_has_the_stated_spread_around_the_intended_command():
     assert inside == pytest.approx(0.683, abs=0.01)  # of a normal distribution; a uniform one has 0.577
 
 
-def test_the_components_of_gaussian_noise_are_independent_of_each_other_and_of_time():
-    error = (issued("noisy-gaussian", 0.2) - INTENDED).double()
-    pairs = np.corrcoef(error.flatten(0, 1).T.numpy())[0, 1], np.corrcoef(error[1:].flatten(), error[:-1].flatten())[0, 1]
-    assert np.abs(pairs).max() < 0.03
-
-
 def test_a_draw_of_zero_gives_a_finite_command():
     operator = build_operator("noisy-gaussian", 0.5, context(), DrawnNoise(torch.zeros(1, 1, 2)), 1)
     assert torch.equal(operator.command(torch.zeros(1, 2)), torch.full((1, 2), -1.0))
@@ -56,36 +49,12 @@ def test_bursts_have_the_stated_share_and_the_stated_length(share):
     assert on[:-1].sum().item() / ends == pytest.approx(MEAN_BURST, rel=0.12)
 
 
-def test_bursts_are_as_likely_at_the_start_of_an_episode():
-    rows = 4000
-    operator = build_operator("noisy-burst", 0.3, context(), EpisodeNoise(list(range(rows))), rows)
-    intended = torch.full((rows, 2), 0.25)
-    for _ in range(3):
-        share = (operator.command(intended) != intended).any(-1).float().mean().item()
-        assert share == pytest.approx(0.3, abs=0.03)
-
-
-def test_uniform_noise_of_the_same_share_comes_in_no_bursts():
-    on = in_burst("noisy", 0.5)
-    ends = (on[:-1] & ~on[1:]).sum().item()
-    assert on[:-1].sum().item() / ends == pytest.approx(2.0, rel=0.1)
-
-
-@pytest.mark.parametrize(("share", "moved"), [(0.0, False), (1.0, True)])
-def test_no_burst_and_nothing_but_a_burst(share, moved):
-    assert bool(in_burst("noisy-burst", share).any()) == bool(in_burst("noisy-burst", share).all()) == moved
-
-
 @given(st.floats(0.0, 1.0))
 def test_rates_of_bursts_are_probabilities_with_the_stated_stationary_share(share):
     start, stop = burst_rates(share)
     assert 0.0 <= start <= 1.0 + 1e-12
     assert 0.0 <= stop <= 1.0 / MEAN_BURST
     assert start / (start + stop) == pytest.approx(share, abs=1e-9)
-
-
-def test_ida_s_own_rates_are_those_of_one_half():
-    assert burst_rates(0.5) == pytest.approx((0.1, 0.1))
 
 
 def test_an_operator_without_noise_is_the_expert():

@@ -85,12 +85,6 @@ def test_limited_skill_is_the_earlier_checkpoint():
     assert torch.allclose(operator("limited-skill", 0.25).command(torch.ones(1, 2)), torch.full((1, 2), 0.25))
 
 
-def test_rows_of_a_batch_draw_independently():
-    noisy = operator("noisy", 1.0, rows=64)
-    issued = noisy.command(torch.zeros(64, 2))
-    assert len({tuple(row) for row in issued.tolist()}) == 64
-
-
 def test_a_mixture_draws_an_operator_for_every_episode():
     rows = 200
     noise = EpisodeNoise(list(range(rows)))

@@ -6,9 +6,8 @@ import pytest
 from tests.tasks.conftest import load_recording
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
-from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, clear_of_barriers
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.frames import distance
 from wasp_cli.tasks.outline import distance_to_segments, inside
@@ -44,13 +43,6 @@ def test_left_is_the_drivers_right_and_the_front_is_minus_y():
     assert xy[2, 0] < 5.98
     assert velocity[0, 0] > 0.1
     assert abs(heading[0]) < 0.02  # it hops, and drifts by that
-
-
-def test_torque_saturates():
-    task = Race(2, observe=("state",))
-    task.reset([0, 0])
-    step = task.step(np.array([[0.02, 0.02], [1.0, 1.0]]))
-    assert step.observation.state[0].tobytes() == step.observation.state[1].tobytes()
 
 
 def test_the_goal_pays_ten_and_ends_the_race():
@@ -219,16 +211,6 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
     assert beside > 25
 
 
-def test_sectors_cover_the_map():
-    places = np.concatenate([track.OUTER_BARRIER, track.INNER_BARRIER, track.STAGES])
-    numbers = sectors(places)
-    assert numbers.min() >= 2
-    near = np.abs(places[:, None] - places[None]).max(axis=2) < 4.0
-    assert (numbers[:, None] != numbers[None])[~near].all()
-    # A square far from every barrier still makes a model.
-    assert build_model(0, int(sectors(np.array([[-31.0, 60.0]]))[0]), False).nq == car.NQ
-
-
 def test_barrels_are_set_down_beside_barriers_and_others_stay():
     task = Formula(4, observe=())
     task.reset(range(4))
@@ -271,25 +253,6 @@ def test_the_lap():
     assert distance_to_segments(track.FINE_LAP[:, :2], track.SIDES).min() > 1.1
 
 
-def test_experts_see_the_way_and_the_walls():
-    task = Formula(2, observe=("privileged",))
-    task.reset([0, 1])
-    far_from_barrels(task)
-    at = 80
-    heading = float(np.arctan2(*(track.ahead(np.array([at]), 0.5) - track.FINE_LAP[at, :2])[0][::-1]))
-    place(task, 0, track.FINE_LAP[at, :2], heading)
-    place(task, 1, track.FINE_LAP[at, :2], heading + np.pi)
-    seen = task.restore(task.snapshot()).privileged
-    ways = seen[:, 10:18].reshape(2, 4, 2) * 2.0
-    assert (ways[0, :, 0] > 0.7).all()
-    assert (ways[1, :, 0] < -0.7).all()
-    assert abs(seen[0, 8]) < 0.1
-    walls = -np.log(seen[:, 18:50]) / 2.0
-    half_width = track.FINE_LAP[at, 2]
-    assert walls[0, [8, 24]].min() == pytest.approx(half_width, abs=0.35)
-    assert walls[0, 0] == pytest.approx(walls[1, 16], abs=1e-5)
-
-
 @pytest.mark.parametrize(("make", "steps"), [(Race, 20), (Formula, 12)])
 def test_a_row_does_not_depend_on_the_others_nor_on_threads(make, steps):
     seeds = [5, 6, 7]
@@ -308,46 +271,6 @@ def test_a_row_does_not_depend_on_the_others_nor_on_threads(make, steps):
             assert step.observation.state[row].tobytes() == own.observation.state[0].tobytes()
             assert step.observation.privileged[row].tobytes() == own.observation.privileged[0].tobytes()
             assert (step.reward[row], step.cost_env[row]) == (own.reward[0], own.cost_env[0])
-
-
-def test_the_scripted_driver_wins_the_race_and_passes_stages():
-    race, formula = Race(4, level=0, observe=()), Formula(8, level=0, observe=())
-    race.reset(range(4))
-    formula.reset(range(8))
-    reached, passed = np.zeros(4, int), np.zeros(8, int)
-    first = formula.snapshot()["stage"]
-    for t in range(250):
-        if t < 125 and not reached.all():
-            reached += race.step(drive(race)).goals
-        passed += formula.step(drive(formula)).goals
-    assert reached.tolist() == [1] * 4
-    # From starts 3 and 5 (first goals 4 and 6) no stage can be reached in an episode.
-    for goal, count in zip(first.tolist(), passed.tolist(), strict=True):
-        assert count == 0 if goal in (4, 6) else count >= 1
-
-
-def test_a_lying_barrel_is_met_at_its_top():
-    task = Formula(1, observe=())
-    task.reset([3])
-    far_from_barrels(task)
-    state = task.snapshot()
-    # It lies along the car's way with its top toward the car: 0.37 m from its origin.
-    half = np.sqrt(0.5)
-    state["bodies"][0, 7] = [*(state["qpos"][0, :2] + [0.6, 0.0]), 0.16, half, 0.0, -half, 0.0]
-    task.restore(state)
-    assert task._active[0, 7]
-
-
-def test_a_barrel_beside_one_that_is_pushed_takes_part():
-    task = Formula(1, observe=())
-    task.reset([3])
-    far_from_barrels(task)
-    state = task.snapshot()
-    state["bodies"][0, 7, :2] = state["qpos"][0, :2] + [0.4, 0.0]
-    state["bodies"][0, 8, :2] = state["qpos"][0, :2] + [0.74, 0.0]
-    task.restore(state)
-    assert task._active[0, [7, 8]].all()
-    assert task._active.sum() == 2
 
 
 def test_unstable_physics_is_an_error_not_a_new_start():

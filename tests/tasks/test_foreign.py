@@ -8,14 +8,11 @@ import pytest
 
 from tests.tasks.lights import Lights, registered
 from wasp_cli.errors import TaskError, UnknownName
-from wasp_cli.learning.dataset import record
 from wasp_cli.tasks.base import Observation
 from wasp_cli.tasks.foreign.task import GymTask
 from wasp_cli.tasks.foreign.views import views_of
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
-
-SEEDS = [3, 4]
 
 
 def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
@@ -78,16 +75,6 @@ def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision():
     assert [(step.ended[0], step.terminated[0]) for step in steps] == [(False, False), (False, False), (True, False)]
     with pytest.raises(TaskError, match="after the end"):
         task.step(np.zeros((1, 2)))
-
-
-def test_the_environments_own_end_is_a_termination():
-    class Short(Lights):
-        ends_at = 3
-
-    task = GymTask(registered(Short), 1)
-    task.reset([0])
-    step = task.step(np.zeros((1, 2)))
-    assert (step.env_steps[0], step.ended[0], step.terminated[0]) == (3, True, True)
 
 
 @pytest.mark.parametrize(
@@ -208,13 +195,6 @@ def test_vectors_of_a_dictionary_are_taken_by_name(entries, privileged, state):
     seen: Observation = task.reset([0])
     np.testing.assert_array_equal(seen.privileged, np.full((1, privileged), privileged))
     np.testing.assert_array_equal(seen.state, np.full((1, state), state))
-
-
-def test_episodes_can_be_recorded():
-    task = make_task("puddle:Puddle-v0", 2, observe=("pixels", "privileged"))
-    replay = record(task, SEEDS, lambda privileged: np.sign(privileged[:, :2]) * 0.5, ["straight"] * 2, 0)
-    assert replay.terminal.sum() == 2, "both drive to the flag"
-    assert replay.cost.sum() > 0, "through puddles"
 
 
 def test_an_environment_without_snapshots_works_and_says_so_when_asked():

@@ -70,14 +70,6 @@ def test_a_row_does_not_depend_on_the_others():
             assert_same(row_of(step, row), tuple(task.step(action[row : row + 1])))
 
 
-def test_threads_change_nothing():
-    plan = actions(20, 5)
-    one, two = (Goal(5, observe=("pixels", *VECTORS), threads=threads) for threads in (1, 2))
-    assert_same(one.reset(range(5)), two.reset(range(5)))
-    for action in plan:
-        assert_same(one.step(action), two.step(action))
-
-
 def test_decision_steps_only_cut_the_time():
     plan = actions(30, 3)
     coarse, fine = Goal(3, action_repeat=4, observe=VECTORS), Goal(3, action_repeat=1, observe=VECTORS)
@@ -249,16 +241,3 @@ def test_pushing_a_vase_costs_at_level_2_only():
         step = task.step(np.array([[1.0, 0.0]]))
         assert (step.cost_env[0] > 0) == expected
         assert [name for name, count in step.sources.items() if count[0]] == ["vases_contact", "vases_velocity"] * expected
-
-
-def test_rays_tell_the_clearance_of_hazards_all_around():
-    task = Goal(1, observe=("privileged",))
-    task.reset([0])
-    state = task.snapshot()
-    state["qpos"][:, 2] = 0.5
-    state["hazards"][:] = 9.0
-    state["hazards"][:, 0] = state["qpos"][:, :2] + 1.0 * np.array([np.cos(0.5 + np.pi / 2), np.sin(0.5 + np.pi / 2)])
-    rays = task.restore(state).privileged[0, -32:]
-    assert rays.argmax() == 8
-    assert rays[8] == pytest.approx(np.exp(-2.0 * 0.8), abs=1e-6)
-    assert rays[24] == pytest.approx(np.exp(-6.0), abs=1e-6)

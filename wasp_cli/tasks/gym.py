@@ -7,16 +7,16 @@ call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the r
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, Literal, SupportsFloat, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError, UsageError
-from wasp_cli.tasks import reference
+from wasp_cli.errors import TaskError, UnknownName, UnknownOption, UsageError
 from wasp_cli.tasks.base import MAP_SIZE, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.gym_common import (
@@ -29,32 +29,20 @@ from wasp_cli.tasks.gym_common import (
     shown,
     space_of,
 )
-from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.registry import TASKS, task_named
 
 Seen = NDArray[Any] | dict[str, NDArray[Any]]  # an observation: an array, or with `all` and `vision` a dictionary
 OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
+_UPSTREAM_ID = re.compile(r"(?P<name>.*?)(?P<vision>Vision)?(?P<five>Gymnasium)?(?P<debug>Debug)?(?P<version>-v\d+)")
 
 
 class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
-    """One episode of a task.
+    """One episode of a task, a name of `wasp_cli.tasks.registry.TASKS`; docs/tasks.md has the options and the keys of `info`.
 
-    Args:
-        task: a name of `wasp_cli.tasks.registry.TASKS`.
-        observation: `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]),
-            `all` (a dictionary of these three), or `vision` (a dictionary as that of the reference package's Vision ids: its sensors by
-            name, and as `vision` the front image, uint8 [64, 64, 3]).
-        action_repeat: env steps per `step`; rewards and costs add up.
-        render_mode: `rgb_array` gives pictures for people: a map from above, uint8 [height, width, 3].
-        width: of the map in pixels.
-        height: the same: maps are square.
-        upstream_api: `step` returns the reference package's six values (obs, reward, cost, terminated, truncated, info), with its keys in
-            `info`: `cost_<source>` and `cost_sum` in every step, `goal_met` in those that reach a goal. Wrappers of gymnasium expect five
-            values and fail on it, so nothing but what `gymnasium.make` adds here by itself may lie around it (no `max_episode_steps=`).
-        registered: the task of the gymnasium id that is made, which `task` may not replace. Not for callers.
-
-    `info` of a step, and with zeros of a reset: `cost` (env steps that cost, 0 or 1 without action repeat; `cost_sum` is the same),
-    `cost_<source>` (the same per source), `goals` (reached in this episode so far), `success` (whether they are as many as the task asks
-    for). Actions beyond the bounds of the action space are clipped to them, as the reference package does.
+    Observations are `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]), `all`
+    (a dictionary of these three) or `vision` (a dictionary: the reference package's sensors by name, and its image [64, 64, 3]). With
+    `upstream_api` a step returns the reference package's six values (obs, reward, cost, terminated, truncated, info), on which gymnasium's
+    wrappers fail. `registered` is the task of the gymnasium id that is made, which `task` may not replace; not for callers.
 
     A copy (`copy.deepcopy`, pickle) goes on bit for bit, in another process too.
     """
@@ -100,16 +88,12 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @property
     def spec(self) -> EnvSpec | None:  # gymnasium sets it after making the environment
-        """What `gymnasium.make` makes such an environment of, the time limit included; None for one that was made without it."""
+        """What `gymnasium.make` makes such an environment of (with five values the time limit too); None for one made without it."""
         if self._spec is None:
             return None
-        spec = replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
-        if not self._upstream:
-            return spec
-        # Whoever makes this spec puts a TimeLimit around, which works on five values: six come last, and without it.
-        options = {name: value for name, value in spec.kwargs.items() if name != "upstream_api"}
-        six = WrapperSpec("give_six_values", f"{__name__}:give_six_values", {})
-        return replace(spec, kwargs=options, additional_wrappers=(*spec.additional_wrappers, six))
+        # Whoever makes this spec puts a TimeLimit around, which works on five values.
+        limit = None if self._upstream else self._spec.max_episode_steps or self.max_episode_steps
+        return replace(self._spec, max_episode_steps=limit)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
@@ -188,19 +172,6 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._seen(observation)
 
 
-def give_six_values(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    """Let an environment that was made with five values give the reference package's six, and take off the TimeLimit, which unpacks five.
-
-    `gymnasium.make(env.spec)` calls it for the spec of an environment with `upstream_api=True`.
-    """
-    while isinstance(env, gymnasium.wrappers.TimeLimit):
-        env = env.env
-    made = env.unwrapped
-    assert isinstance(made, TaskEnv)
-    made._upstream = True
-    return env
-
-
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
     """Make a task under the reference package's interface: stands for `safety_gymnasium.make(id)` in code that is to be ported.
 
@@ -209,10 +180,22 @@ def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
             `observation="vision"`, `...Gymnasium-v0` the same with gymnasium's five values.
         options: of `TaskEnv`; `width` and `height` among them.
     """
-    known = reference.parse_id(id)
-    reference.refuse_missing(known, options)
-    vision: dict[str, Any] = {"observation": "vision"} if known.vision else {}
-    return gymnasium.make(TASKS[known.task].gym_id, **{"upstream_api": not known.five_values, **vision, **options})
+    parts = _UPSTREAM_ID.fullmatch(id)
+    if parts is not None and parts["debug"]:
+        raise UsageError(f"there is no '{id}': its robot is driven with the keyboard", "leave 'Debug' out")
+    task = task_named(id if parts is None else parts["name"] + parts["version"])
+    if task not in TASKS:  # somebody else's gymnasium id
+        raise UnknownName("task", id, [*TASKS, *(TASKS[known].gym_id for known in TASKS)])
+    five_values = bool(parts and parts["five"])
+    for option in {"max_episode_steps", "disable_env_checker"} & options.keys():
+        if not five_values:
+            words = f"upstream() got an unexpected keyword argument '{option}'"
+            raise UnknownOption(f"{words}: gymnasium's wrappers want five values, which ...Gymnasium-v0 gives")
+    if not (mode := options.get("render_mode") or "rgb_array").startswith("rgb_array"):
+        raise UsageError(f"task '{task}' cannot render '{mode}'", "render_mode is None or 'rgb_array', a map from above")
+    if parts is not None and parts["vision"]:
+        options = {"observation": "vision", **options}
+    return gymnasium.make(TASKS[task].gym_id, **{"upstream_api": not five_values, **options})
 
 
 def register_envs() -> None:

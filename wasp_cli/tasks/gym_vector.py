@@ -48,17 +48,9 @@ class TaskVectorEnv(SyncVectorEnv):
     It is gymnasium's `SyncVectorEnv`, the same step by step, but physics and cameras of all rows are computed together, which is several
     times as fast. A copy (`copy.deepcopy`, pickle) goes on bit for bit.
 
-    Args:
-        num_envs: B, episodes side by side.
-        task: as for `TaskEnv`.
-        observation: as for `TaskEnv`.
-        action_repeat: as for `TaskEnv`.
-        threads: threads for physics and cameras; results do not depend on it.
-        autoreset_mode: what becomes of an episode that ended: another starts with the next step, whose action it ignores (`NextStep`), with
-            the same step (`SameStep`; the last observation is `infos["final_obs"]`), or when `reset` is called (`Disabled`).
-        max_episode_steps: truncates episodes earlier than the task does, like `gymnasium.make`'s.
-        registered: as for `TaskEnv`.
-        options: `render_mode` (`render` gives B pictures), `width` and `height`, as for `TaskEnv`.
+    Arguments are those of `TaskEnv`. `autoreset_mode` says what becomes of an episode that ended: another starts with the next step, whose
+    action it ignores (`NextStep`), with the same step (`SameStep`; the last observation is `infos["final_obs"]`), or when `reset` is called
+    (`Disabled`). `threads` of physics and cameras change no result. `max_episode_steps` truncates episodes earlier than the task does.
     """
 
     def __init__(

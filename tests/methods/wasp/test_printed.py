@@ -71,8 +71,7 @@ class Outcome(NamedTuple):
     g_return: float
     delta_g: float | None
     safe: list[int]
-    batches: list[int]
-    """Candidates of every call to the world model, in order."""
+    batches: list[int]  # candidates of every call to the world model, in order
 
 
 def section_4(x: float, a_h: float, tau_c: float, tau_r: float, variant: str = "full") -> Outcome:
@@ -183,28 +182,6 @@ def test_a_decision_is_section_4(x, a_h, tau_c, tau_r, variant, gate):
     if gate:
         assert planned.safe[0].tolist() == wanted.safe
         assert planned.case2[0].tolist() == [count < N_F for count in wanted.safe]
-
-
-def test_nothing_is_carried_over_to_the_next_decision():
-    world = Counted()
-    assistant = ready(world, 1e-6, tau_r=0.0)
-    start = world.at(0.45), torch.tensor([[0.1]]), operator()
-    first = assistant.decide(*start).action
-    assistant.noise.step = [0]  # the same draws again
-    assert torch.equal(assistant.decide(*start).action, first)
-
-
-def test_many_rows_are_imagined_in_parts(monkeypatch):
-    world = Corridor(LOW, HIGH, JITTER)
-    rows = torch.tensor([0.28, 0.45, -2.0])
-    found = []
-    for limit in (10**6, N * M):
-        monkeypatch.setattr("wasp_cli.methods.wasp.printed.ROWS", limit)
-        assistant = ready(world, 0.4, tau_r=-1.0)
-        assistant.reset(torch.ones(3, dtype=torch.bool), [1, 2, 3])
-        many = Operator(operator().policy, 1, EpisodeNoise([0] * 3), 3)
-        found.append(assistant.decide(world.at(*rows.tolist()), torch.tensor([[1.0], [0.1], [0.3]]), many).action)
-    torch.testing.assert_close(*found)
 
 
 @pytest.mark.parametrize(("looks", "made"), [(0, 1), (1, 2), (2, 3)])
