@@ -109,11 +109,6 @@ def test_calibration_gives_finite_thresholds(parts, name):
     assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
 
 
-def test_human_only_executes_every_command(parts):
-    commands, actions, _ = drive(parts, assistant(parts, "human", "full"), list(range(ROWS)))
-    assert torch.equal(commands, actions)
-
-
 def test_ida_leaves_the_expert_alone_and_moves_a_bad_command(parts):
     made = assistant(parts, "ida", "full", vote=0.0)
     latent = latents(parts, 200, 0)
@@ -125,13 +120,6 @@ def test_ida_leaves_the_expert_alone_and_moves_a_bad_command(parts):
     assert 0 < int((moved.record.gate > 0).sum()) < 200  # an untrained ensemble votes either way
     fired = moved.record.gate > 0
     assert torch.equal(moved.action[fired], expert[fired])
-
-
-def test_diffusion_at_ratio_zero_returns_the_command_bit_for_bit(parts):
-    commands, actions, _ = drive(parts, assistant(parts, "diffusion", "full", ratio=0.0), list(range(ROWS)))
-    assert torch.equal(commands, actions)
-    _, moved, _ = drive(parts, assistant(parts, "diffusion", "full", ratio=0.6), list(range(ROWS)))
-    assert not torch.equal(commands, moved)
 
 
 def test_the_variants_of_wasp_switch_off_what_they_name(parts):

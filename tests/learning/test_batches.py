@@ -7,7 +7,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.cells import SETTINGS, Evaluated, evaluated
-from wasp_cli.learning.closed_loop import batches
 from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.stages.base import Job
@@ -17,12 +16,6 @@ from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
 
 EAGER = {"vote": 0.0}  # IDA that intervenes at some decisions, and not at others, although nothing is trained
-
-
-def test_batches_have_one_size_but_for_the_last():
-    assert batches(0, 7, 3) == [range(3), range(3, 6), range(6, 7)]
-    assert batches(3, 6, 3) == [range(3, 6)]
-    assert batches(0, 2, 10) == [range(2)]
 
 
 @pytest.fixture(scope="module")

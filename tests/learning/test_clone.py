@@ -76,17 +76,6 @@ def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them():
     assert float(clone.mean(*one)) == pytest.approx(float(drawn.mean()), abs=0.02)
 
 
-def test_before_the_first_command_nothing_is_repeated_and_nothing_is_undefined():
-    clone = Clone(FEATURES, [4], ACTIONS)
-    clone.weight_logits.data[:] = torch.tensor([9.0, 0.0, 0.0])
-    seen, last = torch.randn(50, FEATURES), torch.full((50, ACTIONS), torch.nan)
-    drawn = clone.sample(seen, last, expert(seen), torch.rand(50, 1 + ACTIONS))
-    assert drawn.isfinite().all()
-    assert clone.log_weights(last).exp()[0].tolist() == pytest.approx([0.0, 0.5, 0.5])
-    clone.log_density(drawn, seen, last, expert(seen)).sum().backward()
-    assert all(part.grad is None or part.grad.isfinite().all() for part in clone.parameters())
-
-
 DOCUMENT: dict[str, Any] = {
     "name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0],
     "operators": {"laggy": {"low": 0.5, "high": 0.7}, "noisy": {"some": 0.4}},

@@ -103,17 +103,6 @@ def test_without_an_intervention_both_branches_are_the_real_continuation(inputs,
         assert same(assisted._replace(name=ALONE), alone)
 
 
-def test_a_branch_is_the_same_whatever_else_is_branched(cell):
-    together = branched(cell, [[2, 5, 9], [4], [0, 5]])
-    alone = [
-        branch
-        for e, t in ((0, 2), (0, 5), (0, 9), (1, 4), (2, 0), (2, 5))
-        for branch in branched(cell, [[t] if i == e else [] for i in range(3)])
-    ]
-    assert len(together) == len(alone)
-    assert all(same(one, other) for one, other in zip(together, alone, strict=True))
-
-
 @given(st.lists(st.lists(st.booleans(), max_size=12), min_size=1, max_size=6), st.integers(1, 9))
 def test_the_interventions_of_a_cell_are_sampled_evenly(intervened, stride):
     chosen = sampled([np.array(steps, bool) for steps in intervened], stride)

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -71,19 +70,6 @@ def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell):
         pass
     counts = rerun.task.tallies()["wrong_goals"]
     assert cell.summary["wrong_goals"] == round(float(counts.mean()), 2)
-
-
-def test_the_expert_of_a_cell_is_the_privileged_one(inputs, tmp_path):
-    done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)
-    recorded, policy = Recorded(**read_recorded(done.path)), load_privileged(inputs["expert"], 1.0)
-    world = make_task(TASK, 3, action_repeat=REPEAT, observe=("privileged",))
-    seen = world.reset(recorded.layouts)
-    for t in range(10):
-        assert seen.privileged is not None
-        with torch.inference_mode():
-            wanted = policy(torch.from_numpy(seen.privileged)).numpy()
-        np.testing.assert_array_equal(np.stack([commands[t] for commands in recorded.a_h]), wanted)
-        seen = world.step(wanted).observation
 
 
 @pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])

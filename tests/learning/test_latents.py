@@ -11,10 +11,9 @@ from tests.learning.recordings import SOURCES, TINY, recording
 from wasp_cli.config import Config
 from wasp_cli.learning import world_model as training
 from wasp_cli.learning.configs import LatentsConfig
-from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.latents import load_latents, save_latents
+from wasp_cli.learning.latents import save_latents
 from wasp_cli.learning.shards import write_shard
-from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.stages.base import Job
 from wasp_cli.stages.latents import LatentsStage
 from wasp_cli.stages.world_model import WorldModelStage
 
@@ -53,14 +52,3 @@ def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_th
     torch.testing.assert_close(before["h"], after["h"], atol=5e-3, rtol=0.0)
     assert float((before["z"] == after["z"]).float().mean()) > 0.98
     assert after["h"].dtype == torch.float16
-
-
-def test_latents_come_back_row_for_row(tmp_path):
-    model, data = training.build(TINY, 2).requires_grad_(False), recording((7, 5))
-    latents = encode(model, data, no_progress)
-    save_latents(latents, tmp_path)
-    again = load_latents(tmp_path)
-    assert torch.equal(again.z, latents.z)
-    assert torch.equal(again.h, latents.h.half().float())
-    one_hot = again.at(torch.tensor([11])).z.unflatten(-1, (-1, latents.classes))
-    assert torch.equal(one_hot.argmax(-1)[0], latents.z[11].long())

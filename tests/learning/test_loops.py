@@ -19,8 +19,6 @@ from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.methods.record import blank_record
-from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.tasks.base import Observation, Step
@@ -137,27 +135,6 @@ def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts):
     operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1)
     with pytest.raises(WaspError, match="'Changing' changed the operator's command in place"):
         run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])
-
-
-class Opposite(HumanOnly):
-    """An assistant that does the contrary."""
-
-    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        return Decision(-a_h, blank_record(len(a_h), GATE_METHOD))
-
-
-@pytest.mark.parametrize(("variant", "reacts"), [("reactive", True), ("laggy", False), ("delayed-noisy", False)])
-def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_overrides(parts, variant, reacts):
-    seeds = [3, 7, 11]  # five decisions each
-    found = []
-    for assistant in (HumanOnly(), Opposite()):
-        # It intends the same whatever it sees, so that all else that an assistant changes plays no part.
-        context = OperatorContext(lambda fraction: lambda f: f[:, :2] * 0 + 0.7, 2, 0.08)
-        operator = build_operator(variant, 0.5, context, EpisodeNoise(seeds), 3)
-        found.append(run_episodes(Staggered(3), parts.world_model, operator, assistant, seeds, seeds).a_h)
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    assert np.array_equal(found[0], found[1]) != reacts
-    assert (found[0][1:] != found[1][1:]).all() == reacts
 
 
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts, tmp_path):

@@ -5,13 +5,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning import policies
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.policies import Labelled, explained, fit, label, new_skills
+from wasp_cli.learning.policies import Labelled, explained, fit, new_skills
 from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
@@ -81,18 +80,6 @@ def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to():
     fit(skills, near, [far], 400, CONFIG, 5, no_progress)
     assert min(shares["filtered"] for shares in explained(skills, far).values()) > 0.9
     assert min(shares["filtered"] for shares in explained(skills, near).values()) > 0.9
-
-
-def test_labels_are_the_checkpoints_answers():
-    torch.manual_seed(0)
-    experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], recording()
-    still = Latents(torch.zeros(36, 2), torch.zeros(36, 1, dtype=torch.uint8), 2)
-    found = label(Counter(), experts, data, still, 2, 0)
-    for k, expert in enumerate(experts):
-        torch.testing.assert_close(found.labels[k, 7], expert(torch.from_numpy(data.privileged[7:8]))[0].detach())
-    part = found.rows((torch.arange(36) >= 10) & (torch.arange(36) < 30))
-    assert torch.equal(part.labels, found.labels[:, 10:30])
-    assert torch.equal(part.imagined.h, found.imagined.h[10:30])
 
 
 def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):

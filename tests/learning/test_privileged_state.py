@@ -58,16 +58,6 @@ def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)), "an interrupted one begins anew"
 
 
-def test_only_the_encoder_is_taught():
-    data = blocks(80)
-    model, untaught = fresh(data), fresh(data)
-    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, no_progress)
-    moved = {
-        name.split(".")[0] for (name, a), b in zip(model.named_parameters(), untaught.parameters(), strict=True) if not torch.equal(a, b)
-    }
-    assert moved == {"encoder"}
-
-
 def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path):
     """Whatever the last episode holds, the same model comes out: images, vectors and their mean and deviation."""
     whole = recording()

@@ -1,13 +1,12 @@
 """Reinforcement of a distilled actor, and the task behind the filter."""
 
 import copy
-from types import SimpleNamespace
 
 import torch
 
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning.configs import ReinforceConfig
-from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
+from wasp_cli.learning.latent_ppo import FilteredTask
 from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.methods.base import Parts
 from wasp_cli.stages.base import no_progress
@@ -37,26 +36,6 @@ def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts):
     assert reward_of(parts, better) > reward_of(parts, actor) + 0.3
     assert not any(parameter.requires_grad for parameter in better.parameters())
     assert curve[-1]["interactions"] >= 3000
-
-
-def test_only_the_value_function_learns_at_first():
-    actor, value = torch.nn.Linear(2, 2), torch.nn.Linear(2, 1)
-    extractor = SimpleNamespace(policy_net=actor, value_net=value)
-    policy = SimpleNamespace(mlp_extractor=extractor, action_net=torch.nn.Linear(2, 2), log_std=torch.nn.Parameter(torch.zeros(2)))
-    warmup = ValueWarmup(until=100)
-    warmup.model = SimpleNamespace(policy=policy)
-
-    def learning() -> list[bool]:
-        return [p.requires_grad for p in (actor.weight, policy.action_net.weight, policy.log_std, value.weight)]
-
-    warmup._on_training_start()
-    assert learning() == [False, False, False, True]
-    warmup.num_timesteps = 64
-    warmup._on_rollout_end()
-    assert learning() == [False, False, False, True]
-    warmup.num_timesteps = 128
-    warmup._on_rollout_end()
-    assert learning() == [True, True, True, True]
 
 
 def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts):

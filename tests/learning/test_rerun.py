@@ -7,15 +7,11 @@ import pytest
 import torch
 
 from tests.cells import REPEAT, Evaluated, evaluated
-from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.rerun import Recorded, Rerun
-from wasp_cli.methods.base import Parts
-from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.seeds import layout_seed, method_seed
 from wasp_cli.store.recorded import read_recorded
 
@@ -66,23 +62,3 @@ def test_a_changed_command_is_noticed_at_once_and_counted_within_its_cell(cell):
     changed[2][4, 0] = np.nextafter(changed[2][4, 0], np.float32(2.0))
     with pytest.raises(ArtifactError, match="episode 12 is not the recorded one from decision 4 on: the command of the operator"):
         list(again(cell, a_h=changed, first=10))
-
-
-def staggered(parts: Parts, seeds: list[int]) -> tuple[Any, Any, Operator]:
-    context = OperatorContext(parts.skills.at, 2, 0.08)
-    return Staggered(len(seeds)), parts.world_model, build_operator("noisy", 0.5, context, EpisodeNoise(seeds), len(seeds))
-
-
-def test_episodes_of_different_lengths_end_where_they_ended(parts):
-    seeds = [0, 3, 1]
-    loop = run_episodes(*staggered(parts, seeds), HumanOnly(), seeds, seeds)
-    lengths = [2, 5, 3]
-
-    def cut(values: Any, lengths: list[int] = lengths) -> list[Any]:
-        return [values[:n, b] for b, n in enumerate(lengths)]
-
-    recorded = Recorded(seeds, cut(loop.a_h), cut(loop.action), cut(loop.reward.astype(np.float32)))
-    moments = list(Rerun(*staggered(parts, seeds), recorded))
-    assert [moment.alive.tolist() for moment in moments] == [[t < n for n in lengths] for t in range(5)]
-    for t, moment in enumerate(moments):
-        assert torch.equal(moment.a_h[moment.alive], torch.from_numpy(loop.a_h[t][moment.alive]))

@@ -95,22 +95,6 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them():
     assert torch.equal(straight.memory, straight.rows)
 
 
-def test_a_row_and_its_mirror_image_are_remembered_apart():
-    data = recording((30, 30))
-    context, windows = Context(120, 4, 3), Windows(data, np.arange(60), 5, 0.0, mirror=MIRROR)
-    window = windows.sample(1, generator(0))
-    begin = int(window.rows[0, 0])
-    assert begin % 30 > 0
-    latent = Latent(torch.arange(20.0).reshape(1, 5, 4), torch.zeros(1, 5, 6))
-    context.keep(window._replace(memory=window.rows - 1), latent)  # the row before, as it is
-    other = window._replace(memory=window.rows + 60)
-    assert context.enter(window._replace(memory=window.rows), 2)[0].first[0, 0] == 0
-    assert context.enter(other, 2)[0].first[0, 0] == 1, "of its mirror image nothing is known"
-    context.keep(other._replace(memory=other.memory - 1), latent._replace(h=latent.h + 100))
-    assert torch.equal(context.enter(other, 2)[1].h, torch.arange(4.0).reshape(1, 4) + 100)
-    assert torch.equal(context.enter(window._replace(memory=window.rows), 2)[1].h, torch.arange(4.0).reshape(1, 4))
-
-
 def test_an_imagined_rollout_is_scored_as_its_steps_are():
     """The terms against the heads and the decoder, called step by step."""
     torch.manual_seed(0)

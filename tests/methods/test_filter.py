@@ -59,13 +59,6 @@ def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_beh
     assert record.signal.item() == pytest.approx(0.3 + 0.4 * 0.5 + GAMMA * 2.0)
 
 
-def test_nothing_costs_behind_the_end_of_an_episode():
-    filter_ = made(value=2.0)
-    filter_.model.continues = lambda latent: torch.zeros(len(latent.h))
-    _, record = decide(filter_, torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
-    assert record.signal.item() == pytest.approx(0.5)
-
-
 def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for():
     h, a_h = torch.tensor([0.5, 0.3, 0.6]), torch.tensor([[1.0, 0.3], [0.9, -0.2], [0.5, 0.0]])
     action, record = decide(made(tau_c=0.6, segment=400), h, a_h)

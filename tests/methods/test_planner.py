@@ -95,10 +95,3 @@ def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(part
         assert (plan.reward - plan.alone_reward > bar)[acts].all()
         changed += int(acts.sum())
     assert 0 < changed < T * B
-
-
-def test_the_expert_drives_where_no_plan_gains(parts, monkeypatch):
-    made = planner(parts, tau_r=1e6, tau_c=1e6)
-    decisions = drive(made, parts, torch.zeros(T, B, 2))
-    for t, each in enumerate(decisions):
-        assert torch.equal(each.action, parts.skills.expert(latents(t).features).clamp(-1, 1))

@@ -54,15 +54,6 @@ def test_the_interval_is_that_of_explicitly_resampled_episodes():
     assert found[0] < average_precision(event, score) < found[1]
 
 
-def test_an_interval_needs_two_episodes_and_an_event():
-    event, score = np.array([True, False, True]), np.arange(3.0)
-    assert np.isnan(average_precision_interval(event, score, np.zeros(3))).all()
-    assert np.isnan(average_precision_interval(np.zeros(3, bool), score, np.arange(3))).all()
-    assert np.isnan(average_precision_interval(event[:0], score[:0], np.zeros(0))).all()
-    low, high = average_precision_interval(np.array([True, False]), np.array([1.0, 0.0]), np.arange(2))
-    assert low == high == 1.0, "resamples without an event say nothing"
-
-
 def test_correlations_are_scipys_on_explicitly_resampled_episodes():
     random = np.random.default_rng(2)
     episode = np.repeat([3, 5, 6, 9], [10, 20, 5, 15])

@@ -3,7 +3,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.seeds import operator_seed
@@ -95,35 +95,3 @@ def test_a_mixture_draws_an_operator_for_every_episode():
     before = mixed.choice.clone()
     mixed.reset(torch.arange(rows) < 10)
     assert torch.equal(mixed.choice[10:], before[10:])
-
-
-def mixture(rows: int) -> MixedOperator:
-    """The operator of row r is laggy, delayed, noisy or an early checkpoint, in turn."""
-    noise = EpisodeNoise(list(range(rows)))
-    severities = {"laggy": 0.5, "reaction-time": 0.24, "noisy": 0.4, "limited-skill": 0.25}
-    mixed = MixedOperator([build_operator(name, value, context(), noise, rows) for name, value in severities.items()], noise, seed=0)
-    mixed.choice = torch.arange(rows) % len(severities)
-    return mixed
-
-
-def test_every_row_of_a_mixture_acts_as_its_operator_alone():
-    mixed = mixture(4)
-    alone = [
-        build_operator(name, value, context(), EpisodeNoise([row]), 1)
-        for row, (name, value) in enumerate((("laggy", 0.5), ("reaction-time", 0.24), ("noisy", 0.4), ("limited-skill", 0.25)))
-    ]
-    for t in range(12):
-        issued = mixed.command(rising(t).expand(4, -1))
-        assert torch.equal(issued, torch.cat([operator.command(rising(t)[:1]) for operator in alone]))
-
-
-def test_a_forked_mixture_goes_on_from_the_memory_of_each_row():
-    mixed, rows = mixture(8), torch.tensor([6, 3, 7])
-    for t in range(5):
-        mixed.command(rising(t).expand(8, -1))
-    uniforms = torch.rand(4, 8, mixed.draws, generator=torch.Generator().manual_seed(0))
-    forked = mixed.fork(rows, 2, DrawnNoise(uniforms[:, rows].repeat_interleave(2, 1)))
-    imagined = torch.stack([forked.command(rising(t).expand(6, -1)) for t in range(5, 9)])
-    mixed.noise = DrawnNoise(uniforms)
-    real = torch.stack([mixed.command(rising(t).expand(8, -1)) for t in range(5, 9)])
-    assert torch.equal(imagined, real[:, rows].repeat_interleave(2, 1))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.tasks.conftest import load_recording
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
 from wasp_cli.tasks.formula import track
@@ -225,32 +224,6 @@ def test_barrels_are_set_down_beside_barriers_and_others_stay():
         assert not moved[clear].any()
         assert distance(before, after).max() < 1.2
         assert (clear_of_barriers(after)[~moved] == after[~moved]).all()
-
-
-def test_barrels_clear_of_barriers_stand_about_where_the_original_has_them():
-    recording = load_recording("CarFormulaOne1_seed1.npz")
-
-    def drivable(places):
-        return places[inside(places, track.OUTER_BARRIER) & ~inside(places, track.INNER_BARRIER)]
-
-    ours, theirs = drivable(clear_of_barriers(recording["layout_vases_xy"])), drivable(recording["vases_xy_mm"][12] / 1000.0)
-    assert abs(len(ours) - len(theirs)) <= 3
-    apart = np.linalg.norm(ours[:, None] - theirs, axis=2)
-    assert (apart.min(axis=1) > 0.3).sum() <= 15
-
-
-def test_the_lap():
-    assert pytest.approx(184.9, rel=0.01) == track.LAP_LENGTH  # chords of 2 m
-    index = np.arange(0, len(track.FINE_LAP), 7)
-    assert track.progress(track.FINE_LAP[index, :2]).tolist() == index.tolist()
-    np.testing.assert_allclose(distance(track.ahead(index, 1.0), track.FINE_LAP[index, :2]), 1.0, atol=0.1)
-    stages = track.progress(track.STAGES)
-    ways = track.lap_distance(stages, np.roll(stages, -1))
-    np.testing.assert_allclose(ways, [18.7, 13.2, 11.7, 34.4, 26.0, 70.9, 10.0], atol=0.8)
-    # The whole centre line is free.
-    on_track = inside(track.FINE_LAP[:, :2], track.OUTER_BARRIER) & ~inside(track.FINE_LAP[:, :2], track.INNER_BARRIER)
-    assert on_track.all()
-    assert distance_to_segments(track.FINE_LAP[:, :2], track.SIDES).min() > 1.1
 
 
 @pytest.mark.parametrize(("make", "steps"), [(Race, 20), (Formula, 12)])

@@ -6,8 +6,6 @@ import pytest
 from wasp_cli.tasks.features import RAYS, lidars, ray_distances
 from wasp_cli.tasks.outline import distance_to_segments, segments
 
-SQUARE = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])
-
 
 def lidar(points: np.ndarray) -> np.ndarray:
     """Of objects of one kind."""
@@ -31,12 +29,6 @@ def test_lidar_wraps_and_ends():
     assert both[0, 0] == lidar(np.array([[[1.0, 0.01]]]))[0, 0]
 
 
-def test_lidars_of_several_kinds_are_those_of_each():
-    points = np.random.default_rng(0).uniform(-2.5, 2.5, (3, 9, 2))
-    together = lidars(points, [1, 3, 5])
-    np.testing.assert_array_equal(together, np.concatenate([lidar(points[:, :1]), lidar(points[:, 1:4]), lidar(points[:, 4:])], axis=1))
-
-
 def test_rays_against_marching():
     rng = np.random.default_rng(1)
     origin, heading = rng.uniform(-1.0, 1.0, (4, 2)), rng.uniform(-3.0, 3.0, 4)
@@ -55,10 +47,3 @@ def test_rays_against_marching():
             on_side = (distance_to_segments(points, sides) < 6e-4).any(axis=1)
             hit = np.flatnonzero(in_circle | on_side)
             assert found[b, k] == pytest.approx(steps[hit[0]] if hit.size else limit, abs=4e-3)
-
-
-def test_rays_see_nothing_where_there_is_nothing():
-    none = np.zeros((1, 0, 2))
-    assert (ray_distances(np.zeros((1, 2)), np.zeros(1), none, 1.0, np.zeros((0, 2, 2)), 3.0) == 3.0).all()
-    far = segments(SQUARE + 50.0)
-    assert (ray_distances(np.zeros((1, 2)), np.zeros(1), np.full((1, 1, 2), 9.0), 1.0, far, 3.0) == 3.0).all()

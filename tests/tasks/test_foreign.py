@@ -98,18 +98,6 @@ def test_goals_and_success(told, expected):
         assert [task.step(np.zeros((1, 2))).goals[0] for _ in range(3)] == expected
 
 
-def test_several_cost_sources_are_counted_one_by_one():
-    class Two(Lights):
-        def info(self):
-            return {"cost": float(self.clock > 1), "cost_sources": {"wet": self.clock > 1, "cold": 0.5 * (self.clock > 2)}}
-
-    task = GymTask(registered(Two), 1)
-    task.reset([0])
-    step = task.step(np.zeros((1, 2)))
-    assert task.cost_sources == ("wet", "cold")
-    assert (step.cost_env[0], step.sources["wet"][0], step.sources["cold"][0]) == (3, 3, 2)
-
-
 @pytest.mark.parametrize(
     ("costs", "sources"),
     [

@@ -196,20 +196,6 @@ def test_the_privileged_vector_is_scaled_and_faces_the_goal():
     assert np.abs(drives[:, 2]).max() > 0.1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"batch": 0}, "at least 1"),
-        ({"batch": 1, "action_repeat": 0}, "at least 1"),
-        ({"batch": 1, "threads": 0}, "at least 1"),
-        ({"batch": 1, "observe": ("smell",)}, "no such observation: smell"),
-    ],
-)
-def test_wrong_construction(arguments, message):
-    with pytest.raises(TaskError, match=message):
-        Goal(**arguments)
-
-
 def test_foreign_snapshots_are_refused():
     task, larger = Goal(1, observe=()), Goal(2, observe=())
     task.reset([0])

@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation, TimeLimit
 
-from wasp_cli.errors import TaskError, UnknownName, UsageError
+from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.tasks.gym import TaskEnv
 from wasp_cli.tasks.gym_vector import TaskVectorEnv
 from wasp_cli.tasks.make import make_task
@@ -167,13 +167,6 @@ def test_wrong_resets_are_refused():
         env.step(np.zeros(2))
     with pytest.raises(UsageError, match="no option 'level'"):
         env.reset(options={"level": 2})
-
-
-@pytest.mark.parametrize("name", ["gaol1", "wasp/SafetyPointGaol1-v0", "SafetyPointGoal1"])
-def test_an_unknown_task_is_named_with_close_ones(name):
-    with pytest.raises(UnknownName, match=f"unknown task '{name}'") as caught:
-        make_task(name, 1)
-    assert "goal1" in caught.value.hint or "SafetyPointGoal1-v0" in caught.value.hint
 
 
 def test_mujoco_that_does_not_import_is_an_expected_error():

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.tasks.lights import Lights, registered
 from wasp_cli.tasks.goal.appearance import TILE_SIDE
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
@@ -61,9 +60,3 @@ def test_only_tasks_without_a_map_have_a_mirror(name):
     if info.mirror is not None:
         matrix = np.array(info.mirror)
         np.testing.assert_array_equal(matrix @ matrix, np.eye(len(matrix)))
-
-
-def test_environments_of_others_have_none():
-    info = TASKS[registered(Lights)]
-    assert info.mirror is None
-    assert info.facts()["mirror"] is None

@@ -31,15 +31,6 @@ def test_groups_lie_where_the_task_writes_them(name, moved, wanted):
     assert {group for group, part in groups.items() if not np.array_equal(before[:, part], after[:, part])} == wanted
 
 
-@pytest.mark.parametrize("name", list(LAYOUTS))
-def test_groups_cover_the_vector_one_after_the_other(name):
-    size = make_task(name, 1, action_repeat=4, observe=("privileged",), threads=1).privileged_size
-    groups = privileged_groups(name, size)
-    assert groups.pop("all") == slice(0, size)
-    assert [part.start for part in groups.values()] == [0, *(part.stop for part in groups.values())][:-1]
-    assert list(groups.values())[-1].stop == size
-
-
 def test_every_vector_is_known():
     assert set(TASKS) == set(LAYOUTS)
 
@@ -78,13 +69,6 @@ def test_rays_turn_round_in_a_mirror():
             part = groups[group]
             np.testing.assert_array_equal(mirror[1][part], np.ones(RAYS))
             np.testing.assert_allclose(seen, near[:, mirror[0][part] - part.start], atol=1e-6)
-
-
-def test_where_a_track_leads_is_not_known_in_a_mirror():
-    for name in ("race1", "formula1"):
-        mirror = privileged_mirror(name)
-        for group, part in list(privileged_groups(name, len(mirror[0])).items())[1:]:
-            assert (mirror[1][part] == 0).all() == (group in {"goal", "way"}), group
 
 
 def test_tasks_of_others_are_judged_as_a_whole_and_have_no_mirror():

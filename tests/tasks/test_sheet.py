@@ -69,14 +69,6 @@ def test_the_moments_are_spread_over_what_was_driven(task, steps, expected, tmp_
     assert decisions(draw_sheet(task, 0, steps, tmp_path / "a.png")) == expected
 
 
-def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path, monkeypatch):
-    monkeypatch.setattr(sheet, "KEPT", 32)
-    found = decisions(draw_sheet("SheetLong-v0", 0, 240, tmp_path / "a.png"))
-    assert len(found) == MOMENTS
-    assert (found[0], found[-1]) == (0, 240)
-    np.testing.assert_allclose(np.diff(found), 240 / 7, atol=12)
-
-
 def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):
     monkeypatch.setattr(sheet, "make_task", lambda *_, **__: pytest.fail("driven"))
     with pytest.raises(UsageError) as caught:

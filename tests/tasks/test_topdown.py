@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
-from wasp_cli.tasks.camera.topdown import draw_map, from_above
-from wasp_cli.tasks.driver import drive
+from wasp_cli.tasks.camera.topdown import draw_map
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.appearance import appearance as formula_appearance
 from wasp_cli.tasks.goal.appearance import appearance as goal_appearance
-from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.race.appearance import appearance as race_appearance
 
 SIZE = 256
@@ -84,17 +82,3 @@ def test_the_whole_circuit_fits_and_robot_and_goal_stay_visible_on_it():
     assert changed.sum() > 20
     close = draw_map(appearance, view, 0, SIZE, around=(tuple(track.STAGES[2]), 4.0))
     assert (close != image).any()
-
-
-@pytest.mark.parametrize("name", ["goal1", "race1", "formula1"])
-def test_an_episode_is_drawn_and_no_snapshot_knows(name):
-    task = make_task(name, 2, observe=("state",))
-    task.reset([3, 4])
-    task.step(drive(task))
-    before = task.snapshot()
-    first, second = from_above(task, 0, 64), from_above(task, 1, 64)
-    assert first.shape == second.shape == (64, 64, 3)
-    assert (first != second).any()
-    after = task.snapshot()
-    assert before.keys() == after.keys()
-    assert all((before[key] == after[key]).all() for key in before)

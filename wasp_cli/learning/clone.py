@@ -1,7 +1,4 @@
-"""Cloning of an operator: a policy fitted to what one commanded.
-
-Nothing of the operator's rule is read: features and commands are all that there is of a person. K decisions, F features, A actions.
-"""
+"""Cloning of an operator: a policy fitted to what one commanded. K decisions, F features, A actions."""
 
 from __future__ import annotations
 

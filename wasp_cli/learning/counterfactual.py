@@ -1,12 +1,8 @@
 """Counterfactual branches of the real task (section 5.3 of the paper): what would have happened without an intervention.
 
 At a chosen decision of a stored episode two branches begin in the same state: `asst` executes the recorded action, `cf` the operator's
-command; then both follow the operator alone, whose noise goes on in the episode's own stream. The draws of a decision depend on the
-episode and the decision, so that both branches meet the same mistakes (common random numbers).
-
-Every branch runs in the row that its episode had, in a batch of the same size: products of matrices may round by both, and a
-branch that does what the episode did must give what it gave, bit for bit. The k-th batch holds the k-th chosen decision of every episode.
-
+command; then both follow the operator alone. Their draws are those of the episode and the decision (common random numbers). Every branch
+runs in the row that its episode had, in a batch of the same size, so that one that does what the episode did gives the same bits.
 B = episodes, A = action size, W = decision steps of a branch at most.
 """
 

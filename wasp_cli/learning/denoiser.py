@@ -1,7 +1,6 @@
 """Diffusion's denoiser: training on the expert's actions at recorded latents, and how near it brings commands to them.
 
-After Yoneda et al. 2023: the forward diffusion ratio trades *conformity* (what is executed is near what the expert would do) against
-*fidelity* (it is near the command). K decisions on held-out episodes, A actions.
+After Yoneda et al. 2023. K decisions on held-out episodes, A actions.
 """
 
 from __future__ import annotations

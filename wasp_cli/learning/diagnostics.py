@@ -1,8 +1,6 @@
 """What imagined costs, rewards and images are worth on recorded episodes, per imagined step k = 1..H and over the whole window.
 
-Everything starts at the filtered latent of a recorded row and follows the prior under the true actions; what is read at step k is compared
-with what arrived k rows later. The episodes are held-out ones of the dataset, and fresh ones under operators that are not in its mixture.
-K = starts, H = horizon, S = cost sources.
+From the filtered latent of a recorded row under the true actions: step k is held against what arrived k rows later. K starts, S sources.
 """
 
 from __future__ import annotations

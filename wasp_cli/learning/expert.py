@@ -1,7 +1,4 @@
-"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier.
-
-Its state between two rollouts is stored as safetensors with the counters as JSON, from which an interrupted training goes on.
-"""
+"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier; goes on after an interruption."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Operators who know more than assistants perceive: in the task they follow the privileged policies (`TaskInfo.informed`).
 
-In imagination there is nothing privileged: there such an operator follows the latent policy of the same skill, which is all that an
-assistant may assume.
+In imagination there is nothing privileged: there they follow the latent policy of the same skill.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Recorded actions carried out on a task again, and refused where they do not lead where they led.
-
-The physics alone, without torch: `learning.rerun` adds the filter and the operator. T_e = decisions of episode e,
-B = episodes, A = action size.
-"""
+"""Recorded actions carried out on a task again, by the physics alone. T_e = decisions of episode e, B = episodes, A = action size."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger).
-
-Reinforcement is in `learning.reinforce`.
-"""
+"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""What a world model is taught and asked of the privileged vector: the encoder before Eq. 6, the latents along with it.
+"""What a world model is taught and asked of the privileged vector, in training only: no assistant reads it.
 
-Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an episode. Privileged state is used in
-training only, as the expert's labels are; what is trained here stays beside the world model, and no assistant reads it.
+Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an episode.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What the world model knows of the task's state: a ridge regression to the privileged vector, judged by groups of its entries.
-
-It is fitted on rows that were learned from and judged on others. N rows, K starts; F = features, P = entries of the vector.
-"""
+"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K starts, F features, P entries of the vector."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents, in the real task through the filter.
-
-Labels of a teacher that knows where the goal is do not show how to look for a goal that no camera sees; reward can.
-"""
+"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. Labels do not show how to look for an unseen goal."""
 
 from __future__ import annotations
 

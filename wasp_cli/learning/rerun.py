@@ -4,9 +4,8 @@
     for moment in rerun:                      # before each decision is carried out
         task.snapshot(), operator.snapshot()  # the state in which it was made, after the operator's command
 
-A task gives the same for the same actions, the filter draws nothing, and what an operator draws depends on the episode and the decision
-alone, so that the executed actions bring every state back. The episodes of a batch run side by side as they were evaluated, since the
-products of matrices may round by their number of rows. T_e = decisions of episode e, B = episodes, A = action size.
+The episodes of a batch run side by side as they were evaluated, since products of matrices may round by their number of rows.
+T_e = decisions of episode e, B = episodes, A = action size.
 """
 
 from __future__ import annotations

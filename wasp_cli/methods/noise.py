@@ -1,7 +1,4 @@
-"""An assistant's own randomness: what it draws at decision t of an episode depends on (the episode's seed, t, what for) alone.
-
-So rows may draw together or each when it needs to, on one device or another, and the numbers are the same.
-"""
+"""An assistant's own randomness: what it draws at decision t depends on (the episode's seed, t, what for) alone, on any device."""
 
 from __future__ import annotations
 

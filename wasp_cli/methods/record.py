@@ -1,7 +1,4 @@
-"""What a decision leaves behind: the same fields for every method, and the plan of those that plan.
-
-B = episodes side by side, A = action size, L = residual steps, I = iterations of the search.
-"""
+"""What a decision leaves behind, for every method. B = episodes side by side, A = action size, L = residual steps, I = iterations."""
 
 from __future__ import annotations
 

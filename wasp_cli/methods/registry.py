@@ -1,8 +1,4 @@
-"""The assistants by name, with all that plans, specs and reports need to know of them.
-
-Adding one is a module with its class and its configuration, and one entry here (from another package: one entry point). No key covers this
-module, so that a word changed here runs nothing again.
-"""
+"""The assistants by name. Adding one is a class, its configuration, and one entry here (or an entry point). No key covers this module."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Policies: the expert's actor on privileged observations, latent actors on (h, z), and both on disk.
-
-Dimension letters: B batch rows, P size of a privileged observation, F latent features, A actions.
-"""
+"""Policies: the expert's actor, latent actors, and both on disk. B rows, P size of a privileged vector, F latent features, A actions."""
 
 from __future__ import annotations
 

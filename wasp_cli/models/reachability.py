@@ -1,7 +1,4 @@
-"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it.
-
-Dimension letters: B batch rows, F features, A actions, K actions that are looked at together.
-"""
+"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it. B rows, F features, A actions, K actions."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Where the clone of a person lies while a node runs: the severity of an operator is a number, and a clone is a file.
-
-What runs a node says so around it; the key of the node covers the clone, since it reads it.
-"""
+"""Where the clone of a person lies while a node runs: what runs it says so, and the key covers the clone, since the node reads it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it; a run only reads it.
-
-Artifact: `clone.safetensors` (+ .json), `curve.json` (negative log-likelihood) and `quality.json` (how well the clone foretells held-out
-commands; see `drive.clone`).
-"""
+"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it (see `drive.clone` for its files); a run only reads it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""CSA's consistency model of expert actions.
-
-Artifact: `consistency.safetensors` (+ .json with its sizes), `quality.json` (on held-out episodes: how near one step brings commands to the
-expert's actions and how far from the commands, see `learning.consistency`).
-"""
+"""CSA's consistency model of expert actions. Artifact: `consistency.safetensors` (+ .json), `quality.json` (see `learning.consistency`)."""
 
 from __future__ import annotations
 

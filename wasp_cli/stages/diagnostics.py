@@ -1,8 +1,4 @@
-"""Diagnostics: what the world model is worth on held-out episodes, and under operators that are not in the dataset.
-
-Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `images.parquet` (true, decoded and imagined frames of
-held-out episodes, see `learning.image_samples`).
-"""
+"""What the world model is worth on unseen episodes. Artifact: `diagnostics.json`, `images.parquet` (see `learning.diagnostics`)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The stages by kind. Adding one is a module with its class and its config, and one line here or in a plugin's entry point `wasp.stages`.
-
-The line holds what planning and running need to know of a stage besides its class, so that no list of stages stands anywhere else.
-"""
+"""The stages by kind, with what planning and running need to know of each. Adding one is a module and a line here or in `wasp.stages`."""
 
 from __future__ import annotations
 

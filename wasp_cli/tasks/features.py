@@ -1,7 +1,4 @@
-"""Parts of the vectors that tasks show: the reference package's pseudo lidar, rays that measure distances, and what experts may know.
-
-The privileged parts do not have the lidar's horizon of 3 m, and nothing of them is ever shown to an assistant. B = episodes.
-"""
+"""Parts of the vectors that tasks show: pseudo lidar, ray distances, and what only experts may know. B = episodes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The tasks as standard gymnasium environments: `gymnasium.make("wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0")`.
+"""The tasks as gymnasium environments: `gymnasium.make("wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0")`, or a batch by `make_vec`.
 
 Importing this module registers every task under the namespace `wasp/`; MuJoCo is imported when one is made.
-The cost comes as `info["cost"]`, as in the 5-tuple environments of the reference package. `gymnasium.make_vec` steps B episodes in one
-call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the reference package's own six-tuple.
 """
 
 from __future__ import annotations

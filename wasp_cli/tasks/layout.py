@@ -1,7 +1,4 @@
-"""Random layouts of goal tasks: rejection sampling from a legacy numpy stream, draw for draw as the reference package does it.
-
-The order of the draws is part of the task's definition: a seed names the same layout here and there, bit for bit.
-"""
+"""Random layouts by rejection sampling from a legacy numpy stream, draw for draw as the reference package does it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""What the entries of a privileged vector are about, and what they become with left and right exchanged.
-
-Who trains on single images may turn any of them over, on a track too: its walls and things are then where the mirror shows them. Where the
-track leads is another matter: a lap is driven in one direction. P = entries.
-"""
+"""What the entries of a privileged vector are about, and what they become with left and right exchanged. P = entries."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The tasks by name. Adding one is a module with its class and one line here.
-
-Beside the registered names, every gymnasium id is a task: `my_pkg:MyEnv-v0` (see `wasp_cli.tasks.foreign`).
-"""
+"""The tasks by name. Adding one is a class and a line here; every gymnasium id is a task too (see `wasp_cli.tasks.foreign`)."""
 
 from __future__ import annotations
 

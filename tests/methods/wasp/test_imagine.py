@@ -64,13 +64,6 @@ def test_every_candidate_equals_the_literal_rollout(held):
                     assert got == pytest.approx((0.1 * action, float(0.3 < x < 0.6), 0.5 * x))
 
 
-def test_imagining_leaves_the_real_operator_alone():
-    operator = laggy(0.3)
-    before = {name: value.clone() for name, value in operator.memory.items()}
-    IMAGINATION.roll(started(operator), 1, lambda k, command: command, drawn())
-    assert all(torch.equal(before[name], operator.memory[name]) for name in before)
-
-
 def test_a_selection_of_decisions_is_imagined_as_among_all():
     start, draws, rows = started(laggy(0.4)), drawn(), torch.tensor([2, 0])
     every = IMAGINATION.roll(start, 1, lambda k, command: command, draws).reward()

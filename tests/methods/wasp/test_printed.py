@@ -15,7 +15,6 @@ from wasp_cli.methods.noise import DecisionNoise, as_gumbel
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.methods.wasp.printed import PROBE as PROBING
 from wasp_cli.methods.wasp.printed import SEARCH, Printed
-from wasp_cli.metrics.episode import CUT_OFF
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator
 
@@ -182,16 +181,6 @@ def test_a_decision_is_section_4(x, a_h, tau_c, tau_r, variant, gate):
     if gate:
         assert planned.safe[0].tolist() == wanted.safe
         assert planned.case2[0].tolist() == [count < N_F for count in wanted.safe]
-
-
-@pytest.mark.parametrize(("looks", "made"), [(0, 1), (1, 2), (2, 3)])
-def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
-    asked = iter([False] * looks + [True] * 9)
-    world = Counted()
-    decision = ready(world, 0.4, lambda: next(asked), tau_r=0.0).decide(world.at(0.28), torch.tensor([[1.0]]), operator())
-    assert world.calls == [1] + [N] * made
-    assert (decision.planned.safe[0] == CUT_OFF).tolist() == [False] * made + [True] * (ITERATIONS - made)
-    assert float(decision.planned.cost) < float(decision.planned.alone_cost)
 
 
 def test_thresholds_are_quantiles_of_the_gates_signals_under_the_unimpaired_expert():

@@ -83,16 +83,6 @@ def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around():
     assert (full.state[..., 1].max(0) > 0.3).all()
 
 
-def test_an_expert_who_avoids_the_hazard_is_left_alone():
-    world = Fork(jitter=0.01)
-    around = scene_worlds.driver(world, scene_worlds.around(world), 0.0, ROWS)
-    drive = scene_drives.drive(world, around, scene_drives.settings(**SMALL), 60)
-    assert (drive.costs == 0).all()
-    assert drive.arrived.all()
-    assert drive.int_rate <= 0.1  # the best of 64 random plans gains a little at times
-    assert not ((drive.gate == GATE_SAFETY) & drive.alive).any()
-
-
 @cache
 def from_within(kind: Kind, variant: str | None) -> Drive:
     """Careful drivers who are late and begin in the hazard."""

@@ -1,7 +1,4 @@
-"""What a task looks like: its robot, floor, walls and movable things. Data only; `camera` and `topdown` draw it.
-
-n = episodes drawn, K = things of one kind in each.
-"""
+"""What a task looks like; `camera` and `topdown` draw it. n = episodes drawn, K = things of one kind in each."""
 
 from __future__ import annotations
 

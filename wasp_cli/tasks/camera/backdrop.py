@@ -1,7 +1,4 @@
-"""Everything that needs no ray cast at it: sky, floor with the discs on it, walls, columns, and the robot's own body.
-
-m = pixels that see the floor, or a wall.
-"""
+"""What needs no ray cast at it: sky, floor with discs, walls, columns, the robot's own body. m = pixels that see the floor, or a wall."""
 
 from __future__ import annotations
 

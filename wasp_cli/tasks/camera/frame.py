@@ -1,7 +1,4 @@
-"""The rays of both cameras, what they see of the robot itself, and one image pair while it is being drawn.
-
-P = 2 * 64 * 64 pixels, front image first; m = some of them.
-"""
+"""The rays of both cameras, and one image pair while it is drawn. P = 2 * 64 * 64 pixels, front image first; m = some of them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What a foreign environment says of itself, and whether it has what a task needs.
-
-It is made once and driven for one step, so that what is missing is said when a spec is read, and not in the middle of a run.
-"""
+"""What a foreign environment says of itself, and whether it has what a task needs: it is made and stepped once when a spec is read."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What Formula One looks like: a striped circuit with chevrons, barriers of two colours, towers to tell places by.
-
-Seen forward, the outer barrier (red and white) is always on the left and the inner one (blue and white) on the right.
-"""
+"""What Formula One looks like: along the lap the outer barrier (red and white) is on the left, the inner one (blue and white) right."""
 
 from __future__ import annotations
 

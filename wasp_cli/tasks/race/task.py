@@ -1,7 +1,4 @@
-"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery.
-
-B = episodes side by side. The episode ends at the goal.
-"""
+"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery. B = episodes."""
 
 from __future__ import annotations
 
