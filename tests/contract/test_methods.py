@@ -107,29 +107,3 @@ def test_calibration_gives_finite_thresholds(parts, name):
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)
     wanted = {"ida": "tau_q", "ida-guarded": "tau_q", "wasp": "tau_r", "printed": "tau_r"}.get(name)
     assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
-
-
-def test_ida_leaves_the_expert_alone_and_moves_a_bad_command(parts):
-    made = assistant(parts, "ida", "full", vote=0.0)
-    latent = latents(parts, 200, 0)
-    expert = parts.skills.expert(latent.features)
-    with torch.inference_mode():
-        same = made.decide(latent, expert, operator(parts, [0]))
-        moved = made.decide(latent, -expert, operator(parts, [0]))
-    assert torch.equal(same.action, expert)
-    assert 0 < int((moved.record.gate > 0).sum()) < 200  # an untrained ensemble votes either way
-    fired = moved.record.gate > 0
-    assert torch.equal(moved.action[fired], expert[fired])
-
-
-def test_the_variants_of_wasp_switch_off_what_they_name(parts):
-    def gates(variant: str, **changes: Any) -> set[int]:
-        _, _, decisions = drive(parts, assistant(parts, "wasp", variant, **changes), list(range(ROWS)))
-        return set(torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]).flatten().tolist())
-
-    eager = {"tau_c": 1.2, "tau_r": -10.0}
-    assert 2 in gates("full", **eager)
-    assert 2 not in gates("safety-only", **eager)
-    timid = {"tau_c": 1e-6}
-    assert gates("full", **timid) == {1}
-    assert 1 not in gates("task-only", **timid)

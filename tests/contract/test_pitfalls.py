@@ -9,13 +9,11 @@ import math
 import pytest
 import torch
 
-from wasp_cli import seeds
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.methods.configs import DiffusionConfig
 from wasp_cli.methods.diffusion import assist
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
@@ -25,24 +23,6 @@ def latents(parts: Parts, rows: int) -> Latent:
     source = torch.Generator().manual_seed(3)
     h = torch.randn(rows, 12, generator=source)
     return Latent(h, torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1))
-
-
-def test_a_deviation_is_measured_between_bounded_actions(parts):
-    saferl = build_assistant("saferl", {}, parts)
-    latent = latents(parts, 8)
-    a_h = torch.ones(8, 2)
-    torch.nn.init.constant_(saferl.policy.net[-1].bias, 0.7)
-    with torch.inference_mode():
-        action = saferl.decide(latent, a_h, Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * 8), 8)).action
-    torch.nn.init.zeros_(saferl.policy.net[-1].bias)
-    assert torch.equal(action, a_h)  # pushing against a bound is no intervention
-
-
-def test_every_episode_has_its_own_world_and_all_methods_the_same_ones():
-    worlds = [seeds.layout_seed("goal1", seed, e) for seed in range(3) for e in range(30)]
-    assert len(set(worlds)) == 90
-    own = {seeds.method_seed("goal1", "laggy", 0, e, m) for e in range(30) for m in METHODS}
-    assert len(own) == 30 * len(METHODS)
 
 
 def test_the_reverse_chain_undoes_as_many_steps_as_were_taken():

@@ -37,15 +37,6 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(episode
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
 
-def test_rows_know_the_motors_of_their_task(whole):
-    rows, steps = read_episodes([whole.path]), read_steps(whole.path)
-    episode, a, a_h = (np.array(steps[name].to_pylist()) for name in ("episode", "a", "a_h"))
-    apart = np.linalg.norm(np.clip(a, -0.02, 0.02) / 0.02 - np.clip(a_h, -0.02, 0.02) / 0.02, axis=1)
-    for e, row in enumerate(rows.to_pylist()):
-        assert row["mag_eff"] == pytest.approx(apart[episode == e].mean(), abs=1e-4)
-    assert 0 < sum(rows["mag_eff"].to_pylist()) != pytest.approx(sum(rows["mag"].to_pylist()), rel=0.05)
-
-
 def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, monkeypatch):
     """They lack columns, which would then be means over the other episodes alone."""
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)

@@ -15,8 +15,7 @@ from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.recorded_values import Segments, recorded_values
-from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.recorded_values import recorded_values
 from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
@@ -101,20 +100,6 @@ def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows():
     np.testing.assert_allclose(values[1, 6:11], 0.5 * (1 - 0.5**ahead) / 0.5, rtol=0.1)
     assert values.isnan().all(0).tolist() == [False] * 11 + [True] * 7
     assert curve[-1]["q_loss_r"] < curve[0]["q_loss_r"]
-
-
-def test_segments_end_with_the_episode_and_with_what_is_known():
-    data = recording((4, 3, 3))
-    values = torch.arange(20.0).view(2, 10)
-    values[:, [3, 7, 8, 9]] = torch.nan  # the first episode ended by itself, the third is held out
-    rows, actions, wanted, counts = Segments(data, values, 3).sample(200, generator(0))
-    assert set(rows.tolist()) == {0, 1, 4, 5}
-    for row, done, target, count in zip(rows.tolist(), actions, wanted.transpose(0, 1), counts, strict=True):
-        last = 2 if row < 4 else 6
-        known = last - row + 1
-        assert count.tolist() == [1.0] * known + [0.0] * (4 - known)
-        np.testing.assert_array_equal(target[:, :known], values[:, row : last + 1])
-        np.testing.assert_array_equal(done[: known - 1], data.action[row + 1 : last + 1])
 
 
 class Blind(Plain):

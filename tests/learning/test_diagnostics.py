@@ -17,7 +17,6 @@ from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig
 from wasp_cli.learning.dataset import behaviours
 from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
-from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
 from wasp_cli.learning.shards import Recording
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
@@ -174,40 +173,6 @@ def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     assert filtered["auprc"] == pytest.approx(1.0) == filtered["predicted_over_base"]
     assert filtered["image_error"] == pytest.approx(0.0)
     assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())
-
-
-def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path):
-    data = recording((40, 40))
-    data.cost[:] = 0
-    data.cost[[20, 60, 61]] = 1
-    film, rows = Film(data), Rows(np.arange(80))
-    starts = judge.spread_starts(data, 6, 1000)
-    follow, within = judge.what_followed(data, starts, 6)
-    nothing = np.zeros((len(starts), 6))
-    seen = Forecast(starts, data.cost[follow], nothing, nothing, follow, within)
-    windows = sampled_windows(data, seen)
-    costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
-    assert costly == [True] * COSTLY + [False] * CALM
-    assert (data.cost[starts[windows]] == 0).all()
-    imagined = imagined_samples(film, data, rows, seen, windows, 0)
-    for sample, start in zip(imagined, starts[windows].tolist(), strict=True):
-        np.testing.assert_array_equal(sample.rows, np.arange(start, start + 7))
-        np.testing.assert_array_equal(sample.images, data.pixels[sample.rows])
-        np.testing.assert_array_equal(sample.predicted, data.cost[sample.rows])
-    decoded = decoded_sample(film, data, rows)
-    np.testing.assert_array_equal(decoded.images, data.pixels[decoded.rows])
-    assert decoded.rows[:5].tolist() == [0, 8, 17, 26, 35]
-    assert decoded.rows[5:].tolist() == [20, 20, 60, 60, 61], "the second half are costly frames"
-
-    write_samples(tmp_path / "images.parquet", data, decoded, imagined)
-    stored = pq.read_table(tmp_path / "images.parquet").to_pylist()
-    assert [row["window"] for row in stored] == [-1] * 10 + [window for window in range(5) for _ in range(7)]
-    assert [row["step"] for row in stored] == [*range(10), *(list(range(7)) * 5)]
-    for row, place in zip(stored, np.concatenate([decoded.rows, *(sample.rows for sample in imagined)]).tolist(), strict=True):
-        assert (row["episode"], row["decision"], row["cost"]) == (place // 40, place % 40, data.cost[place])
-        assert row["behaviour"] == data.behaviour[place]
-        assert row["true"] == row["model"] == data.pixels[place].tobytes()
-        assert row["predicted"] == data.cost[place]
 
 
 def test_the_unseen_operators_are_not_in_the_mixture():

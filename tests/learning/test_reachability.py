@@ -14,7 +14,7 @@ from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.reachability import foresight, train_safety_value
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
-from wasp_cli.models.reachability import MOST, SafetyValue, danger_target, extreme_actions
+from wasp_cli.models.reachability import SafetyValue, danger_target
 from wasp_cli.stages.base import no_progress
 
 GAMMA = 0.9
@@ -56,13 +56,6 @@ def test_the_fixed_point_is_when_the_best_plan_fails_first():
         different.add(best)
         assert float(found[state, first]) == pytest.approx(best, abs=1e-3)
     assert len(different) >= 5, "a world in which everything or nothing fails shows nothing"
-
-
-def test_extreme_actions_are_all_or_nothing():
-    assert sorted(map(tuple, extreme_actions(2).tolist())) == sorted(product((-1.0, 0.0, 1.0), repeat=2))
-    many = extreme_actions(6)
-    assert many.shape == (MOST, 6)
-    assert set(many.unique().tolist()) == {-1.0, 0.0, 1.0}
 
 
 def test_a_value_is_the_lower_of_two_and_never_outside_of_what_margins_can_be():

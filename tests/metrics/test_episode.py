@@ -82,20 +82,6 @@ def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
     assert (row(125).env_steps, row(125).safe_success) == (500, False)
 
 
-def test_timeouts_stay_in_every_denominator():
-    """An episode that reached its time limit without a goal counts in the success rate and with all of its steps."""
-    short = trajectory(steps=2, goals=[0, 1], cost=[True, False], cost_env=[1, 0], a=[[1, 0], [0, 0]])
-    timeout = trajectory(steps=8)
-    pooled = pool(columns([episode_metrics(episode, 1, 25.0) for episode in (short, timeout)]))
-    assert pooled["success"].tolist() == [0.5]
-    assert pooled["viol"].tolist() == [1 / 10]  # ratio of sums, not the mean of 1/2 and 0
-    assert pooled["viol_env"].tolist() == [1 / 40]
-    assert pooled["int_rate"].tolist() == [1 / 10]
-    assert pooled["mag"].tolist() == [1 / 10]
-    assert pooled["mag_int"].tolist() == [1.0]
-    assert pooled["cost"].tolist() == [0.5]
-
-
 ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32))
 
 

@@ -58,18 +58,6 @@ def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(epi
     assert pooled["jump"][0] == pytest.approx(mean([each for jumps in changes for each in jumps]), nan_ok=True)
 
 
-def test_by_hand():
-    episode = trajectory(
-        5,
-        a_h=[[0, 0], [0.5, 0], [0.5, 0], [-0.01, 0], [0, 0]],
-        a=[[0, 0], [1.0, 0], [0.5, 0], [0.01, 0.25], [0, 0.1]],  # beyond the motor; half of it to half of it; a fifth
-    )
-    row = episode_metrics(episode, 1, 25.0, MOTORS.force)
-    assert (row.int_rate, row.int_eff, row.handovers) == (0.6, 0.4, 3)
-    assert row.mag_eff == pytest.approx((math.hypot(1.0, 0.5) + 0.2) / 5)
-    assert row.jump == pytest.approx((1.0 + 0.5 + math.hypot(0.49, 0.25)) / 3)
-
-
 def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the_action_is_its_force():
     always = trajectory(a=np.full((4, 2), 0.3))
     row = episode_metrics(always, 1, 25.0, Motors().force)

@@ -10,7 +10,7 @@ from wasp_cli.tasks.formula.model import BARREL_RADIUS, clear_of_barriers
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.frames import distance
 from wasp_cli.tasks.outline import distance_to_segments, inside
-from wasp_cli.tasks.race.task import GOAL_XY, HAZARD_RADIUS, SIDES, Race
+from wasp_cli.tasks.race.task import GOAL_XY, HAZARD_RADIUS, Race
 
 VECTORS = ("state", "privileged")
 
@@ -72,30 +72,6 @@ def test_bushes_and_scenery_cost_apart_and_once_together():
     assert step.sources["hazards"].tolist() == [1, 0, 1]
     assert step.sources["static_geoms_contact"].tolist() == [0, 0, 1]
     assert step.cost_env.tolist() == [1, 0, 1]
-
-
-def test_a_car_meets_every_prism_and_does_not_pass_through():
-    from wasp_cli.tasks.race.model import SCENERY
-
-    task = Race(len(SCENERY), observe=())
-    task.reset([0] * len(SCENERY))
-    outlines = [prism.outline for prism in SCENERY]
-    for row, outline in enumerate(outlines):
-        # Against the middle of the longest side whose outside is free.
-        ends = np.roll(outline, -1, axis=0)
-        for side in np.argsort(-np.linalg.norm(ends - outline, axis=1)):
-            middle, along = (outline[side] + ends[side]) / 2, ends[side] - outline[side]
-            normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-            normal *= -1 if inside((middle + 1e-3 * normal)[None], outline)[0] else 1
-            start = middle + 0.4 * normal
-            if distance_to_segments(start[None], SIDES).min() > 0.3 and not any(inside(start[None], other)[0] for other in outlines):
-                break
-        place(task, row, start, np.arctan2(-normal[1], -normal[0]))
-    touched = np.zeros(len(SCENERY), bool)
-    for _ in range(25):
-        touched |= task.step(np.full((len(SCENERY), 2), 0.02)).sources["static_geoms_contact"] > 0
-    assert touched.all()
-    assert not any(inside(task.pose()[0][row : row + 1], outline)[0] for row, outline in enumerate(outlines))
 
 
 def test_leaving_out_distant_scenery_changes_no_motion(monkeypatch):

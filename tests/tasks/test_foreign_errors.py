@@ -22,18 +22,6 @@ def variant(**attributes: Any) -> type[Lights]:
     return type("Variant", (Lights,), attributes)
 
 
-def one_of(values: list[dict[str, Any]]) -> Any:
-    """An info method that gives these one after the other, and the last for ever."""
-    left = iter(values)
-    last: list[dict[str, Any]] = []
-
-    def info(self: Any) -> dict[str, Any]:
-        last[:] = [next(left, last[0] if last else {})]
-        return last[0]
-
-    return info
-
-
 @pytest.mark.parametrize(
     ("env", "options", "expected"),
     [
@@ -137,30 +125,6 @@ def test_numbers_may_be_of_every_real_type():
     assert {name: count[0] for name, count in step.sources.items()} == {"wet": 4, "dry": 0}
 
 
-@pytest.mark.parametrize("part", ["snapshot", "restore"])
-def test_one_that_fails_to_keep_or_take_a_snapshot_is_named(part):
-    sound = {"snapshot": lambda self: {"clock": np.zeros(1)}, "restore": lambda self, snapshot: None}
-    task = make_task(registered(variant(**sound | {part: failing})), 1)
-    task.reset([0])
-    with pytest.raises(TaskError, match=f"'Foreign.*: its {part} failed: RuntimeError"):
-        task.restore(task.snapshot())
-
-
-@pytest.mark.parametrize(
-    ("env", "expected"),
-    [
-        (variant(info=one_of([{"cost": 0.0}, {}])), "has no 'cost'"),
-        (variant(info=one_of([{"cost": 0.0}, {"cost": 1.0, "cost_sources": {"wet": 1.0}}])), "new cost source 'wet'"),
-    ],
-)
-def test_what_goes_wrong_later_names_the_environment(env, expected):
-    name = registered(env)
-    task = make_task(name, 1)
-    task.reset([0])
-    with pytest.raises(TaskError, match=f"'{name}'.*{expected}"):
-        task.step(np.zeros((1, 2)))
-
-
 @pytest.mark.parametrize(
     ("name", "error", "expected"),
     [
@@ -176,15 +140,6 @@ def test_ids_that_lead_nowhere(name, error, expected):
     with pytest.raises(error) as caught:
         make_task(name, 1)
     assert re.search(expected, f"{caught.value.message} {caught.value.hint}"), caught.value
-
-
-@pytest.mark.parametrize(("fails", "named"), [("import sys\nsys.exit(3)\n", "SystemExit: 3"), ("1 / 0\n", "ZeroDivisionError")])
-def test_a_module_that_fails_on_import_is_named(fails, named, tmp_path, monkeypatch):
-    (tmp_path / "fails_on_import.py").write_text(fails)
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(TaskError, match=f"'fails_on_import' does not import: {named}") as caught:
-        examine("fails_on_import:MyEnv-v0")
-    assert caught.value.hint == "repair the module"
 
 
 def test_an_environment_that_keeps_its_own_time_limit_may_say_so():

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tests.tasks.test_mirror import reflected
-from wasp_cli.tasks.features import RAYS, nearness, ray_distances
 from wasp_cli.tasks.make import make_task
-from wasp_cli.tasks.privileged_layout import LAYOUTS, THINGS, WALLS, privileged_groups, privileged_mirror
+from wasp_cli.tasks.privileged_layout import LAYOUTS, privileged_groups, privileged_mirror
 from wasp_cli.tasks.registry import TASKS
 
 
@@ -52,23 +51,6 @@ def test_a_mirrored_vector_is_that_of_the_mirrored_episode(name):
         action = random.uniform(-1, 1, (6, 2))
         step, other = task.step(action).observation.privileged, twin.step(action * [1, -1]).observation.privileged
         np.testing.assert_allclose(other[:, :3], (step[:, order] * sign)[:, :3], atol=0.02)
-
-
-def test_rays_turn_round_in_a_mirror():
-    """As the tracks' vectors have them: circles and walls about a car that stands and looks askew."""
-    random = np.random.default_rng(1)
-    origin, heading = random.uniform(-1, 1, (5, 2)), random.uniform(-3, 3, 5)
-    circles, walls = random.uniform(-2, 2, (5, 7, 2)), random.uniform(-3, 3, (9, 2, 2))
-    over = np.array([1.0, -1.0])
-    near = nearness(ray_distances(origin, heading, circles, 0.2, walls, 4.0))
-    seen = nearness(ray_distances(origin * over, -heading, circles * over, 0.2, walls * over, 4.0))
-    for name in ("race1", "formula1"):
-        mirror = privileged_mirror(name)
-        groups = privileged_groups(name, len(mirror[0]))
-        for group in (WALLS, THINGS):
-            part = groups[group]
-            np.testing.assert_array_equal(mirror[1][part], np.ones(RAYS))
-            np.testing.assert_allclose(seen, near[:, mirror[0][part] - part.start], atol=1e-6)
 
 
 def test_tasks_of_others_are_judged_as_a_whole_and_have_no_mirror():

@@ -86,12 +86,10 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @property
     def spec(self) -> EnvSpec | None:  # gymnasium sets it after making the environment
-        """What `gymnasium.make` makes such an environment of (with five values the time limit too); None for one made without it."""
+        """What `gymnasium.make` makes such an environment of with its time limit; None for one made without it."""
         if self._spec is None:
             return None
-        # Whoever makes this spec puts a TimeLimit around, which works on five values.
-        limit = None if self._upstream else self._spec.max_episode_steps or self.max_episode_steps
-        return replace(self._spec, max_episode_steps=limit)
+        return replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
