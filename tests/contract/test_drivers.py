@@ -12,7 +12,7 @@ from wasp_cli.tasks.navigation import Navigation
 from wasp_cli.tasks.race.task import SIDES as SCENERY
 from wasp_cli.tasks.registry import TASKS
 
-BATCH = 6
+BATCH = 4
 
 
 def nearest(points: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_a_cost_source_can_be_reached(name, source):
     assert (counts > 0).mean() >= 0.5
 
 
-@pytest.mark.parametrize("name", list(TASKS))
+@pytest.mark.parametrize("name", ["goal1", "race1", "formula0"])
 def test_the_route_earns_reward(name):
     task, idle = make_task(name, BATCH, observe=()), make_task(name, BATCH, observe=())
     earned = np.zeros(BATCH)

@@ -37,7 +37,7 @@ def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_d
     recorded, latents = data
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
     torch.manual_seed(0)
-    config = DenoiserConfig(updates=1500, batch=256, hidden=(64, 64), ema=0.99)
+    config = DenoiserConfig(updates=1000, batch=192, hidden=(64, 64), ema=0.99)
     denoiser, schedule, summary = train_denoiser(recorded, expert, latents, config, 1, no_progress)
     source = torch.Generator().manual_seed(2)
     held = torch.from_numpy(np.flatnonzero(recorded.held_out(0.1)))
@@ -84,7 +84,7 @@ def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data):
     torch.nn.init.zeros_(skills.expert.net[-1].weight)
     torch.nn.init.zeros_(skills.expert.net[-1].bias)
     torch.manual_seed(0)
-    config = EnsembleConfig(members=3, hidden=(64, 64), updates=2500, batch=128, learning_rate=1e-3, target_rate=0.05)
+    config = EnsembleConfig(members=3, hidden=(64, 64), updates=1500, batch=128, learning_rate=2e-3, target_rate=0.05)
     gamma = 0.5
     ensemble, curve = train_ensemble(skills, told, latents, config, gamma, 1, no_progress)
     assert curve[-1] < 0.3 * curve[0]

@@ -54,7 +54,7 @@ def test_it_learns_how_often_an_operator_repeats_and_slips(variant, value, ways)
 def test_it_learns_what_an_operator_intends_where_that_is_not_the_expert_s():
     seen = driven("laggy", 0.0)
     own = (0.8 * seen.features[:, 1:] - 0.2).clamp(-1, 1)
-    clone = learned(seen._replace(command=own), updates=1500)
+    clone = learned(seen._replace(command=own), updates=900)
     error = (clone.intended(seen.features, seen.last, expert(seen.features)) - own).square().mean()
     assert error < 0.1 * (expert(seen.features) - own).square().mean()
 

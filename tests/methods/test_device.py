@@ -27,7 +27,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 VARIANTS = ("safety-only", "no-case2", "no-rollout")
 CASES = [
-    *((name, {}) for name in METHODS), *((name, {"variant": variant}) for name in ("wasp", "printed") for variant in VARIANTS),
+    *((name, {}) for name in METHODS), *(("wasp", {"variant": variant}) for variant in VARIANTS), ("printed", {"variant": "no-case2"}),
 ]  # fmt: skip
 NOWHERE = [*((method, changes, "laggy") for method, changes in CASES), ("printed", {}, "noisy"), ("printed", {}, "reaction-time")]
 

@@ -1,4 +1,4 @@
-"""What registry entries say of assistants, and what readers are told where they say nothing."""
+"""What registry entries say of assistants, and what is no configuration."""
 
 from typing import get_args
 

@@ -59,7 +59,7 @@ def test_the_recordings_have_what_makes_the_checks_mean_something():
         pytest.param("CarRace1_seed0.npz", "n_static_contacts", lambda a: np.ones_like(a), marks=pytest.mark.slow),
         pytest.param("CarRace1_seed0.npz", "obs", lambda a: a + 1e-3, marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "goal_met", lambda a: ~a, marks=pytest.mark.slow),
-        ("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60)),
+        pytest.param("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60), marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "state_qvel", lambda a: a * 1.01, marks=pytest.mark.slow),
         ("dynamics.npz", "car_rk4_traj", lambda a: a * 1.1),
     ],
@@ -81,7 +81,7 @@ def test_a_wrong_recording_fails(name, field, change):
         pytest.param("CarRace1_seed0.npz", "car.REACH", 0.0, "cost of walls as the gaps tell", marks=pytest.mark.slow),
         pytest.param("CarRace1_seed0.npz", "navigation.Navigation.goal_radius", 0.31, "meta goal_size", marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "formula.task.Formula.num_steps", 750, "meta num_steps", marks=pytest.mark.slow),
-        ("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy"),
+        pytest.param("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy", marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "formula.task._REACH", 0.0, "first contact with a barrel", marks=pytest.mark.slow),
         ("CarRace1_seed0.npz", "features.RANGE", 2.9, "hazards_lidar"),
     ],
@@ -95,12 +95,12 @@ def test_a_wrong_task_is_noticed(name, place, value, noticed_by, monkeypatch):
 def test_the_command_reports_fails_on_a_wrong_recording_and_skips_unknown_ones(tmp_path, capsys):
     right = load_recording("dynamics.npz")
     np.savez(tmp_path / "boat.npz", meta='{"task": "SafetyBoatGoal1-v0"}')
-    for name, recording, code in (("right.npz", right, 0), ("wrong.npz", right | {"car_rk4_traj": 1.1 * right["car_rk4_traj"]}, 1)):
-        np.savez(tmp_path / name, **recording)
+    for recording, code in ((right, 0), (right | {"car_rk4_traj": 1.1 * right["car_rk4_traj"]}, 1)):
+        np.savez(tmp_path / "car.npz", **recording)
         assert conformance.main([str(tmp_path)]) == code
         out = capsys.readouterr().out
         assert ("FAILED" in out) == bool(code)
-        assert name in out
+        assert "car.npz" in out
         assert "boat.npz                     skipped" in out
     assert conformance.main([]) == 2
 

@@ -17,7 +17,7 @@ from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
 
 def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
-    native, through = make_task("goal1", 2), make_task(name, 2)
+    native, through = make_task("goal1", 1), make_task(name, 1)
     assert isinstance(through, GymTask)
     for facts in ("decision_seconds", "max_decisions", "cost_sources", "state_size", "privileged_size", "action_size"):
         assert getattr(through, facts) == getattr(native, facts)
@@ -25,11 +25,11 @@ def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     def flat(result: Any) -> list[Any]:
         return [flat(part) if isinstance(part, tuple) else part for part in result]
 
-    seeds = [9, 14]  # straight on, there are hazards
+    seeds = [9]  # straight on, there are hazards
     np.testing.assert_equal(flat(through.reset(seeds)), flat(native.reset(seeds)))
     random, cost = np.random.default_rng(0), 0
     for _ in range(250):
-        action = np.broadcast_to([1.0, 0.1], (2, 2)) + random.normal(0, 0.02, (2, 2))
+        action = np.array([[1.0, 0.1]]) + random.normal(0, 0.02, (1, 2))
         ours, theirs = through.step(action), native.step(action)
         # The privileged vector holds the mean turn over a decision step, of which the environment sees the last env step.
         ours, theirs = (step._replace(observation=step.observation._replace(privileged=None)) for step in (ours, theirs))

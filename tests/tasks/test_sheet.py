@@ -1,4 +1,4 @@
-"""The picture of an episode: which moments it shows, and that nothing in it is blank."""
+"""The picture of an episode: which moments it shows."""
 
 from pathlib import Path
 from typing import Any

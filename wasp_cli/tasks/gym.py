@@ -86,7 +86,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @property
     def spec(self) -> EnvSpec | None:  # gymnasium sets it after making the environment
-        """What `gymnasium.make` makes such an environment of with its time limit; None for one made without it."""
+        """What `gymnasium.make` makes such an environment of, its time limit included; None for one made without it."""
         if self._spec is None:
             return None
         return replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
@@ -169,7 +169,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
 
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
-    """Make a task under the reference package's interface: stands for `safety_gymnasium.make(id)` in code that is to be ported.
+    """Make a task under the reference package's interface: for actions [A]. Stands for `safety_gymnasium.make(id)`.
 
     Args:
         id: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with

@@ -1,4 +1,4 @@
-"""Imagined rollouts against plain loops: composition, the operator's memory, common draws, and the packed steps' reference."""
+"""Imagined rollouts against plain loops: composition, the operator's memory, common draws."""
 
 import pytest
 import torch

@@ -105,6 +105,7 @@ def test_case_two_leaves_the_hazard_sooner(kind):
     assert full.costs.mean() < 0.75 * without.costs.mean()
 
 
+@pytest.mark.slow
 def test_the_picture_shows_what_the_figure_claims(tmp_path):
     found = scenes.scenes(**SMALL)
     late, early, stuck, free = found
