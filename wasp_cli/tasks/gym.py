@@ -169,7 +169,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
 
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
-    """Make a task under the reference package's interface: for actions [A]. Stands for `safety_gymnasium.make(id)`.
+    """Make a task that takes actions [A] and gives the reference package's six values: stands for `safety_gymnasium.make(id)`.
 
     Args:
         id: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with
