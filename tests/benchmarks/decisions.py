@@ -27,8 +27,7 @@ from wasp_cli.spec.model import validate
 from wasp_cli.tasks.motors import UNKNOWN
 
 ACTIONS = 2
-NEVER = 1e9
-"""A threshold that nothing exceeds."""
+NEVER = 1e9  # A threshold that nothing exceeds
 ROOF_SHAPES = ((300, 256, 768), (300, 512, 512), (1024, 512, 512))
 """[M, K] x [K, N] of the plain products: the planner's own shapes; the fastest is the roof."""
 THRESHOLDS = {"quiet": (NEVER, NEVER), "task": (NEVER, -NEVER), "safety": (-NEVER, NEVER)}

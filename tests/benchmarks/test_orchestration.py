@@ -21,8 +21,7 @@ from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
 
-LARGE = 28
-"""Seeds of a grid of 5,040 cells."""
+LARGE = 28  # seeds of a grid of 5,040 cells
 
 
 def document_of(seeds: int) -> dict[str, Any]:
@@ -94,23 +93,6 @@ def test_orchestration_is_under_one_percent_of_a_grid(benchmark, fakes, tmp_path
     assert benchmark.extra_info["share_beside_the_work"] < 0.01
 
 
-def test_two_workers_do_nearly_twice_as_much_as_one(benchmark, fakes, tmp_path):
-    """Cells that keep a core busy for a third of a second; beside them, two bare processes that do the same work."""
-    times = {}
-    for jobs in (1, 2):
-        pool = warmed(jobs, tmp_path, fakes, work=WORK)
-        layout, plan, run_id = cells_alone(20, tmp_path, f"busy{jobs}")
-        if jobs == 1:
-            times[jobs] = carried_out(layout, plan, run_id, pool)
-        else:
-            benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
-            times[jobs] = benchmark.stats.stats.min
-        pool.close(kill=True)
-    benchmark.extra_info["throughput"] = times[1] / times[2]
-    benchmark.extra_info["throughput_of_bare_processes"] = bare(1) / bare(2)
-    assert benchmark.extra_info["throughput"] > 1.9 * min(1.0, benchmark.extra_info["throughput_of_bare_processes"] / 2 + 0.02)
-
-
 GRID = """
 name: grid
 preset: smoke
@@ -141,8 +123,7 @@ def test_a_grid_of_two_tasks_takes_little_more_than_half_of_its_time_on_one_work
     assert benchmark.extra_info["busy_share"] > 0.92
 
 
-WORK = 1_200_000
-"""Iterations of a hash: about a third of a second."""
+WORK = 1_200_000  # iterations of a hash: about a third of a second
 
 
 def bare(processes: int, pieces: int = 60) -> float:
@@ -163,24 +144,6 @@ def test_five_thousand_cells_are_planned_in_five_seconds(benchmark, tmp_path):
     found = benchmark.pedantic(plan, rounds=2, warmup_rounds=0)
     assert len(found.grid.cells) >= 5_000
     assert benchmark.stats.stats.min < 5
-
-
-def test_five_thousand_computed_cells_are_planned_in_ten_seconds(benchmark, tmp_path):
-    grid, layout = lay_out(large()), Layout(tmp_path / "results")
-    layout.prepare()
-    (first,) = [node for node in grid.nodes if node.kind == "expert"][:1]
-    store(layout, first)
-    manifest = json.loads(layout.manifest(first.kind, first.key).read_text(encoding="utf-8"))
-    for node in grid.nodes:  # by hand: publishing syncs each of them
-        place = layout.artifact(node.kind, node.key)
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "data.bin").write_bytes(b"12345")
-        own = {"kind": node.kind, "key": node.key, "task": node.task, "seed": node.seed, "axes": node.axes, "config": node.config}
-        (place / "_manifest.json").write_text(json.dumps({**manifest, **own}), encoding="utf-8")
-    spec = large()
-    found = benchmark.pedantic(lambda: plan_against(lay_out(spec), layout), rounds=2)
-    assert found.to_run() == []
-    assert benchmark.stats.stats.min < 10
 
 
 @pytest.mark.parametrize(("arguments", "limit"), [(("--help",), 0.3), (("plan", "specs/table1.yaml", "--results", "/nowhere"), 1.0)])

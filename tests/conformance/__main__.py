@@ -1,13 +1,11 @@
 """`python -m tests.conformance FOLDER`: hold the tasks against recordings of the reference package.
 
 Every `.npz` in the folder is checked; one line per file and quantity tells the worst error and the tolerance. The exit code is 1 when a
-quantity is out of tolerance, a file cannot be read or nothing could be checked, 2 on wrong usage. Recordings of other tasks are skipped.
+quantity is out of tolerance or nothing could be checked, 2 on wrong usage. Recordings of other tasks are skipped.
 """
 
-import contextlib
 import json
 import sys
-import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,7 +14,6 @@ import numpy as np
 from tests.conformance.car import XY, CarTask, check_car_dynamics, check_car_episode
 from tests.conformance.comparison import Check, Recording
 from tests.conformance.point import check_point_dynamics, check_point_goal
-from wasp_cli.errors import WaspError
 from wasp_cli.tasks.formula.model import build_model as build_formula
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.formula.track import SIDES as FORMULA_SIDES
@@ -51,52 +48,26 @@ def _dynamics(recording: Recording) -> list[Check]:
 
 def main(arguments: Sequence[str]) -> int:
     """Check a folder and print the report; returns the exit code."""
-    if any(argument in ("-h", "--help") for argument in arguments):
-        print(__doc__)
-        return 0
-    if len(arguments) != 1:
+    if len(arguments) != 1 or not Path(arguments[0]).is_dir():
         print("usage: python -m tests.conformance FOLDER", file=sys.stderr)
         return 2
-    folder = Path(arguments[0])
-    if not folder.is_dir():
-        print(f"error: there is no folder '{folder}'\n       usage: python -m tests.conformance FOLDER", file=sys.stderr)
-        return 2
-    paths = sorted(path for path in folder.glob("*.npz") if path.is_file())
-    if not paths:
-        print(f"error: no recordings (*.npz) in '{folder}'", file=sys.stderr)
-        return 1
     failed = done = 0
-    for path in paths:
-        for name, check in _checked(path):
-            if check is None:
-                print(f"{path.name:28s} {name}", flush=True)
-                failed += name.startswith("FAILED")
-                continue
+    for path in sorted(Path(arguments[0]).glob("*.npz")):
+        with np.load(path, allow_pickle=False) as archive:
+            recording = {name: archive[name] for name in archive.files}
+        run = checks_of(recording)
+        if run is None:
+            print(f"{path.name:28s} skipped: there is no check for recordings of this task", flush=True)
+            continue
+        for check in run(recording):
             verdict = "ok" if check.ok else "FAILED"
             line = f"{check.quantity:39s} worst {check.worst:9.2e}  tolerance {check.tolerance:7.1e}  of {check.compared:6d}  {verdict}"
             print(f"{path.name:28s} {line}", flush=True)
             failed += not check.ok
             done += 1
-    print(f"{done} quantities compared, {failed} out of tolerance or unreadable")
+    print(f"{done} quantities compared, {failed} out of tolerance")
     return 1 if failed or not done else 0
 
 
-def _checked(path: Path) -> list[tuple[str, Check | None]]:
-    """The checks of one file by quantity, or one line without a check that says why there are none."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            recording = {name: archive[name] for name in archive.files}
-        run = checks_of(recording)
-        if run is None:
-            return [("skipped: there is no check for recordings of this task", None)]
-        return [(check.quantity, check) for check in run(recording)]
-    except KeyError as error:
-        return [(f"FAILED: the recording lacks the field {error}", None)]
-    except (AttributeError, IndexError, OSError, EOFError, TypeError, ValueError, WaspError, zipfile.BadZipFile) as error:
-        # A file from elsewhere may hold anything; the others are still worth checking.
-        return [(f"FAILED: cannot be read as a recording: {type(error).__name__}: {error}", None)]
-
-
 if __name__ == "__main__":
-    with contextlib.suppress(BrokenPipeError):
-        sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1:]))

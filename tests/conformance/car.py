@@ -25,24 +25,17 @@ from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
 from wasp_cli.tasks.physics import BatchPhysics, ModelBuilder
 
-XY, YAW = 1e-6, 5e-6
-"""m, rad after one env step without contact."""
-BESIDE_BARREL = 1e-2
-"""m; a barrel weighs 14 mg, but where it was is not recorded: one may be missing, or be too many."""
+XY, YAW = 1e-6, 5e-6  # m, rad after one env step without contact
+BESIDE_BARREL = 1e-2  # m; a barrel weighs 14 mg, but where it was is not recorded: one may be missing, or be too many
 PUSHED_OUT, GAP = 2.5, 1.5
 """Tolerances beside walls, in accuracies of their outlines: a car that overlaps is pushed out by up to twice the overlap in a step."""
 REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
 ANGLE = 1e-12
-RECORDED = 1e-9
-"""Recorded goals were rounded to 9 decimals."""
-FRAME = 25
-"""Env steps between two recorded sets of barrels."""
-BARREL_CONTACT = 5
-"""Env steps: 3 of them are 0.1 m of way, of which the corners of a barrel account for some."""
-BARREL_LIDAR = 5e-3
-"""Recorded barrels were rounded to 1 mm."""
-MEANS = 0.05
-"""Relative tolerance of mean speeds and turn rates over 100 env steps."""
+RECORDED = 1e-9  # recorded goals were rounded to 9 decimals
+FRAME = 25  # env steps between two recorded sets of barrels
+BARREL_CONTACT = 5  # env steps: 3 of them are 0.1 m of way, of which the corners of a barrel account for some
+BARREL_LIDAR = 5e-3  # recorded barrels were rounded to 1 mm
+MEANS = 0.05  # relative tolerance of mean speeds and turn rates over 100 env steps
 
 _STANDING_Z = 0.0999
 
@@ -56,19 +49,14 @@ class Maker(Protocol):
 class CarTask(NamedTuple):
     """What a check needs to know of a task."""
 
-    prefix: str
-    """Of the recordings of the car alone under the task's integrator."""
-    worst: float
-    """Tolerance in m of the worst step without walls and barrels."""
+    prefix: str  # of the recordings of the car alone under the task's integrator
+    worst: float  # tolerance in m of the worst step without walls and barrels
 
     make: Maker
     build_model: ModelBuilder
-    sides: Floats
-    """[V, 2, 2] of all walls."""
-    accuracy: float
-    """Of these sides in m."""
-    hazard_radius: float | None = None
-    """m"""
+    sides: Floats  # [V, 2, 2] of all walls
+    accuracy: float  # of these sides in m
+    hazard_radius: float | None = None  # m
 
 
 def check_car_episode(r: Recording, task: CarTask) -> list[Check]:

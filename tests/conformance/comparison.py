@@ -17,11 +17,9 @@ class Check(NamedTuple):
     """One compared quantity."""
 
     quantity: str
-    worst: float
-    """Largest absolute error (nan when there is nothing finite to compare)."""
+    worst: float  # largest absolute error (nan when there is nothing finite to compare)
     tolerance: float
-    compared: int
-    """Number of entries compared."""
+    compared: int  # number of entries compared
 
     @property
     def ok(self) -> bool:

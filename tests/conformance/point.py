@@ -21,10 +21,8 @@ XY, YAW, VASE = 2e-5, 5e-5, 2e-3
 """m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
 REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
 ANGLE = 1e-12
-RECORDED = 1e-9
-"""Recorded goals were rounded to 9 decimals."""
-MEANS = 0.05
-"""Relative tolerance of mean speeds and turn rates over 100 env steps."""
+RECORDED = 1e-9  # recorded goals were rounded to 9 decimals
+MEANS = 0.05  # relative tolerance of mean speeds and turn rates over 100 env steps
 
 _Snapshot = dict[str, NDArray[Any]]
 

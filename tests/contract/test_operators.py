@@ -12,8 +12,7 @@ LADDER = {
     "noisy": 0.4, "noisy-gaussian": 0.4, "noisy-burst": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24,
     "delayed-noisy": 0.4, "reactive": 0.6,
 }  # fmt: skip
-REACTING = {"reactive"}
-"""Those who go on otherwise after something else than their command was executed."""
+REACTING = {"reactive"}  # those who go on otherwise after something else than their command was executed
 NAMES = [*(name for name, info in OPERATORS.items() if info.simulated), UNIMPAIRED]
 ROWS, ACTION, STEPS = 4, 2, 12
 

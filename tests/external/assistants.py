@@ -27,11 +27,9 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.weights import save_weights
 from wasp_cli.seeds import derive
 
-ROWS = 1_000_000
-"""Decisions that are demonstrated; the authors have ten millions."""
+ROWS = 1_000_000  # decisions that are demonstrated; the authors have ten millions
 TOGETHER = 100
-TARGETS = 24
-"""Candidates among which IDA votes where targets are in the air; pads have but nine places."""
+TARGETS = 24  # candidates among which IDA votes where targets are in the air; pads have but nine places
 
 
 def fly_demonstrations(kind: Kind, model: SAC, path: Path, report: Callable[[str], None]) -> None:

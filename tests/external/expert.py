@@ -16,10 +16,8 @@ from wasp_cli.operators.base import Policy
 
 ENVS = 8
 HIDDEN = (128, 128)
-HOLD = 4
-"""Steps for which a command is held while the expert learns."""
-SCALE = 0.1
-"""Rewards are learned at a tenth, so that values do not begin three orders of magnitude below what they are to become."""
+HOLD = 4  # steps for which a command is held while the expert learns
+SCALE = 0.1  # rewards are learned at a tenth, so that values do not begin three orders of magnitude below what they are to become
 RANDOM, FIRST, BLOCK = 10_000, 20_000, 2000
 """Decisions at random, decisions before the first look at the expert, and between two looks."""
 WORLDS = 100

@@ -17,18 +17,12 @@ from numpy.typing import NDArray
 Kind = Literal["lander", "reacher"]
 Floats = NDArray[np.float32]
 
-WIDTH, HEIGHT = VIEWPORT_W / SCALE, VIEWPORT_H / SCALE
-"""Of the world in metres."""
-CHUNKS = 11
-"""Points of the terrain; a pad lies around any of them but the outermost."""
-RADIUS = 25 / SCALE
-"""Of the target in metres."""
-STEPS = 1000
-"""Time limit; 50 steps are a second."""
-SEEN = 8
-"""Size of what everybody sees: place and velocity, angle and its velocity, contacts of the legs. The goal follows it."""
-REACHED, CRASHED = 1000.0, -100.0
-"""What the ends are worth."""
+WIDTH, HEIGHT = VIEWPORT_W / SCALE, VIEWPORT_H / SCALE  # of the world in metres
+CHUNKS = 11  # points of the terrain; a pad lies around any of them but the outermost
+RADIUS = 25 / SCALE  # of the target in metres
+STEPS = 1000  # time limit; 50 steps are a second
+SEEN = 8  # size of what everybody sees: place and velocity, angle and its velocity, contacts of the legs. The goal follows it.
+REACHED, CRASHED = 1000.0, -100.0  # what the ends are worth
 GOAL_SIZE: dict[Kind, int] = {"lander": 1, "reacher": 2}
 
 
@@ -40,8 +34,7 @@ class GoalLander(gymnasium.Env[Floats, Floats]):
         self.physics = LunarLander(continuous=True)
         self.observation_space = spaces.Box(-np.inf, np.inf, (SEEN + GOAL_SIZE[kind],), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.target = (0.0, 0.0)
-        """of the lander, in metres"""
+        self.target = (0.0, 0.0)  # of the lander, in metres
         self.steps = 0
         self._shaping = 0.0
 

@@ -28,11 +28,9 @@ from tests.external.theirs import TheirDenoiser, their_expert
 from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.methods.human import HumanOnly
 
-FIRST = 1_000_000
-"""Seed of the first world of an evaluation."""
+FIRST = 1_000_000  # seed of the first world of an evaluation
 RATIOS = (0.4, 1.0, 0.2, 0.6, 0.8)
-DENOISER = DenoiserConfig(updates=30_000, batch=4096)
-"""The authors' budget."""
+DENOISER = DenoiserConfig(updates=30_000, batch=4096)  # the authors' budget
 KINDS: tuple[Kind, ...] = ("lander", "reacher")
 
 

@@ -10,8 +10,7 @@ from torch.nn import functional
 from tests.external.lander import GoalLander, Kind
 
 FOLDERS: dict[Kind, str] = {"lander": "v5", "reacher": "v1"}
-STEPS: dict[Kind, str] = {"lander": "00024000", "reacher": "00029999"}
-"""The denoisers that they evaluated."""
+STEPS: dict[Kind, str] = {"lander": "00024000", "reacher": "00029999"}  # the denoisers that they evaluated
 
 
 class TheirDenoiser(nn.Module):

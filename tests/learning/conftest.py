@@ -19,3 +19,34 @@ def inputs(artifacts, tmp_path_factory):
 def cell(inputs, tmp_path_factory) -> Evaluated:
     """IDA takes over wherever more of its ensemble are for it than against it."""
     return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
+
+
+@pytest.fixture(scope="session")
+def root(tmp_path_factory):
+    """An untrained expert, and a small dataset in `whole`; tests add folders."""
+    from tests.learning.test_dataset import collected
+
+    return collected(tmp_path_factory.mktemp("dataset"))
+
+
+@pytest.fixture(scope="session")
+def chain(root):
+    """A tiny untrained world model of that dataset, and its latents."""
+    import torch
+
+    from wasp_cli.learning.configs import WorldModelConfig
+    from wasp_cli.learning.encoding import encode
+    from wasp_cli.learning.latents import save_latents
+    from wasp_cli.learning.shards import read_shards
+    from wasp_cli.learning.world_model import build
+    from wasp_cli.models.world_model import save_world_model
+    from wasp_cli.stages.base import no_progress
+
+    torch.manual_seed(1)
+    folders = {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
+    for name in ("world_model", "latents"):
+        folders[name].mkdir()
+    model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
+    save_world_model(model, folders["world_model"])
+    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["latents"])
+    return folders

@@ -1,6 +1,5 @@
 """Clones of operators: densities, what is learned of a rule that is known, and where a plan has one."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,10 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.errors import UnknownName
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs import CloneConfig
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.clone import Clone
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.plan.grid import OPERATOR_CLONE, lay_out
@@ -57,7 +54,7 @@ def test_it_learns_how_often_an_operator_repeats_and_slips(variant, value, ways)
 def test_it_learns_what_an_operator_intends_where_that_is_not_the_expert_s():
     seen = driven("laggy", 0.0)
     own = (0.8 * seen.features[:, 1:] - 0.2).clamp(-1, 1)
-    clone = learned(seen._replace(command=own), updates=1500)
+    clone = learned(seen._replace(command=own), updates=900)
     error = (clone.intended(seen.features, seen.last, expert(seen.features)) - own).square().mean()
     assert error < 0.1 * (expert(seen.features) - own).square().mean()
 
@@ -79,31 +76,10 @@ def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them():
     assert float(clone.mean(*one)) == pytest.approx(float(drawn.mean()), abs=0.02)
 
 
-def test_before_the_first_command_nothing_is_repeated_and_nothing_is_undefined():
-    clone = Clone(FEATURES, [4], ACTIONS)
-    clone.weight_logits.data[:] = torch.tensor([9.0, 0.0, 0.0])
-    seen, last = torch.randn(50, FEATURES), torch.full((50, ACTIONS), torch.nan)
-    drawn = clone.sample(seen, last, expert(seen), torch.rand(50, 1 + ACTIONS))
-    assert drawn.isfinite().all()
-    assert clone.log_weights(last).exp()[0].tolist() == pytest.approx([0.0, 0.5, 0.5])
-    clone.log_density(drawn, seen, last, expert(seen)).sum().backward()
-    assert all(part.grad is None or part.grad.isfinite().all() for part in clone.parameters())
-
-
 DOCUMENT: dict[str, Any] = {
     "name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0],
     "operators": {"laggy": {"low": 0.5, "high": 0.7}, "noisy": {"some": 0.4}},
 }  # fmt: skip
-
-
-def test_a_run_makes_no_clone_and_no_method_can_ask_for_one(monkeypatch):
-    with pytest.raises(Exception, match="'clone' is of a person"):
-        validate({**DOCUMENT, "stages": ["clone"]})
-    assert not [node for node in lay_out(validate(DOCUMENT)).nodes if node.kind == "clone"]
-    monkeypatch.setitem(METHODS._own, "human", replace(METHODS["human"], needs=("clone",)))
-    monkeypatch.setattr(METHODS, "_all", None)
-    with pytest.raises(UnknownName, match="the method 'human' needs an unknown stage 'clone'"):
-        lay_out(validate(DOCUMENT))
 
 
 def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key():

@@ -13,10 +13,9 @@ from torch import Tensor
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
-from wasp_cli.learning.critics import imagine, starts_of, train_critics
+from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.recorded_values import Segments, recorded_values
-from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.recorded_values import recorded_values
 from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
@@ -103,20 +102,6 @@ def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows():
     assert curve[-1]["q_loss_r"] < curve[0]["q_loss_r"]
 
 
-def test_segments_end_with_the_episode_and_with_what_is_known():
-    data = recording((4, 3, 3))
-    values = torch.arange(20.0).view(2, 10)
-    values[:, [3, 7, 8, 9]] = torch.nan  # the first episode ended by itself, the third is held out
-    rows, actions, wanted, counts = Segments(data, values, 3).sample(200, generator(0))
-    assert set(rows.tolist()) == {0, 1, 4, 5}
-    for row, done, target, count in zip(rows.tolist(), actions, wanted.transpose(0, 1), counts, strict=True):
-        last = 2 if row < 4 else 6
-        known = last - row + 1
-        assert count.tolist() == [1.0] * known + [0.0] * (4 - known)
-        np.testing.assert_array_equal(target[:, :known], values[:, row : last + 1])
-        np.testing.assert_array_equal(done[: known - 1], data.action[row + 1 : last + 1])
-
-
 class Blind(Plain):
     """Nothing is imagined to be worth or to cost anything."""
 
@@ -130,12 +115,12 @@ def test_what_was_recorded_mends_what_imagination_cannot_know():
     data = steady(1.0, 0.5)
     filtered, ahead = still(1).at(torch.zeros(1, dtype=torch.long)), Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]]))
     alone, _ = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 0.0}))
-    mended, curve = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 30.0, "q_updates": 1000}))
+    mended, curve = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 30.0, "q_updates": 700}))
     for latent in (filtered, ahead):
         assert alone.value_r(latent).item() == pytest.approx(0.0, abs=0.05)
         assert mended.value_r(latent).item() == pytest.approx(10.0, rel=0.1)
         assert mended.value_c(latent).item() == pytest.approx(1.0, rel=0.1)
-    assert [row["update"] for row in curve if "q_loss_r" in row] == [*range(100, 1001, 100)]
+    assert [row["update"] for row in curve if "q_loss_r" in row] == [*range(100, 701, 100)]
     assert [row["update"] for row in curve if "recorded_loss_r" in row] == [*range(20, 301, 20)]
 
 
@@ -155,19 +140,6 @@ def test_held_out_rows_move_nothing(recorded):
     moved[torch.from_numpy(out)] = 50.0
     again, _ = trained(Plain(), other, config, still(36)._replace(h=moved))
     assert all(torch.equal(a, b) for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True))
-
-
-def test_steps_after_a_likely_end_count_little():
-    rollout = imagine(Plain(0.5), Skills([1.0], 3, [8], 1), still(2).at(torch.arange(2)), 4, generator(0))
-    assert rollout.weight().tolist() == [[1, 1], [0.5, 0.5], [0.25, 0.25], [0.125, 0.125]]
-    assert rollout.features[:, 0, 0].tolist() == [0, 1, 2, 3]
-    assert rollout.arrived.h[:, 0, 0].tolist() == [1, 2, 3, 4]
-
-
-def test_starts_leave_out_ends_and_held_out_episodes():
-    data = recording((12, 9, 15, 4))  # the last one is held out
-    data.terminal[[20, 5]] = 1
-    assert starts_of(data).tolist() == [i for i in range(36) if i not in (5, 20)]
 
 
 def test_returns_ahead_by_hand():

@@ -1,8 +1,7 @@
-"""The dataset stage on a real task: it goes on after a kill, and says what it collected."""
+"""Who drives which episode of a dataset, and the stage on a real task: it goes on after a kill, and says what it collected."""
 
+import itertools
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,10 +13,9 @@ import pytest
 import torch
 
 from tests.learning.recordings import SOURCES, recording
-from tests.learning.test_behaviours import commander
-from wasp_cli.learning.configs import DatasetConfig
+from wasp_cli.learning.configs import DatasetConfig, MixtureConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
-from wasp_cli.learning.dataset import Behaviour, record
+from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
@@ -25,7 +23,7 @@ from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.tasks.make import make_task
 
-TASK = "race1"  # its episodes of 125 decisions are the shortest
+TASK, REPEAT, DECISIONS = "race1", 20, 25  # its episodes are the shortest
 ENVS, SHARDS = 3, 2
 
 
@@ -33,14 +31,12 @@ def job(root: Path, name: str, progress: Any = no_progress, work: str | None = N
     folders = [root / name, root / (work or f"{name}-work")]
     for folder in folders:
         folder.mkdir(exist_ok=True)
-    config = DatasetConfig(steps=ENVS * SHARDS * 125 - 40, envs=ENVS)
-    return Job("dataset", TASK, 1, config, {"action_repeat": 4}, {}, {"expert": root / "expert"}, *folders, progress)
+    config = DatasetConfig(steps=ENVS * SHARDS * DECISIONS - 8, envs=ENVS)
+    return Job("dataset", TASK, 1, config, {"action_repeat": REPEAT}, {}, {"expert": root / "expert"}, *folders, progress)
 
 
-@pytest.fixture(scope="module")
-def root(tmp_path_factory) -> Path:
+def collected(folder: Path) -> Path:
     """An untrained expert, and the dataset of an undisturbed run in `whole`."""
-    folder = tmp_path_factory.mktemp("dataset")
     (folder / "expert").mkdir()
     torch.manual_seed(0)
     size = {"inputs": make_task(TASK, 1).privileged_size, "hidden": [4], "action": 2}
@@ -78,18 +74,6 @@ def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_by
     assert kept.stat().st_mtime_ns == stamp, "the finished shard was not collected again"
     assert files(root / "resumed") == files(root / "whole")
     assert set(files(root / "whole")) == {"shard-0000.parquet", "shard-0001.parquet", "contents.json"}
-
-
-def test_shards_are_linked_or_where_that_fails_copied(root, monkeypatch):
-    assert (root / "whole" / "shard-0000.parquet").stat().st_nlink == 2
-
-    def refused(*_: Any) -> None:
-        raise OSError("no links here")
-
-    shutil.copytree(root / "whole-work", root / "copied-work")
-    monkeypatch.setattr(os, "link", refused)
-    stage.DatasetStage().run(job(root, "copied"))
-    assert files(root / "copied") == files(root / "whole")
 
 
 def test_the_stage_says_what_it_collected(root):
@@ -137,28 +121,6 @@ def test_sources_that_never_cost_are_named(tmp_path):
     assert contents_of(tmp_path) == contents(data, SOURCES), "shard after shard as if all were one"
 
 
-def test_recording_counts_what_the_task_says(root):
-    """Rows against the task's own steps, goals and sources included."""
-    task, steps = make_task(TASK, 2, observe=("pixels", "privileged")), []
-    stepped = task.step
-
-    def seen(action: Any) -> Any:
-        steps.append(stepped(action))
-        return steps[-1]
-
-    task.step = seen
-    random = np.random.default_rng(3)
-    data = record(task, [3, 4], lambda privileged: random.uniform(0.4, 1, (2, 2)).astype(np.float32), ["a", "b"], 0)
-    for row in range(2):
-        mine = data.rows(data.episode == row)
-        count = len(mine.first) - 1
-        assert mine.sources.shape == (count + 1, len(task.cost_sources))
-        np.testing.assert_array_equal(mine.goals[1:], [step.goals[row] for step in steps[:count]])
-        for i, kind in enumerate(task.cost_sources):
-            np.testing.assert_array_equal(mine.sources[1:, i], [step.sources[kind][row] for step in steps[:count]])
-    assert data.sources.sum() > 0
-
-
 def test_drift_and_sticky_noise_add_what_they_say():
     kinds = [Behaviour("sticky", sticky=0.2), Behaviour("sticky", sticky=0.2, correlation=0.6)]
     rows = (Behaviour("plain"), Behaviour("drift", drift=-0.3), *(kind for kind in kinds for _ in range(400)))
@@ -173,3 +135,56 @@ def test_drift_and_sticky_noise_add_what_they_say():
         np.testing.assert_allclose(noise.std((1, 2)), 0.2, rtol=0.1)
         lagged = [np.corrcoef(noise[t].ravel(), noise[t + 1].ravel())[0, 1] for t in range(5)]
         np.testing.assert_allclose(lagged, correlation, atol=0.07)
+
+
+def test_behaviours_follow_their_shares():
+    chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
+    assert len(chosen) == 50
+    counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
+    assert all(abs(counts[name] - 50 * share) < 1 for name, share in MixtureConfig().model_dump().items())
+    assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_held_out_episodes_have_the_shares_of_all(seed):
+    chosen = behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(seed))
+    held = chosen[9::10]
+    for name, share in MixtureConfig().model_dump().items():
+        assert abs(sum(b.name == name for b in held) - share * len(held)) <= 1
+    assert {b.repeat for b in held if b.name == "careless"} == {0.9, 0.95}
+    names = [b.name for b in chosen]
+    assert len({"".join(names[i : i + 10]) for i in range(0, 400, 10)}) > 30, "the order is random all the same"
+
+
+def commander(*rows: Behaviour) -> Commander:
+    torch.manual_seed(0)
+    skills = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)]
+    return Commander(skills, rows, 2, np.random.default_rng(0))
+
+
+def test_commands_do_what_their_behaviour_says():
+    rows = (
+        Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0),
+        Behaviour("delayed", delay=2),
+    )  # fmt: skip
+    driver = commander(*rows)
+    random = np.random.default_rng(1)
+    seen = [random.normal(size=(5, 5)).astype(np.float32) for _ in range(6)]
+    issued = np.stack([driver.command(s) for s in seen])
+    expert, early = (driver._skills[i](torch.from_numpy(np.stack(seen))).detach().numpy() for i in (-1, 0))
+    np.testing.assert_allclose(issued[:, 0], expert[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(issued[:, 1], early[:, 1], rtol=1e-5)
+    assert (issued[:, 2] == issued[0, 2]).all()  # a lag repeats from the second command on
+    assert len({tuple(a) for a in issued[:, 3]}) == 6
+    assert (issued[:2, 4] == 0).all()
+    np.testing.assert_allclose(issued[2:, 4], expert[:-2, 4], rtol=1e-5)
+    assert np.abs(issued).max() <= 1
+
+
+def test_bursts_are_held():
+    driver = commander(Behaviour("bursts", burst=1.0))
+    issued = [tuple(driver.command(np.zeros((1, 5), np.float32))[0]) for _ in range(60)]
+    runs = [len(list(group)) for _, group in itertools.groupby(issued)][:-1]
+    assert min(runs[::2]) >= 2
+    assert max(runs[::2]) <= 11
+    assert set(runs[1::2]) == {1}  # the intended command stands for one step before the next burst may begin

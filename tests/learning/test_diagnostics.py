@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,23 +10,17 @@ import pytest
 import torch
 
 from tests.learning.recordings import SOURCES, recording
+from tests.learning.test_dataset import REPEAT
 from tests.learning.test_dataset import job as dataset_job
-from tests.learning.test_dataset import root  # noqa: F401 - a fixture
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
-from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig
 from wasp_cli.learning.dataset import behaviours
 from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
-from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
-from wasp_cli.learning.latents import save_latents
-from wasp_cli.learning.shards import Recording, read_shards
-from wasp_cli.learning.world_model import build
+from wasp_cli.learning.shards import Recording
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
-from wasp_cli.models.world_model import save_world_model
 from wasp_cli.report.trained.tables import open_loop_markdown
-from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
@@ -59,18 +52,6 @@ def corridor() -> tuple[Corridor, Recording, Rows]:
 
 def forecast_of(model: Any, data: Recording, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
     return judge.forecast(model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0)
-
-
-def test_windows_stay_within_their_episodes_and_are_spread_over_them():
-    data = recording((60, 9, 5, 80, 3))
-    starts = judge.spread_starts(data, HORIZON, 1000)
-    assert len(starts) == 55 + 4 + 75
-    for chosen in (starts, judge.spread_starts(data, HORIZON, 20)):
-        for start in chosen:
-            assert len(set(data.episode[start : start + HORIZON + 1])) == 1
-    assert {0, 3} <= set(data.episode[judge.spread_starts(data, HORIZON, 20)])
-    assert len(judge.spread_starts(data, HORIZON, 20)) == 20
-    assert len(judge.spread_starts(data, 500, 20)) == 0
 
 
 def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
@@ -126,19 +107,6 @@ def test_a_model_that_knows_the_future_is_perfect_at_every_step():
     assert window["cost_correlation"] == pytest.approx(1.0)
 
 
-def test_a_model_that_knows_the_mean_has_the_base_rate():
-    _, data, latents = corridor()
-    seen = forecast_of(Corridor(LOW, HIGH), data, latents)
-    for k in range(HORIZON):
-        costs, rewards = data.cost[seen.follow[:, k]], data.reward[seen.follow[:, k]]
-        constant = seen._replace(cost=np.full_like(seen.cost, costs.mean()), reward=np.full_like(seen.reward, rewards.mean()))
-        row = judge.judged_steps(data, constant, judge.Alarm(0.3, 0.95), SOURCES)[k]
-        assert row["auprc"] == pytest.approx(row["base"]) == pytest.approx(float(costs.mean()))
-        assert row["recall"] == 0.0
-        assert row["predicted_over_base"] == pytest.approx(1.0)
-        assert row["reward_r2"] == pytest.approx(0.0, abs=1e-6)
-
-
 def test_numbers_are_what_loops_over_the_starts_count():
     """A jittery corridor and random predictions: persistence, onsets, foreseen shares and sums against plain loops."""
     _, data, latents = corridor()
@@ -168,16 +136,6 @@ def test_numbers_are_what_loops_over_the_starts_count():
     assert window["cost_correlation"] == pytest.approx(np.corrcoef(sums, seen.cost.sum(1))[0, 1])
     quiet = [i for i in range(70) if sums[i] == 0]
     assert window["false_alarms"] == pytest.approx(sum(expected[i] > threshold for i in quiet) / len(quiet))
-
-
-def test_samples_are_averaged_and_chunks_change_nothing(monkeypatch):
-    _, data, latents = corridor()
-    still = Corridor(LOW, HIGH)
-    whole = forecast_of(still, data, latents)
-    monkeypatch.setattr(judge, "CHUNK", 7)
-    np.testing.assert_array_equal(forecast_of(still, data, latents).cost, whole.cost)
-    shaky = forecast_of(Corridor(LOW, HIGH, jitter=0.3), data, latents, samples=4)
-    assert set(np.unique(shaky.cost)) == {0.0, 0.25, 0.5, 0.75, 1.0}
 
 
 class Film:
@@ -217,40 +175,6 @@ def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())
 
 
-def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path):
-    data = recording((40, 40))
-    data.cost[:] = 0
-    data.cost[[20, 60, 61]] = 1
-    film, rows = Film(data), Rows(np.arange(80))
-    starts = judge.spread_starts(data, 6, 1000)
-    follow, within = judge.what_followed(data, starts, 6)
-    nothing = np.zeros((len(starts), 6))
-    seen = Forecast(starts, data.cost[follow], nothing, nothing, follow, within)
-    windows = sampled_windows(data, seen)
-    costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
-    assert costly == [True] * COSTLY + [False] * CALM
-    assert (data.cost[starts[windows]] == 0).all()
-    imagined = imagined_samples(film, data, rows, seen, windows, 0)
-    for sample, start in zip(imagined, starts[windows].tolist(), strict=True):
-        np.testing.assert_array_equal(sample.rows, np.arange(start, start + 7))
-        np.testing.assert_array_equal(sample.images, data.pixels[sample.rows])
-        np.testing.assert_array_equal(sample.predicted, data.cost[sample.rows])
-    decoded = decoded_sample(film, data, rows)
-    np.testing.assert_array_equal(decoded.images, data.pixels[decoded.rows])
-    assert decoded.rows[:5].tolist() == [0, 8, 17, 26, 35]
-    assert decoded.rows[5:].tolist() == [20, 20, 60, 60, 61], "the second half are costly frames"
-
-    write_samples(tmp_path / "images.parquet", data, decoded, imagined)
-    stored = pq.read_table(tmp_path / "images.parquet").to_pylist()
-    assert [row["window"] for row in stored] == [-1] * 10 + [window for window in range(5) for _ in range(7)]
-    assert [row["step"] for row in stored] == [*range(10), *(list(range(7)) * 5)]
-    for row, place in zip(stored, np.concatenate([decoded.rows, *(sample.rows for sample in imagined)]).tolist(), strict=True):
-        assert (row["episode"], row["decision"], row["cost"]) == (place // 40, place % 40, data.cost[place])
-        assert row["behaviour"] == data.behaviour[place]
-        assert row["true"] == row["model"] == data.pixels[place].tobytes()
-        assert row["predicted"] == data.cost[place]
-
-
 def test_the_unseen_operators_are_not_in_the_mixture():
     known = {
         dataclasses.replace(b, name="")
@@ -265,24 +189,12 @@ def test_the_unseen_operators_are_not_in_the_mixture():
     assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
 
 
-@pytest.fixture(scope="module")
-def inputs(root) -> dict[str, Path]:  # noqa: F811
-    torch.manual_seed(1)
-    sizes = WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16)
-    (root / "model").mkdir()
-    model = build(sizes, 2)
-    save_world_model(model, root / "model")
-    (root / "latents").mkdir()
-    save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "latents")
-    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
-
-
-def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root, inputs):  # noqa: F811
+def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root, chain):
     config = DiagnosticsConfig(episodes=3, starts=40, samples=2, image_starts=6)
     summaries = []
     for name in ("first", "again"):
-        settings = {"action_repeat": 4, "returns": ReturnsConfig()}
-        job = dataclasses.replace(dataset_job(root, name), kind="diagnostics", config=config, settings=settings, inputs=inputs)
+        settings = {"action_repeat": REPEAT, "returns": ReturnsConfig()}
+        job = dataclasses.replace(dataset_job(root, name), kind="diagnostics", config=config, settings=settings, inputs=chain)
         summaries.append(DiagnosticsStage().run(job))
     files = {name: {path.name: path.read_bytes() for path in (root / name).iterdir()} for name in ("first", "again")}
     assert files["first"] == files["again"]
@@ -306,10 +218,3 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root, inputs
     assert "nan" not in page
     images = pq.read_table(root / "first" / "images.parquet")
     assert images["window"].to_pylist().count(-1) == 10
-
-
-def test_rows_of_a_dataset_are_read_as_if_all_were(root):  # noqa: F811
-    whole = read_shards(root / "whole")
-    mask = np.isin(whole.episode, [1, 4])
-    for name, value in read_shards(root / "whole", mask=mask)._asdict().items():
-        assert np.array_equal(value, whole.rows(mask)._asdict()[name]), name

@@ -3,25 +3,19 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
 
 from tests.artifacts import tiny_artifacts, tiny_expert
 from tests.cells import REPEAT, SETTINGS, Evaluated, evaluated
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
 from wasp_cli.learning.configs.baselines import ResidualConfig
-from wasp_cli.learning.counterfactual import branches
-from wasp_cli.learning.heldout import load_heldout
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.models.policy import load_privileged, load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.plan.grid import lay_out, stage_class
-from wasp_cli.seeds import derive
 from wasp_cli.spec.load import load
-from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.stages.base import Job
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.make import make_task
@@ -66,37 +60,6 @@ def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell):
         list(again(cell, None))
 
 
-def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell):
-    rerun = again(cell, cell.inputs["expert"])
-    for _ in rerun:
-        pass
-    counts = rerun.task.tallies()["wrong_goals"]
-    assert cell.summary["wrong_goals"] == round(float(counts.mean()), 2)
-
-
-def test_the_expert_of_a_cell_is_the_privileged_one(inputs, tmp_path):
-    done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)
-    recorded, policy = Recorded(**read_recorded(done.path)), load_privileged(inputs["expert"], 1.0)
-    world = make_task(TASK, 3, action_repeat=REPEAT, observe=("privileged",))
-    seen = world.reset(recorded.layouts)
-    for t in range(10):
-        assert seen.privileged is not None
-        with torch.inference_mode():
-            wanted = policy(torch.from_numpy(seen.privileged)).numpy()
-        np.testing.assert_array_equal(np.stack([commands[t] for commands in recorded.a_h]), wanted)
-        seen = world.step(wanted).observation
-
-
-def test_branches_without_an_assistant_are_the_episode_itself(inputs, tmp_path):
-    alone = evaluated(inputs, tmp_path, variant="laggy", value=0.5, task=TASK)
-    rewards = Recorded(**read_recorded(alone.path)).reward
-    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, no_progress)
-    assert len(found) == 6
-    for branch in found:
-        wanted = rewards[branch.episode][branch.t : branch.t + 4]
-        np.testing.assert_array_equal(branch.reward.astype(np.float32), wanted)
-
-
 @pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])
 def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
     small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
@@ -109,18 +72,6 @@ def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
     summary = stage_class("counterfactual")().run(job)
     assert len(read_branches(folder / BRANCHES_FILE).t) == summary["branched"]
     assert summary["branched"] > 0 or summary["interventions"] == 0
-
-
-def test_held_out_decisions_are_those_of_the_operator_who_knows(inputs):
-    heldout, policy = load_heldout(inputs["heldout"]), load_privileged(inputs["expert"], 1.0)
-    world = make_task(TASK, 2, action_repeat=REPEAT, observe=("privileged",))
-    seen = world.reset([derive("heldout-episode", TASK, 0, i) for i in range(2)])
-    assert seen.privileged is not None
-    first = [int((heldout.episode < e).sum()) for e in range(2)]
-    with torch.inference_mode():
-        torch.testing.assert_close(heldout.a_h[first], policy(torch.from_numpy(seen.privileged)), rtol=0, atol=0)
-        assumed = load_skills(inputs["policies"]).expert(heldout.latent.features[first])
-    assert not torch.allclose(assumed, heldout.a_h[first])
 
 
 def test_the_residual_is_trained_behind_operators_who_know(inputs, tmp_path):

@@ -1,4 +1,4 @@
-"""What the world model infers at every recorded row: the same before and after it was stored, and whoever asks."""
+"""What stages store: latents as they were inferred, and weights rounded once, as they ship."""
 
 from pathlib import Path
 from typing import Any
@@ -9,14 +9,17 @@ from safetensors.torch import load_file
 
 from tests.learning.recordings import SOURCES, TINY, recording
 from wasp_cli.config import Config
+from wasp_cli.errors import TrainingError
 from wasp_cli.learning import world_model as training
 from wasp_cli.learning.configs import LatentsConfig
-from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.latents import load_latents, save_latents
+from wasp_cli.learning.latents import save_latents
+from wasp_cli.learning.rounding import rounded
 from wasp_cli.learning.shards import write_shard
-from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.models.weights import load_weights, save_weights
+from wasp_cli.stages.base import Job
 from wasp_cli.stages.latents import LatentsStage
 from wasp_cli.stages.world_model import WorldModelStage
+from wasp_cli.store.slim import Slimming, slim
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +58,25 @@ def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_th
     assert after["h"].dtype == torch.float16
 
 
-def test_latents_come_back_row_for_row(tmp_path):
-    model, data = training.build(TINY, 2).requires_grad_(False), recording((7, 5))
-    latents = encode(model, data, no_progress)
-    save_latents(latents, tmp_path)
-    again = load_latents(tmp_path)
-    assert torch.equal(again.z, latents.z)
-    assert torch.equal(again.h, latents.h.half().float())
-    one_hot = again.at(torch.tensor([11])).z.unflatten(-1, (-1, latents.classes))
-    assert torch.equal(one_hot.argmax(-1)[0], latents.z[11].long())
+def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp_path):
+    trained = torch.nn.Sequential(torch.nn.Linear(7, 5), torch.nn.BatchNorm1d(5))
+    before = {name: value.clone() for name, value in trained.state_dict().items()}
+    save_weights(rounded(trained), tmp_path / "m.safetensors")
+    again = torch.nn.Sequential(torch.nn.Linear(7, 5), torch.nn.BatchNorm1d(5))
+    load_weights(again, tmp_path / "m.safetensors")
+    for name, value in again.state_dict().items():
+        assert torch.equal(value, trained.state_dict()[name])
+        assert value.dtype == before[name].dtype
+        if value.is_floating_point():
+            assert torch.equal(value, before[name].half().float())
+    assert not torch.equal(again.state_dict()["0.weight"], before["0.weight"])
+    assert slim(tmp_path, "critics", Slimming(half=True)) == {}  # publishing leaves nothing out
+
+
+@pytest.mark.parametrize("value", [1e6, float("nan")])
+def test_a_weight_that_16_bits_cannot_hold_ends_the_training(value):
+    module = torch.nn.Linear(2, 2)
+    torch.nn.init.constant_(module.bias, value)
+    with pytest.raises(TrainingError, match="weight 'bias' does not fit into 16 bits"):
+        rounded(module)
+    assert torch.equal(module.bias.isnan(), torch.full((2,), value != value))

@@ -1,4 +1,4 @@
-"""Vector environments and the closed loop over episodes that end at different times."""
+"""Vector environments and the closed loop over episodes that end at different times, with a world model and without one."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.closed_loop import run_episodes
+from wasp_cli.learning.closed_loop import Loop, run_episodes
 from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
@@ -17,13 +18,12 @@ from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
-from wasp_cli.methods.base import Decision
+from wasp_cli.methods.base import Assistant, Decision
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.methods.record import blank_record
-from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
+from wasp_cli.models.state import StateWorld
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.tasks.base import Observation, Step
+from wasp_cli.tasks.base import Bools, Observation, Step
 
 
 class Staggered:
@@ -139,41 +139,6 @@ def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts):
         run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])
 
 
-class Opposite(HumanOnly):
-    """An assistant that does the contrary."""
-
-    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        return Decision(-a_h, blank_record(len(a_h), GATE_METHOD))
-
-
-@pytest.mark.parametrize(("variant", "reacts"), [("reactive", True), ("laggy", False), ("delayed-noisy", False)])
-def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_overrides(parts, variant, reacts):
-    seeds = [3, 7, 11]  # five decisions each
-    found = []
-    for assistant in (HumanOnly(), Opposite()):
-        # It intends the same whatever it sees, so that all else that an assistant changes plays no part.
-        context = OperatorContext(lambda fraction: lambda f: f[:, :2] * 0 + 0.7, 2, 0.08)
-        operator = build_operator(variant, 0.5, context, EpisodeNoise(seeds), 3)
-        found.append(run_episodes(Staggered(3), parts.world_model, operator, assistant, seeds, seeds).a_h)
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    assert np.array_equal(found[0], found[1]) != reacts
-    assert (found[0][1:] != found[1][1:]).all() == reacts
-
-
-def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(parts):
-    issued = []
-    for residual in (0.0, 0.5):
-        env = AssistedTask(Staggered(2), parts.world_model, parts.skills, ResidualConfig(operators={"reactive": (0.5,)}), "t", 0)
-        env.reset()
-        told = env._operator.operators[0].memory
-        assert not told["pushed"].any()
-        env.step_async(np.full((2, 2), residual, np.float32))
-        env.step_wait()
-        issued.append(env._operator.operators[0].memory["pushed"])
-    assert not issued[0].any()
-    assert (issued[1] < 0).all()
-
-
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts, tmp_path):
     seeds = [0, 1, 2, 3]
     task = Staggered(4)
@@ -206,3 +171,57 @@ def test_recorded_rows_arrive_with_what_led_to_them():
     np.testing.assert_array_equal(data.action[3:7], [[0, 0], *(a[1] for a in actions[:3])])
     np.testing.assert_allclose(data.reward[1:3], [a[0, 0] for a in actions[:2]], rtol=1e-6)
     assert np.flatnonzero(data.cost_env).tolist() == [2, 5, 9]
+
+
+ROWS = 6
+WORLD = StateWorld(1, 1)
+
+
+class Line:
+    """A place on a line, moved by a tenth of the command; the goal, at 1 or -1, is privileged."""
+
+    action_size = action_repeat = state_size = 1
+    privileged_size = 2
+    decision_seconds, max_decisions, cost_sources = 1.0, 20, ()
+    action_low, action_high = -np.ones(1), np.ones(1)
+
+    def __init__(self, batch: int) -> None:
+        self.batch = batch
+
+    def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        self.goal = np.array([1.0 if seed % 2 else -1.0 for seed in seeds])
+        self.place, self.ended = np.zeros(self.batch), np.zeros(self.batch, bool)
+        return self._observed()
+
+    def step(self, action: NDArray[Any]) -> Step:
+        going = ~self.ended
+        self.place = self.place + 0.1 * action[:, 0] * going
+        reached = going & (np.abs(self.place - self.goal) < 0.05)
+        self.ended = self.ended | reached
+        none, count = np.zeros(self.batch, np.int64), going.astype(np.int64)
+        return Step(
+            self._observed(), np.zeros(self.batch), none.astype(bool), none, {}, reached.astype(np.int64), count, self.ended.copy(), reached
+        )
+
+    def _observed(self) -> Observation:
+        known = np.stack([self.place, self.goal], 1).astype(np.float32)
+        return Observation(None, self.place[:, None].copy(), known)
+
+
+def pilot() -> Operator:
+    """Knows the goal; its `policy` would do nothing."""
+    towards = OperatorContext(lambda _: torch.zeros_like, 1, 1.0, informed=lambda _: lambda known: known[:, 1:])
+    return Operator.build(1.0, towards, EpisodeNoise(range(ROWS)), ROWS)
+
+
+def flown(assistant: Assistant) -> Loop:
+    seeds = range(ROWS)
+    return run_episodes(Line(ROWS), WORLD, pilot(), assistant, seeds, seeds, keep_latents=True)
+
+
+def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have():
+    loop = flown(HumanOnly())
+    assert loop.goals.sum(0).tolist() == [1] * ROWS
+    assert loop.h.shape == (len(loop.reward), ROWS, 1)
+    assert loop.z.shape[-1] == 0
+    assert (np.sign(loop.a_h[0, :, 0]) == [-1, 1, -1, 1, -1, 1]).all()

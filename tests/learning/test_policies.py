@@ -5,13 +5,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning import policies
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.policies import Labelled, explained, fit, label, new_skills
+from wasp_cli.learning.policies import Labelled, explained, fit, new_skills
 from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
@@ -66,17 +65,6 @@ def states(rows: int, seed: int, shift: float) -> Labelled:
     return Labelled(Latents(h, z, 2), Latents(h + shift, z, 2), torch.stack([2 * h, -h]))
 
 
-def test_a_share_of_a_batch_is_imagined_under_the_labels_of_its_rows():
-    known = states(500, 0, 10.0)
-    features, labels = known.at(torch.arange(500), 0.3, torch.Generator().manual_seed(0))
-    dreamt = features[:, 0] > 5
-    assert 0.2 < dreamt.float().mean() < 0.4
-    torch.testing.assert_close(features[:, :1] - 10.0 * dreamt.unsqueeze(1), known.filtered.h)
-    assert torch.equal(labels, known.labels)
-    for share in (0.0, 1.0):
-        assert ((known.at(torch.arange(500), share, torch.Generator())[0][:, 0] > 5) == bool(share)).all()
-
-
 def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to():
     torch.manual_seed(0)
     experts = [PrivilegedPolicy(3, [4], 1), PrivilegedPolicy(3, [4], 1)]
@@ -92,27 +80,6 @@ def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to():
     fit(skills, near, [far], 400, CONFIG, 5, no_progress)
     assert min(shares["filtered"] for shares in explained(skills, far).values()) > 0.9
     assert min(shares["filtered"] for shares in explained(skills, near).values()) > 0.9
-
-
-def test_labels_are_the_checkpoints_answers():
-    torch.manual_seed(0)
-    experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], recording()
-    still = Latents(torch.zeros(36, 2), torch.zeros(36, 1, dtype=torch.uint8), 2)
-    found = label(Counter(), experts, data, still, 2, 0)
-    for k, expert in enumerate(experts):
-        torch.testing.assert_close(found.labels[k, 7], expert(torch.from_numpy(data.privileged[7:8]))[0].detach())
-    part = found.rows((torch.arange(36) >= 10) & (torch.arange(36) < 30))
-    assert torch.equal(part.labels, found.labels[:, 10:30])
-    assert torch.equal(part.imagined.h, found.imagined.h[10:30])
-
-
-def test_the_latent_expert_drives_most_episodes_and_others_the_rest():
-    rows = policies.drivers(20, 4, 0.5)
-    assert [row.name for row in rows[:10]] == ["expert"] * 10
-    others = ["gaussian", "noisy", "laggy", "skill 2", "skill 1", "skill 0"]
-    assert [row.name for row in rows[10:]] == [*others, *others[:4]]
-    assert {row.skill for row in rows} == {-1, 0, 1, 2}
-    assert [row.name for row in policies.drivers(3, 1, 0.0)] == ["expert"] * 3
 
 
 def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
@@ -175,12 +142,6 @@ def test_the_kept_round_reached_both_or_cost_least_then_earned_most():
     assert compare(Drive(20.0, 13.0 * 4 / 3, 0.0, 0.0), wanted, CONFIG, 1000).shortfall == pytest.approx(1 / 3)
 
 
-def test_drives_are_means_over_episodes():
-    drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7, env_steps=np.array([400.0, 200.0]))
-    shown = {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5, "return_sd": 1.0, "cost_sd": 2.5, "episodes": 2, "env_steps": 300.0}
-    assert drive.shown() == shown
-
-
 def test_the_cost_limit_by_hand():
     config = PoliciesConfig(cost_allowance=2.0)
     taught = [Drive(20.0, 3.0, 9.0, 1.0, env_steps=150.0), Drive(20.0, 5.0, 9.0, 1.0, env_steps=250.0)]
@@ -189,17 +150,6 @@ def test_the_cost_limit_by_hand():
     assert cost_limit(taught, 400.0, config, 500) == pytest.approx(11.25), "who takes twice as long must cost half as much per step"
     free = PoliciesConfig(cost_allowance=0.0)
     assert cost_limit([Drive(20.0, 0.0, 9.0, 1.0, env_steps=500.0)], 500.0, free, 500) == 1.0, "the excess is counted in its units"
-
-
-def test_policies_agree_where_imagined_latents_are_the_filtered_ones():
-    torch.manual_seed(0)
-    skills = new_skills([PrivilegedPolicy(3, [4], 1)] * 2, [0.5, 1.0], 3, CONFIG)
-    alike = states(300, 1, 0.0)
-    assert policies.agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
-    shares = policies.agreement(skills, states(300, 1, 2.0))
-    mine, theirs = (skills.at(1.0)(latents.at(torch.arange(300)).features) for latents in states(300, 1, 2.0)[:2])
-    assert shares["1"] == pytest.approx((1 - (mine - theirs).square().mean() / mine.var(correction=0)).item(), rel=1e-4)
-    assert shares["1"] < 1
 
 
 def test_the_share_of_the_return_comes_with_its_standard_error():

@@ -53,19 +53,6 @@ def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     after = told(model, data, learned, rest)
     assert after > max(0.7, before + 0.1)
     assert curve[-1] < 0.5 * curve[0]
-    again = fresh(data)
-    assert teach_encoder(again, data, learned, TAUGHT, 3, no_progress, mirror=mirror) == curve
-    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), again.parameters(), strict=True)), "an interrupted one begins anew"
-
-
-def test_only_the_encoder_is_taught():
-    data = blocks(80)
-    model, untaught = fresh(data), fresh(data)
-    teach_encoder(model, data, np.arange(80), TAUGHT.model_copy(update={"taught": 3}), 3, no_progress)
-    moved = {
-        name.split(".")[0] for (name, a), b in zip(model.named_parameters(), untaught.parameters(), strict=True) if not torch.equal(a, b)
-    }
-    assert moved == {"encoder"}
 
 
 def test_rows_that_may_not_be_learned_from_teach_nothing(tmp_path):
@@ -127,15 +114,6 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
     for name, curve in plain.items():
         assert along[name] == pytest.approx(curve, rel=1e-4), name
     assert all(torch.allclose(weights[name], others[name], atol=1e-4) for name in weights)
-
-
-def test_latents_learn_to_tell_the_vector(tmp_path):
-    data = blocks(120)
-    config = TAUGHT.model_copy(update={"updates": 60, "batch": 8, "learning_rate": 3e-3, "privileged": 100.0})
-    model = fresh(data, config)
-    readout = new_readout(model, data, np.arange(120), config)
-    curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, no_progress, readout=readout)
-    assert curves["privileged"][-1] < 0.8 * curves["privileged"][0]
 
 
 class Interrupted(Exception):

@@ -1,6 +1,5 @@
 """The safety value: its Bellman target against brute force, and what is learned of it in a world that can be searched."""
 
-import json
 from itertools import product
 from types import SimpleNamespace
 
@@ -12,11 +11,10 @@ from torch import Tensor
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs.reachability import ReachabilityConfig
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.reachability import foresight, safety_quality, train_safety_value
-from wasp_cli.methods.base import Heldout
+from wasp_cli.learning.reachability import foresight, train_safety_value
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
-from wasp_cli.models.reachability import MOST, SafetyValue, danger_target, extreme_actions
+from wasp_cli.models.reachability import SafetyValue, danger_target
 from wasp_cli.stages.base import no_progress
 
 GAMMA = 0.9
@@ -58,13 +56,6 @@ def test_the_fixed_point_is_when_the_best_plan_fails_first():
         different.add(best)
         assert float(found[state, first]) == pytest.approx(best, abs=1e-3)
     assert len(different) >= 5, "a world in which everything or nothing fails shows nothing"
-
-
-def test_extreme_actions_are_all_or_nothing():
-    assert sorted(map(tuple, extreme_actions(2).tolist())) == sorted(product((-1.0, 0.0, 1.0), repeat=2))
-    many = extreme_actions(6)
-    assert many.shape == (MOST, 6)
-    assert set(many.unique().tolist()) == {-1.0, 0.0, 1.0}
 
 
 def test_a_value_is_the_lower_of_two_and_never_outside_of_what_margins_can_be():
@@ -156,39 +147,3 @@ def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not():
     constant = foresight(np.zeros(1200), cost, episode)
     assert constant["auc"] == pytest.approx(0.5)  # ties are neither
     assert constant["ap"] == pytest.approx(constant["costly"])
-
-
-def test_quality_reads_the_action_that_was_executed_at_a_state():
-    """Q is the negative of the first component: the cost follows those actions, and no others."""
-    told = recording((30,) * 20)
-    cost = np.zeros_like(told.cost)
-    for episode in range(20):
-        rows = np.flatnonzero(told.episode == episode)
-        cost[rows[1:]] = (told.action[rows[1:], 0] > 0.95) & (episode % 2 == 1)
-        told.action[rows, 0] = np.where(episode % 2 == 1, np.abs(told.action[rows, 0]), -np.abs(told.action[rows, 0]))
-    latents = Latents(torch.zeros(600, 2), torch.zeros(600, 1, dtype=torch.uint8), 2)
-    zeros = torch.zeros(30)
-    heldout = Heldout(Latent(torch.zeros(30, 2), torch.zeros(30, 2)), torch.zeros(30, 2), zeros, zeros, zeros.long(), zeros)
-
-    class First:
-        def __call__(self, features: Tensor, actions: Tensor) -> Tensor:
-            return -actions[..., 0]
-
-    found = safety_quality(First(), told._replace(cost=cost), latents, heldout)
-    assert found["expert"]["auc"] is None
-    assert found["recorded"]["decisions"] == 2 * (29 - 14)  # episodes 9 and 19 are held out
-    assert json.loads(json.dumps(found)) == found
-
-
-def test_the_same_seed_gives_the_same_value():
-    latents, action, cost = driven()
-    told = recording(LENGTHS)._replace(action=action, cost=cost)
-
-    def weights(seed: int) -> Tensor:
-        torch.manual_seed(0)
-        config = ReachabilityConfig(hidden=8, updates=5, batch=16)
-        value, _ = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, seed, no_progress)
-        return torch.cat([parameter.flatten() for parameter in value.parameters()])
-
-    assert torch.equal(weights(1), weights(1))
-    assert not torch.equal(weights(1), weights(2))

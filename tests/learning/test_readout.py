@@ -8,7 +8,7 @@ import torch
 
 from tests.learning.recordings import TINY, recording
 from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.readout import StateReadout, embeddings, fit_ridge, imagined_features
+from wasp_cli.learning.readout import StateReadout, fit_ridge, imagined_features
 from wasp_cli.learning.world_model import build
 from wasp_cli.stages.base import no_progress
 
@@ -33,30 +33,6 @@ def test_a_ridge_regression_is_the_textbook_one():
         assert found[name] == pytest.approx(1 - sum(e for e, _ in part) / sum(v for _, v in part), rel=1e-4)
     assert 0.3 < found["all"] < 1
     assert np.isnan(found["constant"]), "an entry that never varies is asked of nobody"
-
-
-def test_what_the_features_hold_is_read_and_the_rest_is_not():
-    """The latent of an untrained model knows nothing of a vector of noise, and all of one that is made of it."""
-    data = recording((60, 60, 30))
-    torch.manual_seed(0)
-    model = build(TINY, 2)
-    latents = encode(model, data, no_progress)
-    learned, held = data.episode < 2, data.episode == 2
-    h = latents.h.numpy()
-    data = data._replace(privileged=np.concatenate([h[:, :2] * [1.0, 50.0], data.privileged[:, :2]], 1).astype(np.float32))
-    groups = {"h": slice(0, 2), "noise": slice(2, 4)}
-    mine = latents.rows(torch.from_numpy(learned))
-    readout = StateReadout.fit(model, data.rows(learned), mine, groups, 1e-6)
-    fresh, rest = data.rows(held), latents.rows(torch.from_numpy(held))
-    told = readout.filtered(fresh, rest)
-    assert told["h"] == pytest.approx(1.0, abs=1e-3)
-    assert told["noise"] < 0.1
-    assert readout.embedded(fresh)["noise"] < 0.1
-    features = embeddings(model, fresh.pixels)
-    alone = model.encoder(torch.from_numpy(fresh.pixels[7:8]), model.mean_image)[0]
-    assert torch.allclose(features[7], alone, atol=1e-5)
-    assert set(readout.imagined(fresh, rest, np.arange(20), 3, 2, 0)) == {"h", "noise"}
-    assert all(np.isnan(share) for share in readout.imagined(fresh, rest, np.arange(0), 3, 2, 0).values())
 
 
 def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch):

@@ -1,47 +1,17 @@
 """Reinforcement of a distilled actor, and the task behind the filter."""
 
 import copy
-from collections.abc import Sequence
-from types import SimpleNamespace
 
-import numpy as np
 import torch
 
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning.configs import ReinforceConfig
-from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
+from wasp_cli.learning.latent_ppo import FilteredTask
 from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.methods.base import Parts
 from wasp_cli.stages.base import no_progress
 
 CONFIG = ReinforceConfig(interactions=3000, envs=4, rollout=64, batch=64, learning_rate=2e-3, value_warmup=0.05, gamma=0.5)
-
-
-def test_every_row_is_filtered_as_if_it_were_alone(parts):
-    def drive(rows: Sequence[int]) -> np.ndarray:
-        lines = {row: iter(range(row, 1000, 4)) for row in rows}
-        env = FilteredTask(Staggered(len(rows)), parts.world_model, lambda: 0)
-        owner = iter(rows)
-        env._next_seed = lambda: next(lines[next(owner)])
-        seen = [env.reset()]
-        for _ in range(9):
-            env.step_async(np.full((len(rows), 2), 0.1, np.float32))
-            t = env.task.t + 1
-            owner = iter([row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4])
-            seen.append(env.step_wait()[0])
-        return np.stack(seen)
-
-    together = drive([0, 1, 2])
-    assert together.shape == (10, 3, parts.world_model.feature_size)
-    for row in (0, 1, 2):
-        np.testing.assert_allclose(drive([row])[:, 0], together[:, row], atol=1e-5)
-
-
-def test_actions_beyond_the_bounds_are_executed_at_the_bounds(parts):
-    env = FilteredTask(Staggered(2), parts.world_model, iter(range(100)).__next__)
-    executed, penalty = env.execute(np.array([[-3.0, 0.5], [1.5, -0.2]], np.float32))
-    np.testing.assert_array_equal(executed, np.array([[-1.0, 0.5], [1.0, -0.2]], np.float32))
-    assert not penalty.any()
 
 
 def reward_of(parts: Parts, actor: torch.nn.Module) -> float:
@@ -68,44 +38,8 @@ def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts):
     assert curve[-1]["interactions"] >= 3000
 
 
-def test_the_same_seed_gives_the_same_actor(parts):
-    short = CONFIG.model_copy(update={"interactions": 512, "value_warmup": 0.0})
-    task, actor = Staggered(4), parts.skills.expert
-    one, two = (reinforce(actor, task, parts.world_model, short, 1e9, "t", 0, no_progress)[0] for _ in range(2))
-    assert all(torch.equal(value, two.state_dict()[name]) for name, value in one.state_dict().items())
-    assert not all(torch.equal(value, actor.state_dict()[name]) for name, value in one.state_dict().items())
-
-
-def test_only_the_value_function_learns_at_first():
-    actor, value = torch.nn.Linear(2, 2), torch.nn.Linear(2, 1)
-    extractor = SimpleNamespace(policy_net=actor, value_net=value)
-    policy = SimpleNamespace(mlp_extractor=extractor, action_net=torch.nn.Linear(2, 2), log_std=torch.nn.Parameter(torch.zeros(2)))
-    warmup = ValueWarmup(until=100)
-    warmup.model = SimpleNamespace(policy=policy)
-
-    def learning() -> list[bool]:
-        return [p.requires_grad for p in (actor.weight, policy.action_net.weight, policy.log_std, value.weight)]
-
-    warmup._on_training_start()
-    assert learning() == [False, False, False, True]
-    warmup.num_timesteps = 64
-    warmup._on_rollout_end()
-    assert learning() == [False, False, False, True]
-    warmup.num_timesteps = 128
-    warmup._on_rollout_end()
-    assert learning() == [True, True, True, True]
-
-
 def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts):
     short = CONFIG.model_copy(update={"interactions": 512, "value_warmup": 0.0})
     task, actor = Staggered(4), parts.skills.expert
     run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]
     assert run[0][-1]["multiplier"] > short.multiplier_init > run[1][-1]["multiplier"]
-
-
-def test_a_folder_of_the_default_logger_is_never_left(parts, tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    short = CONFIG.model_copy(update={"interactions": 256})
-    reinforce(parts.skills.expert, Staggered(4), parts.world_model, short, 25.0, "t", 0, no_progress)
-    assert not list(tmp_path.iterdir())

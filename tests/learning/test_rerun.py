@@ -1,4 +1,4 @@
-"""Stored episodes come back bit for bit, and what differs is noticed."""
+"""Stored episodes come back bit for bit, recorded actions are carried out again, and what differs is noticed."""
 
 from typing import Any
 
@@ -7,17 +7,15 @@ import pytest
 import torch
 
 from tests.cells import REPEAT, Evaluated, evaluated
-from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import run_episodes
+from wasp_cli.learning.playback import play, side_by_side
 from wasp_cli.learning.rerun import Recorded, Rerun
-from wasp_cli.methods.base import Parts
-from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.seeds import layout_seed, method_seed
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.tasks.base import Observation, Step
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +29,7 @@ def again(cell: Evaluated, **changes: Any) -> Rerun:
     return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), recorded)
 
 
-@pytest.mark.parametrize(("variant", "value"), [("noisy", 0.4), ("reaction-time", 0.8)])
+@pytest.mark.parametrize(("variant", "value"), [("reaction-time", 0.8)])
 def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, parts, tmp_path, variant, value):
     cell = evaluated(inputs, tmp_path, "saferl", {}, variant, value)
     world = cell.world()
@@ -53,18 +51,6 @@ def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, part
     assert decisions == len(loop.reward) == 500 // REPEAT
 
 
-def test_a_snapshot_that_is_held_with_a_moment_goes_on_as_the_episode_did(cell):
-    rerun = again(cell)
-    other = cell.world()
-    for moment in rerun:
-        if moment.t == 7:
-            other.restore(rerun.task.snapshot())
-            break
-    steps = [other.step(np.stack([a[t] for a in rerun.recorded.a])) for t in range(7, len(rerun.recorded.a[0]))]
-    found = np.stack([step.reward for step in steps]).astype(np.float32)
-    np.testing.assert_array_equal(found, np.stack(rerun.recorded.reward, 1)[7:])
-
-
 def test_a_changed_action_is_noticed(cell):
     recorded = Recorded(**read_recorded(cell.path))
     changed = [actions.copy() for actions in recorded.a]
@@ -80,27 +66,59 @@ def test_a_changed_command_is_noticed_at_once_and_counted_within_its_cell(cell):
         list(again(cell, a_h=changed, first=10))
 
 
-def staggered(parts: Parts, seeds: list[int]) -> tuple[Any, Any, Operator]:
-    context = OperatorContext(parts.skills.at, 2, 0.08)
-    return Staggered(len(seeds)), parts.world_model, build_operator("noisy", 0.5, context, EpisodeNoise(seeds), len(seeds))
+LENGTHS = (4, 2, 3)
 
 
-def test_episodes_of_different_lengths_end_where_they_ended(parts):
-    seeds = [0, 3, 1]
-    loop = run_episodes(*staggered(parts, seeds), HumanOnly(), seeds, seeds)
-    lengths = [2, 5, 3]
+class Counting:
+    """Rows that end after LENGTHS decisions; a reward is the sum of the actions so far."""
 
-    def cut(values: Any, lengths: list[int] = lengths) -> list[Any]:
-        return [values[:n, b] for b, n in enumerate(lengths)]
+    batch = len(LENGTHS)
 
-    recorded = Recorded(seeds, cut(loop.a_h), cut(loop.action), cut(loop.reward.astype(np.float32)))
-    moments = list(Rerun(*staggered(parts, seeds), recorded))
-    assert [moment.alive.tolist() for moment in moments] == [[t < n for n in lengths] for t in range(5)]
-    for t, moment in enumerate(moments):
-        assert torch.equal(moment.a_h[moment.alive], torch.from_numpy(loop.a_h[t][moment.alive]))
+    def reset(self, seeds: list[int]) -> Observation:
+        self.seeds, self.t, self.sums = seeds, 0, np.zeros(self.batch)
+        return Observation(None, None, None)
+
+    def step(self, action: Any) -> Step:
+        self.t += 1
+        self.sums = self.sums + action.sum(1)
+        ended, nothing = np.array([self.t >= length for length in LENGTHS]), np.zeros(self.batch, np.int64)
+        return Step(Observation(None, None, None), self.sums, nothing > 0, nothing, {}, nothing, nothing, ended, ended)
 
 
-def test_actions_of_another_size_are_of_another_task(cell):
-    recorded = Recorded(**read_recorded(cell.path))
-    with pytest.raises(ArtifactError, match="an action has 2 numbers"):
-        again(cell, a=[actions[:, :1] for actions in recorded.a])
+@pytest.fixture
+def recorded() -> tuple[list[Any], list[Any]]:
+    random = np.random.default_rng(0)
+    actions = [random.uniform(-1, 1, (length, 2)).astype(np.float32) for length in LENGTHS]
+    return actions, [np.cumsum(episode.sum(1).astype(np.float64)).astype(np.float32) for episode in actions]
+
+
+def played(actions: list[Any], rewards: list[Any], tolerance: float = 0.0) -> list[Any]:
+    task: Any = Counting()
+    return list(play(task, range(5, 5 + task.batch), actions, rewards, tolerance))
+
+
+def test_there_is_a_moment_before_every_decision_and_one_after_the_last(recorded):
+    moments = played(*recorded)
+    assert [moment.t for moment in moments] == [0, 1, 2, 3, 4]
+    assert [moment.alive.tolist() for moment in moments] == [[t < length for length in LENGTHS] for t in range(5)]
+    np.testing.assert_array_equal([moment.action for moment in moments[:-1]], side_by_side(recorded[0]))
+    assert not moments[-1].action.any()
+    assert moments[0].last is None
+    assert [moment.last.ended.sum() for moment in moments[1:]] == [0, 1, 2, 3]
+
+
+def test_a_reward_may_differ_by_the_tolerance_and_no_more(recorded):
+    actions, rewards = recorded
+    rewards[2][1] += 3e-5
+    assert len(played(actions, rewards, 1e-4)) == 5
+    with pytest.raises(ArtifactError, match="episode 2 is not the recorded one from decision 1 on: the reward is") as caught:
+        played(actions, rewards)
+    assert "other libraries" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(("by", "what", "at"), [(-1, "goes on", 0), (1, "ends", 1)])
+def test_an_episode_of_another_length_is_refused(by, what, at, recorded):
+    actions, rewards = recorded
+    actions[1], rewards[1] = np.resize(actions[1], (2 + by, 2)), np.resize(rewards[1], 2 + by)
+    with pytest.raises(ArtifactError, match=f"episode 1 is not the recorded one from decision {at} on: the episode {what} here"):
+        played(actions, rewards)

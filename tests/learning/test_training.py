@@ -1,4 +1,4 @@
-"""Shards, the training of the world model and its checkpoints, encoding."""
+"""Shards, the training of the world model and its checkpoints, encoding, the refit of the heads."""
 
 import numpy as np
 import pytest
@@ -11,9 +11,9 @@ from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.privileged_state import Readout, new_readout
-from wasp_cli.learning.sampling import generator
-from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
-from wasp_cli.learning.world_model import Report, build, train
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Recording, cost_sources, read_shards, write_shard
+from wasp_cli.learning.world_model import Report, build, refit_heads, train
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.stages.base import no_progress
 
@@ -96,14 +96,6 @@ def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
     assert (head is None) == (weight == 0)
 
 
-def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path):
-    data = recording()
-    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, no_progress)
-    data.reward[:] = np.nan
-    _, skipped = train(build(TINY, 2), data, ROWS, TINY, 7, 5, tmp_path, no_progress)
-    assert skipped == 3
-
-
 def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path):
     module, source = torch.nn.Linear(3, 2), generator(1)
     optimizer = torch.optim.Adam(module.parameters())
@@ -158,3 +150,46 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it():
     staged = MultiplierRule(initial=0.3, rate=0.1, bound=5.0, limit=25.0, later=(1000, 5.0))
     assert staged.next(0.3, 25.0, 999) == pytest.approx(0.3)
     assert staged.next(0.3, 25.0, 1000) == pytest.approx(0.7)  # five times the second limit
+
+
+def test_the_refit_moves_only_the_heads_that_imagination_reads():
+    torch.manual_seed(0)
+    model, data = build(TINY, 2), recording()
+    model.requires_grad_(False)
+    latents = encode(model, data, no_progress)
+    assert latents.h.shape == (36, 16)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    refit_heads(model, data, latents, data.episode < 2, TINY, 0, no_progress)
+    moved = {name.split(".")[0] for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
+    assert moved == {"reward_head", "cost_head", "continue_head"}
+
+
+def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row():
+    data = recording()
+    longer = Recording(*(np.concatenate([field, field[:12]]) for field in data))
+    longer.episode[36:] = 3
+    heads = []
+    for rows in (data, longer):
+        torch.manual_seed(0)
+        model = build(TINY, 2).requires_grad_(False)
+        refit_heads(model, rows, encode(model, rows, no_progress), rows.episode == 2, TINY, 0, no_progress)
+        heads.append({name: value for name, value in model.state_dict().items() if "head" in name})
+    for name, value in heads[0].items():
+        torch.testing.assert_close(value, heads[1][name], msg=name)
+
+
+def test_the_refit_teaches_where_episodes_end():
+    data = recording((6,) * 40)
+    last = np.arange(240) % 6 == 5
+    data.terminal[last] = 1.0
+    data.action[:] = np.where(last, 1.0, -1.0)[:, None]  # what led there tells it
+    torch.manual_seed(0)
+    model = build(TINY, 2).requires_grad_(False)
+    latents = encode(model, data, no_progress)
+    refit_heads(model, data, latents, data.episode < 40, TINY.model_copy(update={"refit_updates": 300}), 0, no_progress)
+    with torch.inference_mode():
+        rows, noise = np.flatnonzero(~last), gumbel((200, model.noise_size), generator(1))
+        arrived = model.imagine(latents.at(torch.from_numpy(rows)), torch.from_numpy(data.action[rows + 1]), noise)
+        goes_on = model.continues(arrived).numpy()
+    assert goes_on[last[rows + 1]].max() < 0.3
+    assert goes_on[~last[rows + 1]].min() > 0.7

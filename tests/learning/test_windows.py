@@ -10,14 +10,6 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.base import Latent
-from wasp_cli.models.world_model import Ahead
-
-
-def test_windows_that_must_stay_in_an_episode_do():
-    data = recording()
-    for start in data.window_starts(7):
-        assert len(set(data.episode[start : start + 7])) == 1
-    assert len(data.window_starts(7)) == (12 - 6) + (9 - 6) + (15 - 6)
 
 
 def test_sampled_sequences_begin_without_a_past_and_hold_costs():
@@ -101,46 +93,6 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them():
     straight = Windows(data, np.arange(70), 5, 0.0).sample(60, generator(0))
     assert not straight.mirrored.any()
     assert torch.equal(straight.memory, straight.rows)
-
-
-def test_a_row_and_its_mirror_image_are_remembered_apart():
-    data = recording((30, 30))
-    context, windows = Context(120, 4, 3), Windows(data, np.arange(60), 5, 0.0, mirror=MIRROR)
-    window = windows.sample(1, generator(0))
-    begin = int(window.rows[0, 0])
-    assert begin % 30 > 0
-    latent = Latent(torch.arange(20.0).reshape(1, 5, 4), torch.zeros(1, 5, 6))
-    context.keep(window._replace(memory=window.rows - 1), latent)  # the row before, as it is
-    other = window._replace(memory=window.rows + 60)
-    assert context.enter(window._replace(memory=window.rows), 2)[0].first[0, 0] == 0
-    assert context.enter(other, 2)[0].first[0, 0] == 1, "of its mirror image nothing is known"
-    context.keep(other._replace(memory=other.memory - 1), latent._replace(h=latent.h + 100))
-    assert torch.equal(context.enter(other, 2)[1].h, torch.arange(4.0).reshape(1, 4) + 100)
-    assert torch.equal(context.enter(window._replace(memory=window.rows), 2)[1].h, torch.arange(4.0).reshape(1, 4))
-
-
-def test_imagined_steps_after_a_reset_do_not_count():
-    torch.manual_seed(0)
-    model, source = build(TINY, 2), generator(0)
-    windows = Windows(recording((7, 30)), np.arange(37), 6, 0.0)
-    window = windows.sample(4, source)
-    ahead = windows.ahead(window, 6, 5, 6, 12, source)
-    ahead = ahead._replace(within=torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0]).expand(6, 5), shown=torch.tensor([3] * 5 + [2]))
-    noise = torch.randn(4, 6, 3, 4, generator=source)
-
-    def terms(changed: Ahead) -> tuple[float, ...]:
-        losses, _ = model.losses(window.batch, noise, torch.tensor([0]), 1.0, ahead=changed)
-        return tuple(losses[f"ahead_{term}"].item() for term in "rco")
-
-    late, early = torch.zeros(6, 5), torch.zeros(6, 5)
-    late[:, 3:], early[0, 2] = 7.0, 7.0
-    assert terms(ahead._replace(reward=ahead.reward + late)) == terms(ahead)
-    assert terms(ahead._replace(reward=ahead.reward + early))[0] != terms(ahead)[0]
-    hidden, seen = ahead.pixels.clone(), ahead.pixels.clone()
-    hidden[:5] = 0
-    seen[5] = 0
-    assert terms(ahead._replace(pixels=hidden)) == terms(ahead), "the images of the first five lie after the reset"
-    assert terms(ahead._replace(pixels=seen))[2] != terms(ahead)[2]
 
 
 def test_an_imagined_rollout_is_scored_as_its_steps_are():

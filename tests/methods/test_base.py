@@ -15,11 +15,6 @@ class Mine:
     """The assistant that is named in messages."""
 
 
-def test_commands_may_stand_without_a_record():
-    decision = Decision(COMMANDS.clone())
-    assert checked(decision, Mine(), COMMANDS, COMMANDS.clone()) is decision
-
-
 def test_a_command_may_change_where_a_gate_fired():
     record = blank_record(2)
     record.gate[1] = 3
@@ -40,12 +35,6 @@ def test_a_command_may_change_where_a_gate_fired():
 def test_what_breaks_the_contract_is_said(decision, message):
     with pytest.raises(WaspError, match=message):
         checked(decision, Mine(), COMMANDS, COMMANDS.clone())
-
-
-def test_an_undefined_command_is_the_tasks_to_refuse():
-    commands = torch.full((1, 2), torch.nan)
-    decision = Decision(commands.clone())
-    assert checked(decision, Mine(), commands, commands.clone()) is decision
 
 
 @pytest.mark.parametrize("to", [0.0, torch.nan])

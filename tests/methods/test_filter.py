@@ -59,20 +59,6 @@ def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_beh
     assert record.signal.item() == pytest.approx(0.3 + 0.4 * 0.5 + GAMMA * 2.0)
 
 
-def test_nothing_costs_behind_the_end_of_an_episode():
-    filter_ = made(value=2.0)
-    filter_.model.continues = lambda latent: torch.zeros(len(latent.h))
-    _, record = decide(filter_, torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
-    assert record.signal.item() == pytest.approx(0.5)
-
-
-def test_a_safe_command_stands_bit_for_bit():
-    a_h = torch.tensor([[0.123, -0.456], [-1.0, 1.0]])
-    action, record = decide(made(tau_c=0.9), torch.tensor([0.3, 0.5]), a_h)
-    assert torch.equal(action, a_h)
-    assert record.gate.tolist() == [0, 0]
-
-
 def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for():
     h, a_h = torch.tensor([0.5, 0.3, 0.6]), torch.tensor([[1.0, 0.3], [0.9, -0.2], [0.5, 0.0]])
     action, record = decide(made(tau_c=0.6, segment=400), h, a_h)
@@ -97,20 +83,6 @@ def test_many_actions_have_too_many_corners_to_try_them_all():
     action, _ = decide(made(tau_c=0.6, candidates=32, segment=8), torch.tensor([0.5, 0.1]), a_h)
     assert action[0, 0] < 0.9
     assert torch.equal(action[1], a_h[1])
-
-
-def test_every_action_of_a_decision_meets_the_same_noise():
-    filter_ = made(shake=0.2, rollouts=4)
-    filter_.reset(torch.ones(1, dtype=torch.bool), [5])
-    draws = filter_._draws(filter_.noise.streams())
-    latent = Latent(torch.tensor([[0.2]]), torch.zeros(1, 1))
-    actions = torch.tensor([[[0.0, 0.0], [0.5, 0.0]]])
-    q = filter_.q_c(latent, actions, draws)
-    alone = [filter_.q_c(latent, actions[:, i : i + 1], draws)[0, 0] for i in range(2)]
-    torch.testing.assert_close(q[0], torch.stack(alone))
-    noise = 0.2 * draws[0, :, 0]
-    wanted = [(0.2 + 0.4 * a + noise).clamp(0, 1).mean() for a in (0.0, 0.5)]
-    torch.testing.assert_close(q[0], torch.stack(wanted))
 
 
 def test_the_threshold_is_a_quantile_over_what_was_harmless():

@@ -6,10 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Heldout
 from wasp_cli.methods.configs import MPMIConfig
-from wasp_cli.methods.mpmi import MPMI, nearest_safe
+from wasp_cli.methods.mpmi import MPMI
 from wasp_cli.methods.noise import DecisionNoise
 from wasp_cli.methods.record import Record
 from wasp_cli.methods.wasp.imagine import Imagination
@@ -93,32 +92,6 @@ def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands():
     assert fates == {(False, False), (True, True), (True, False)}  # safe; replaced; unsafe, and nothing safe
 
 
-def test_where_nothing_is_safe_the_command_stands():
-    h, a_h = torch.tensor([0.9]), torch.tensor([[1.0, 0.3]])
-    action, record = decide(made(tau_c=0.1), h, a_h)
-    assert torch.equal(action, a_h)
-    assert record.gate.tolist() == [GATE_NONE]
-    assert record.signal.item() > 0.1
-
-
-def test_of_safe_inputs_the_nearest_is_found_whatever_it_costs():
-    inputs = torch.tensor([[[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]]]).expand(2, -1, -1)
-    a_h = torch.tensor([[0.9, 0.9], [0.9, 0.9]])
-    found, safe = nearest_safe(a_h, inputs, torch.tensor([[0.0, 0.3, 0.4], [0.5, 0.6, 0.7]]), 0.3)
-    assert found[0].tolist() == [0.5, 0.5]
-    assert safe.tolist() == [True, False]
-
-
-def test_a_quiet_decision_imagines_the_command_alone():
-    mpmi, looked = made(tau_c=1.4), []
-    real = mpmi.g_c
-    mpmi.g_c = lambda latent, inputs, draws: looked.append(tuple(inputs.shape[:2])) or real(latent, inputs, draws)
-    decide(mpmi, torch.tensor([0.0, 0.1]), torch.tensor([[0.1, 0.0], [-0.5, 0.0]]))
-    assert looked == [(2, 1)]
-    decide(mpmi, torch.tensor([0.0, 0.5]), torch.tensor([[0.1, 0.0], [0.9, 0.0]]))
-    assert looked[1:] == [(2, 1), (1, mpmi.config.candidates)]
-
-
 def test_every_input_meets_the_same_draws():
     mpmi = made(shake=0.2, tau_c=1e-6)
     mpmi.reset(torch.ones(1, dtype=torch.bool), [5])
@@ -127,15 +100,6 @@ def test_every_input_meets_the_same_draws():
     cost = mpmi.g_c(Latent(torch.full((1, 1), 0.5), torch.zeros(1, 1)), twice, draws)
     assert cost[0, 0] == cost[0, 1] == cost[0, 2]  # a_1 moves nothing here
     assert cost[0, 0] != expected(torch.tensor(0.5), twice[0, 0])
-
-
-def test_inputs_lie_evenly_over_the_bounds_with_a_stop_among_them(parts):
-    mpmi = build_assistant("mpmi", {"candidates": 64}, parts)
-    assert isinstance(mpmi, MPMI)
-    assert mpmi.inputs.abs().max() <= 1
-    assert (mpmi.inputs == 0).all(-1).any()
-    cells = ((mpmi.inputs + 1) * 4).long().clamp(max=7)
-    assert len({tuple(cell) for cell in cells.tolist()}) == 64  # one in each cell of eight by eight
 
 
 def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost():

@@ -1,4 +1,4 @@
-"""The opponents that are built of others: with the least correction, and IDA behind WASP's safety gate."""
+"""Opponents: with the least correction, IDA behind WASP's safety gate, and CSA in one step."""
 
 from typing import Any
 
@@ -10,9 +10,10 @@ from torch import Tensor
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
-from wasp_cli.methods.guarded import GuardedIDA
+from wasp_cli.methods.csa import CSA
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY
 from wasp_cli.models.base import Latent
+from wasp_cli.models.consistency import sigma_at
 from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.motors import Motors
 
@@ -92,13 +93,44 @@ def test_ida_behind_the_gate_has_idas_threshold(parts):
     assert guarded == ida | {"tau_c": 2.0}
 
 
-def test_ended_episodes_rest_behind_the_gate(parts):
-    assistant = build_assistant("ida-guarded", SMALL | {"vote": 0.99, "tau_c": 1e-9}, parts)
-    assert isinstance(assistant, GuardedIDA)
-    latent, a_h, operator = situation(parts)
-    assistant.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
-    resting = torch.arange(B) % 2 == 0
-    assistant.rest(resting)
-    with torch.inference_mode():
-        record = assistant.decide(latent, a_h, operator).record
-    assert ((record.gate == GATE_SAFETY) == ~resting).all()
+ROWS = 5
+
+
+@pytest.fixture
+def latent() -> Latent:
+    source = torch.Generator().manual_seed(1)
+    return Latent(torch.randn(ROWS, 12, generator=source), torch.rand(ROWS, 8, generator=source))
+
+
+@pytest.fixture
+def commands() -> Tensor:
+    return 2 * torch.rand(ROWS, 2, generator=torch.Generator().manual_seed(2)) - 1
+
+
+def executed(made: CSA, latent: Latent, commands: Tensor, seed: int = 0) -> tuple[Tensor, list[int]]:
+    made.reset(torch.ones(len(commands), dtype=torch.bool), list(range(seed, seed + len(commands))))
+    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * len(commands)), len(commands))
+    decision = made.decide(latent, commands, operator)
+    return decision.action, [] if decision.record is None else decision.record.gate.tolist()
+
+
+def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts, latent, commands):
+    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), latent, commands)
+    assert torch.equal(action, commands)
+    assert gates == []
+
+
+def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(latent, commands):
+    asked: list[tuple[Tensor, Tensor]] = []
+
+    def network(features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
+        asked.append((noisy, sigma))
+        return 3 * noisy
+
+    made = object.__new__(CSA)
+    made.ratio, made.model = 0.4, network
+    action, _ = executed(made, latent, commands)
+    ((noisy, sigma),) = asked
+    assert torch.equal(noisy, commands)
+    assert sigma.tolist() == pytest.approx([sigma_at(0.4)] * ROWS)
+    assert torch.equal(action, (3 * commands).clamp(-1, 1))

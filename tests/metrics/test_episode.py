@@ -1,3 +1,4 @@
+import math
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 
 from tests.plans import joined, plans_of
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episode_metrics, pool
+from wasp_cli.tasks.motors import Motors
 
 
 def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
@@ -69,13 +71,6 @@ def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one():
     assert row.mag == pytest.approx((2e-6 + 1e-5 + 1e-4) / 4)
 
 
-def test_safe_success_needs_both():
-    costly = {"cost": [True] * 4, "cost_env": [1] * 4}  # 4 of 16 env steps
-    assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 250.0).safe_success
-    assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 249.0).safe_success
-    assert not episode_metrics(trajectory(), 1, 25.0).safe_success
-
-
 def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
     """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and too much in one of 500."""
 
@@ -87,31 +82,6 @@ def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
 
     assert (row(250).env_steps, row(250).safe_success) == (1000, True)
     assert (row(125).env_steps, row(125).safe_success) == (500, False)
-
-
-def test_timeouts_stay_in_every_denominator():
-    """An episode that reached its time limit without a goal counts in the success rate and with all of its steps."""
-    short = trajectory(steps=2, goals=[0, 1], cost=[True, False], cost_env=[1, 0], a=[[1, 0], [0, 0]])
-    timeout = trajectory(steps=8)
-    pooled = pool(columns([episode_metrics(episode, 1, 25.0) for episode in (short, timeout)]))
-    assert pooled["success"].tolist() == [0.5]
-    assert pooled["viol"].tolist() == [1 / 10]  # ratio of sums, not the mean of 1/2 and 0
-    assert pooled["viol_env"].tolist() == [1 / 40]
-    assert pooled["int_rate"].tolist() == [1 / 10]
-    assert pooled["mag"].tolist() == [1 / 10]
-    assert pooled["mag_int"].tolist() == [1.0]
-    assert pooled["cost"].tolist() == [0.5]
-
-
-def test_pools_groups_apart():
-    rows = [episode_metrics(trajectory(reward=[float(i)] * 4), 1, 25.0) for i in range(4)]
-    pooled = pool(columns(rows), np.array([1, 0, 1, 0]))
-    assert pooled["return"].tolist() == [8.0, 4.0]
-    assert np.isnan(pooled["mag_int"]).all()
-
-
-def test_pool_of_nothing():
-    assert pool(columns([]))["return"].tolist() == []
 
 
 ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32))
@@ -168,6 +138,58 @@ def test_refuses_plans_of_other_steps():
         trajectory(plans=plans_of([0.5, np.nan, 0.0]))
 
 
-def test_refuses_an_empty_episode():
-    with pytest.raises(ValueError, match="at least one step"):
-        trajectory(steps=0)
+MOTORS = Motors((0.02, 0.5))
+
+
+def invent(rng: np.random.Generator, steps: int) -> Trajectory:
+    """Commands and actions of which many are beyond the motors, some equal, and some equal but for rounding."""
+    a_h = rng.uniform(-1, 1, (steps, 2)) * rng.choice([0.02, 1.0], (steps, 1))
+    wanted = rng.uniform(-1, 1, (steps, 2))
+    kind = rng.integers(0, 4, steps)[:, None]
+    a = np.where(kind == 0, a_h, np.where(kind == 1, a_h + 4e-7, np.where(kind == 2, np.sign(a_h) * 0.75, wanted)))
+    return trajectory(steps, a_h=a_h, a=np.clip(a, -1, 1))
+
+
+def loops(episode: Trajectory) -> tuple[list[float], list[float]]:
+    """The distance of the forces at every step, and the change of the action at every change of hands."""
+    distances, changes = [], []
+    before = None
+    for t in range(episode.steps):
+        acts = math.dist(episode.a[t], episode.a_h[t]) > 1e-6
+        apart = math.dist(MOTORS.force(episode.a[t]), MOTORS.force(episode.a_h[t]))
+        distances.append(apart if acts and apart > 1e-6 else 0.0)
+        if before is not None and acts != before:
+            changes.append(math.dist(episode.a[t], episode.a[t - 1]))
+        before = acts
+    return distances, changes
+
+
+def mean(values: list[float]) -> float:
+    return sum(values) / len(values) if values else math.nan
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(episodes, seed):
+    rng = np.random.default_rng(seed)
+    parts = [invent(rng, int(rng.integers(1, 12))) for _ in range(episodes)]
+    rows = [episode_metrics(part, 1, 25.0, MOTORS.force) for part in parts]
+    distances, changes = zip(*map(loops, parts), strict=True)
+    for row, apart, jumps in zip(rows, distances, changes, strict=True):
+        assert row.int_eff == mean([float(each > 0) for each in apart]) <= row.int_rate
+        assert row.mag_eff == pytest.approx(mean(apart))
+        assert row.handovers == len(jumps)
+        assert row.jump is None if not jumps else row.jump == pytest.approx(mean(jumps))
+    pooled = pool(columns(rows))
+    assert pooled["int_eff"][0] == pytest.approx(mean([float(each > 0) for apart in distances for each in apart]))
+    assert pooled["mag_eff"][0] == pytest.approx(mean([each for apart in distances for each in apart]))
+    assert pooled["jump"][0] == pytest.approx(mean([each for jumps in changes for each in jumps]), nan_ok=True)
+
+
+def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the_action_is_its_force():
+    always = trajectory(a=np.full((4, 2), 0.3))
+    row = episode_metrics(always, 1, 25.0, Motors().force)
+    assert (row.jump, row.handovers) == (None, 0)
+    assert (row.int_eff, row.mag_eff) == (row.int_rate, row.mag) == (1.0, pytest.approx(math.hypot(0.3, 0.3)))
+    assert row == episode_metrics(always, 1, 25.0)
+    quiet = episode_metrics(trajectory(steps=1), 1, 25.0, MOTORS.force)
+    assert (quiet.int_eff, quiet.mag_eff, quiet.jump) == (0.0, 0.0, None)

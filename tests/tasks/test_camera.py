@@ -19,8 +19,7 @@ from wasp_cli.tasks.outline import segments
 from wasp_cli.tasks.race.appearance import appearance as race_appearance
 
 APPEARANCES: dict[str, Callable[[int], Appearance]] = {"goal": goal_appearance, "race": race_appearance, "formula": formula_appearance}
-STRAIGHT = range(28, 39)
-"""Indices into the lap of Formula One where it is straight for some metres to both sides."""
+STRAIGHT = range(28, 39)  # indices into the lap of Formula One where it is straight for some metres to both sides
 HEIGHTS = {"goal": 0.16, "hazard": 0.02, "vase": 0.1}
 
 
@@ -120,21 +119,6 @@ def test_the_rear_camera_looks_back_and_is_not_a_mirror(cameras):
     assert not cyan(front).any()
 
 
-def test_pictures_turn_with_the_robot(cameras):
-    straight = cameras["goal"].render(scene("goal", goal=[(1.0, 0.3)], hazard=[(0.8, -0.4)]))
-    half_turned = cameras["goal"].render(scene("goal", heading=np.pi, goal=[(-1.0, -0.3)], hazard=[(-0.8, 0.4)]))
-    # The checker has a period of two tiles, so half a turn about a tile's corner maps it onto itself.
-    assert np.mean(np.abs(straight.astype(int) - half_turned) > 2) < 0.002
-
-
-def test_nearer_things_look_larger_and_the_goal_lets_see_through(cameras):
-    sizes = [greenish(front_and_rear(cameras["goal"], scene("goal", goal=[(d, 0.0)]))[0]).sum() for d in (0.6, 1.0, 2.0, 4.0)]
-    assert sizes == sorted(sizes, reverse=True)
-    plain = front_and_rear(cameras["goal"], scene("goal", goal=[(0.9, 0.0)]))[0]
-    behind = front_and_rear(cameras["goal"], scene("goal", goal=[(0.9, 0.0)], vase=[(1.6, 0.0)]))[0]
-    assert (plain != behind).any()
-
-
 @pytest.mark.parametrize("task", APPEARANCES)
 def test_the_robot_sees_its_own_body_below(cameras, task):
     front, _ = front_and_rear(cameras[task], scene(task))
@@ -142,17 +126,6 @@ def test_the_robot_sees_its_own_body_below(cameras, task):
     assert red[-1, 12:-12].all()
     # Other red things stand above the horizon, or far to the sides.
     assert not red[32:40, 16:48].any()
-
-
-def test_a_hazard_underneath_adds_nothing_that_was_not_there(cameras):
-    """While the cost is paid, the picture shows the disc on the floor and no mark of the cost."""
-    clean = cameras["goal"].render(scene("goal")).astype(int)[0].reshape(2, 3, -1)
-    inside = cameras["goal"].render(scene("goal", hazard=[(0.1, 0.0)])).astype(int)[0].reshape(2, 3, -1)
-    changed = (clean != inside).any(axis=1)
-    for image, mask in zip(inside, changed, strict=True):
-        red, green, blue = image[:, mask]
-        assert ((blue > red + 20) & (blue > green + 20)).all()
-    assert not changed.reshape(2, 64, 64)[:, :32].any()
 
 
 @pytest.mark.parametrize(("task", "kind"), [(task, kind.name) for task, appearance in APPEARANCES.items() for kind in appearance(1).kinds])
@@ -168,26 +141,6 @@ def test_every_kind_of_thing_is_seen_two_metres_ahead_and_behind(cameras, task, 
         assert changed[1 - visible] == 0
 
 
-@pytest.mark.parametrize("task", APPEARANCES)
-def test_a_thing_that_is_not_shown_is_not_drawn(cameras, task):
-    with_things = some_scenes(task, 1)[0]
-    hidden = {name: things._replace(shown=np.zeros_like(things.shown)) for name, things in with_things.things.items()}
-    none = {name: Things(*(part[:, :0] for part in things)) for name, things in with_things.things.items()}
-    assert (cameras[task].render(with_things._replace(things=hidden)) == cameras[task].render(with_things._replace(things=none))).all()
-
-
-def test_the_two_ends_of_the_race_lane_look_different(cameras):
-    def marks(heading: float) -> tuple[int, int]:
-        front = front_and_rear(cameras["race"], scene("race", (0.0, 1.1), heading))[0][:40]
-        red, green, blue = front[..., 0], front[..., 1], front[..., 2]
-        return int(((red > 180) & (green < 60) & (blue < 60)).sum()), int(((blue > 180) & (red < 60) & (green < 90)).sum())
-
-    assert marks(0.0)[0] >= 10
-    assert marks(0.0)[1] == 0
-    assert marks(np.pi)[1] >= 10
-    assert marks(np.pi)[0] == 0
-
-
 @pytest.mark.parametrize("backward", [False, True])
 def test_the_outer_barrier_is_on_the_left_of_the_lap_and_the_inner_one_on_the_right(cameras, backward):
     left_is_outer = 0
@@ -198,31 +151,6 @@ def test_the_outer_barrier_is_on_the_left_of_the_lap_and_the_inner_one_on_the_ri
         outer, inner = (red[:, 32:], blue[:, :32]) if backward else (red[:, :32], blue[:, 32:])
         left_is_outer += bool(outer.sum() > 5 and inner.sum() > 5)
     assert left_is_outer >= len(STRAIGHT) - 2
-
-
-@pytest.mark.parametrize("backward", [False, True])
-def test_the_road_brightens_along_the_lap_and_drops_at_once(cameras, backward):
-    drops = 0
-    for index in STRAIGHT:
-        image = cameras["formula"].render(scene("formula", **lap_pose(index, backward)))[0, :3].astype(int)
-        # Straight ahead, from the car's nose to some three metres away.
-        steps = np.diff(image[:, 28:42, 30:34].mean(axis=(0, 2))[::-1])
-        sudden = np.abs(steps) > 60
-        slope = steps[~sudden].sum()
-        assert slope < -10 if backward else slope > 10
-        assert (steps[sudden] > 0 if backward else steps[sudden] < 0).all()
-        drops += sudden.any()
-    assert drops >= 3
-
-
-def test_a_beacon_is_at_least_a_pixel_wide_from_any_distance(cameras):
-    # On the straight, over the walls, from near and far.
-    for far in (3.0, 10.0, 20.0, 35.0):
-        place = lap_pose(32)
-        ahead = np.array([np.cos(place["heading"]), np.sin(place["heading"])])
-        front, _ = front_and_rear(cameras["formula"], scene("formula", **place, goal=[np.array(place["at"]) + far * ahead]))
-        magenta = (front[..., 0] > 150) & (front[..., 1] < 40) & (front[..., 2] > 150)
-        assert magenta.sum() >= 3
 
 
 def everything(appearance: Appearance, view: Scene) -> tuple[mujoco.MjModel, int, int]:
@@ -283,18 +211,6 @@ def test_shortcuts_agree_with_casting_every_ray(task):
     assert (right[present] / seen[present] >= np.array([0.98, 0.99, 0.98, 0.99])[present]).all(), right / np.maximum(seen, 1)
 
 
-def test_a_tumbling_cube_is_seen_as_it_lies(cameras):
-    appearance, rng = goal_appearance(1), np.random.default_rng(3)
-    for _ in range(10):
-        view = scene("goal", (0.9, 0.9), -2.36, vase=[rng.uniform(-0.3, 0.5, 2)])
-        spin, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        view.things["vase"].rotation[0, 0] = spin * np.sign(np.linalg.det(spin))
-        _, kinds = brute_force(appearance, view)
-        thing = cyan(cameras["goal"].render(view)[0].reshape(2, 3, 64, 64).transpose(0, 2, 3, 1).astype(int)).reshape(-1)
-        assert ((kinds == 3) != thing).sum() <= 3
-        assert thing.sum() > 20
-
-
 @pytest.mark.parametrize("task", APPEARANCES)
 def test_what_is_left_out_changes_no_pixel(task, monkeypatch):
     """The same pictures when every pixel is looked at for every thing and every disc, and no frame learns from another."""
@@ -319,17 +235,6 @@ def test_what_is_left_out_changes_no_pixel(task, monkeypatch):
             *(each[row : row + 1] for each in views[:2]), {n: Things(*(a[row : row + 1] for a in t)) for n, t in views.things.items()}
         )
         assert (images[row] == Camera(APPEARANCES[task](1)).render(one)[0]).all()
-
-
-def test_a_level_view_is_not_taken_for_another_height_or_tilt(cameras):
-    """Goal's floor and sky are kept from frame to frame while neither changes."""
-    level = scene("goal", goal=[(1.0, 0.2)], hazard=[(0.7, 0.0)])
-    others = [level._replace(position=level.position + np.array([0.0, 0.0, 0.05])), level._replace(rotation=turned(0.2, 0.1)[None]), level]
-    fresh = [Camera(APPEARANCES["goal"](1)).render(each) for each in others]
-
-    assert all((cameras["goal"].render(each) == image).all() for each, image in zip(others, fresh, strict=True))
-    assert (fresh[0] != fresh[2]).any()
-    assert (fresh[1] != fresh[2]).any()
 
 
 GOLDEN = {"goal": "fb37f6ea3d6c795f", "race": "2bcfd12ab4b67cbd", "formula": "235f55693e7f86eb"}
@@ -363,27 +268,3 @@ def test_bytes_do_not_depend_on_batch_or_threads(cameras, task):
     assert (images[::-1] == cameras[task].render(stacked(scenes[::-1]))).all()
     for row in range(5):
         assert (images[row] == cameras[task].render(scenes[row])[0]).all()
-
-
-@pytest.mark.parametrize("task", APPEARANCES)
-def test_the_last_bits_of_a_pose_do_not_reach_the_picture(cameras, task):
-    view = some_scenes(task, 1)[0]
-    # Some bits below what float32 can tell apart, upward from the middle between its steps.
-    stable = view._replace(position=view.position.astype(np.float32).astype(float), rotation=view.rotation.astype(np.float32).astype(float))
-    nudged = stable._replace(position=stable.position * (1 + 1e-15), rotation=stable.rotation * (1 - 1e-15))
-    assert (cameras[task].render(stable) == cameras[task].render(nudged)).all()
-
-
-@pytest.mark.parametrize("task", ["race", "formula"])
-def test_odd_poses_do_no_harm(cameras, task):
-    inside = (0.0, 0.0) if task == "race" else (11.0, -20.0)
-    corner = tuple((APPEARANCES[task](1).walls[0].outline[0]).tolist())
-    for at in (inside, corner, (500.0, -400.0)):  # the last one sees nothing
-        for roll in (0.0, 1.5, 3.1):
-            image = cameras[task].render(scene(task, at, 0.7, roll, goal=[at], **{APPEARANCES[task](1).kinds[1].name: [at]}))
-            assert image.shape == (1, 6, 64, 64)
-
-
-def test_level_0_has_only_a_goal():
-    for appearance in APPEARANCES.values():
-        assert [kind.name for kind in appearance(0).kinds] == ["goal"]

@@ -1,6 +1,5 @@
 """The tasks against recordings of the reference package."""
 
-import shutil
 from functools import cache
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from tests.conformance import __main__ as conformance
 from tests.conformance.comparison import compare
 from tests.tasks.conftest import DATA, load_recording
-from wasp_cli.tasks.goal.task import Goal
 
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
 
@@ -61,7 +59,7 @@ def test_the_recordings_have_what_makes_the_checks_mean_something():
         pytest.param("CarRace1_seed0.npz", "n_static_contacts", lambda a: np.ones_like(a), marks=pytest.mark.slow),
         pytest.param("CarRace1_seed0.npz", "obs", lambda a: a + 1e-3, marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "goal_met", lambda a: ~a, marks=pytest.mark.slow),
-        ("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60)),
+        pytest.param("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60), marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "state_qvel", lambda a: a * 1.01, marks=pytest.mark.slow),
         ("dynamics.npz", "car_rk4_traj", lambda a: a * 1.1),
     ],
@@ -83,7 +81,7 @@ def test_a_wrong_recording_fails(name, field, change):
         pytest.param("CarRace1_seed0.npz", "car.REACH", 0.0, "cost of walls as the gaps tell", marks=pytest.mark.slow),
         pytest.param("CarRace1_seed0.npz", "navigation.Navigation.goal_radius", 0.31, "meta goal_size", marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "formula.task.Formula.num_steps", 750, "meta num_steps", marks=pytest.mark.slow),
-        ("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy"),
+        pytest.param("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy", marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "formula.task._REACH", 0.0, "first contact with a barrel", marks=pytest.mark.slow),
         ("CarRace1_seed0.npz", "features.RANGE", 2.9, "hazards_lidar"),
     ],
@@ -94,48 +92,17 @@ def test_a_wrong_task_is_noticed(name, place, value, noticed_by, monkeypatch):
     assert noticed_by in [each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok]
 
 
-def test_the_layout_of_a_seed_is_bit_exact(recording):
-    task = Goal(2, observe=())
-    task.reset([7, 0])
-    start = task.snapshot()
-
-    assert start["qpos"][1, :2].tolist() == recording["layout_agent_xy"].tolist()
-    assert start["qpos"][1, 2] == recording["layout_agent_rot"]
-    assert start["goal"][1].tolist() == recording["layout_goal_xy"].tolist()
-    assert start["hazards"][1].tolist() == recording["layout_hazards_xy"].tolist()
-    assert start["bodies"][1, 0, :2].tolist() == recording["layout_vases_xy"][0].tolist()
-
-
-def test_the_command_reports_and_passes(tmp_path, capsys):
-    names = ["PointGoal1_seed0.npz", "dynamics.npz"]  # the others pass above
-    for name in names:
-        shutil.copy(DATA / name, tmp_path)
-    assert conformance.main([str(tmp_path)]) == 0
-
-    out = capsys.readouterr().out
-    assert all(name in out for name in names)
-    assert "FAILED" not in out
-    assert "skipped" not in out
-
-
-def test_the_command_fails_on_a_wrong_recording_and_skips_unknown_ones(recording, tmp_path, capsys):
-    np.savez(tmp_path / "wrong.npz", **{**recording, "cost": 1 - recording["cost"]})
+def test_the_command_reports_fails_on_a_wrong_recording_and_skips_unknown_ones(tmp_path, capsys):
+    right = load_recording("dynamics.npz")
     np.savez(tmp_path / "boat.npz", meta='{"task": "SafetyBoatGoal1-v0"}')
-
-    assert conformance.main([str(tmp_path)]) == 1
-    out = capsys.readouterr().out
-    assert "FAILED" in out
-    assert "boat.npz                     skipped" in out
-
-
-def test_what_cannot_be_checked_is_no_success(tmp_path, capsys):
-    for arguments, code, message in (
-        ([], 2, "usage"),
-        (["no-such-folder"], 2, "there is no folder"),
-        ([str(tmp_path)], 1, "no recordings"),
-    ):
-        assert conformance.main(arguments) == code
-        assert message in capsys.readouterr().err
+    for recording, code in ((right, 0), (right | {"car_rk4_traj": 1.1 * right["car_rk4_traj"]}, 1)):
+        np.savez(tmp_path / "car.npz", **recording)
+        assert conformance.main([str(tmp_path)]) == code
+        out = capsys.readouterr().out
+        assert ("FAILED" in out) == bool(code)
+        assert "car.npz" in out
+        assert "boat.npz                     skipped" in out
+    assert conformance.main([]) == 2
 
 
 def test_nan_is_out_of_tolerance():
@@ -143,35 +110,3 @@ def test_nan_is_out_of_tolerance():
     assert not compare("q", [], [], 1.0).ok
     with pytest.raises(ValueError, match="shapes"):
         compare("q", [1.0], [1.0, 2.0], 1.0)
-
-
-def cut(recording, keep):
-    """A recording that knows only the first states and observations."""
-    return {name: array[:keep] if name.startswith(("state_", "obs")) and np.ndim(array) else array for name, array in recording.items()}
-
-
-@pytest.mark.parametrize("name", [name for name in RECORDINGS if name != "dynamics.npz"])
-@pytest.mark.parametrize("keep", [0, *(pytest.param(many, marks=pytest.mark.slow) for many in (1, 20))])
-def test_a_recording_with_less_in_it_is_compared_as_far_as_it_goes(name, keep):
-    recording = cut(load_recording(name), keep)
-    recording.pop("vases_xy_mm", None)
-    assert [each for each in conformance.checks_of(recording)(recording) if not each.ok] == []
-
-
-def test_files_that_are_no_recordings_are_named_and_the_others_are_checked(tmp_path, capsys):
-    whole = load_recording("dynamics.npz")
-    np.savez(tmp_path / "whole.npz", **whole)
-    np.savez(tmp_path / "lacking.npz", **{name: array for name, array in whole.items() if name != "car_qvel"})
-    np.savez(tmp_path / "pickled.npz", point_traj=np.array([{"a": 1}], dtype=object))
-    np.savez(tmp_path / "short.npz", **{**whole, "car_qpos": whole["car_qpos"][:2]})
-    (tmp_path / "text.npz").write_text("no archive")
-    (tmp_path / "empty.npz").write_bytes(b"")
-    (tmp_path / "cut.npz").write_bytes((DATA / "dynamics.npz").read_bytes()[:5000])
-    (tmp_path / "folder.npz").mkdir()
-
-    assert conformance.main([str(tmp_path)]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    failed = {line.split()[0] for line in lines if "FAILED" in line}
-    assert failed == {"lacking.npz", "pickled.npz", "short.npz", "text.npz", "empty.npz", "cut.npz"}
-    assert any("lacks the field 'car_qvel'" in line for line in lines)
-    assert sum(line.startswith("whole.npz") and line.endswith(" ok") for line in lines) > 5

@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 
 from tests.tasks.lights import Lights, registered
-from wasp_cli.errors import TaskError, UnknownName
-from wasp_cli.learning.dataset import record
+from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import Observation
 from wasp_cli.tasks.foreign.task import GymTask
 from wasp_cli.tasks.foreign.views import views_of
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
 
-SEEDS = [3, 4]
-
 
 def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
-    native, through = make_task("goal1", 2), make_task(name, 2)
+    native, through = make_task("goal1", 1), make_task(name, 1)
     assert isinstance(through, GymTask)
     for facts in ("decision_seconds", "max_decisions", "cost_sources", "state_size", "privileged_size", "action_size"):
         assert getattr(through, facts) == getattr(native, facts)
@@ -28,11 +25,11 @@ def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     def flat(result: Any) -> list[Any]:
         return [flat(part) if isinstance(part, tuple) else part for part in result]
 
-    seeds = [9, 14]  # straight on, there are hazards
+    seeds = [9]  # straight on, there are hazards
     np.testing.assert_equal(flat(through.reset(seeds)), flat(native.reset(seeds)))
     random, cost = np.random.default_rng(0), 0
     for _ in range(250):
-        action = np.broadcast_to([1.0, 0.1], (2, 2)) + random.normal(0, 0.02, (2, 2))
+        action = np.array([[1.0, 0.1]]) + random.normal(0, 0.02, (1, 2))
         ours, theirs = through.step(action), native.step(action)
         # The privileged vector holds the mean turn over a decision step, of which the environment sees the last env step.
         ours, theirs = (step._replace(observation=step.observation._replace(privileged=None)) for step in (ours, theirs))
@@ -80,16 +77,6 @@ def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision():
         task.step(np.zeros((1, 2)))
 
 
-def test_the_environments_own_end_is_a_termination():
-    class Short(Lights):
-        ends_at = 3
-
-    task = GymTask(registered(Short), 1)
-    task.reset([0])
-    step = task.step(np.zeros((1, 2)))
-    assert (step.env_steps[0], step.ended[0], step.terminated[0]) == (3, True, True)
-
-
 @pytest.mark.parametrize(
     ("told", "expected"),
     [
@@ -109,18 +96,6 @@ def test_goals_and_success(told, expected):
     for _ in range(2):  # a new episode counts from nothing
         task.reset([0])
         assert [task.step(np.zeros((1, 2))).goals[0] for _ in range(3)] == expected
-
-
-def test_several_cost_sources_are_counted_one_by_one():
-    class Two(Lights):
-        def info(self):
-            return {"cost": float(self.clock > 1), "cost_sources": {"wet": self.clock > 1, "cold": 0.5 * (self.clock > 2)}}
-
-    task = GymTask(registered(Two), 1)
-    task.reset([0])
-    step = task.step(np.zeros((1, 2)))
-    assert task.cost_sources == ("wet", "cold")
-    assert (step.cost_env[0], step.sources["wet"][0], step.sources["cold"][0]) == (3, 3, 2)
 
 
 @pytest.mark.parametrize(
@@ -171,14 +146,6 @@ def test_every_form_of_an_image_becomes_the_same_pixels(space, observation, rear
     assert views.privileged_size == (768 if rear else 384)
 
 
-@pytest.mark.parametrize("size", [(128, 128), (192, 64), (256, 320)])
-def test_larger_images_are_averaged_over_areas(size):
-    image = np.random.default_rng(1).integers(0, 256, (*size, 3), np.uint8)
-    seen = views_of(BOX(0, 255, image.shape, np.uint8)).pixels(image)[:3]
-    blocks = image.reshape(64, size[0] // 64, 64, size[1] // 64, 3).mean((1, 3))
-    np.testing.assert_allclose(np.moveaxis(seen, 0, -1), blocks, atol=1.01)  # Pillow rounds after each direction
-
-
 def test_without_vectors_a_coarse_image_and_its_change_stand_in():
     task = GymTask(registered(Lights), 2)
     first = task.reset([0, 1])
@@ -210,13 +177,6 @@ def test_vectors_of_a_dictionary_are_taken_by_name(entries, privileged, state):
     np.testing.assert_array_equal(seen.state, np.full((1, state), state))
 
 
-def test_episodes_can_be_recorded():
-    task = make_task("puddle:Puddle-v0", 2, observe=("pixels", "privileged"))
-    replay = record(task, SEEDS, lambda privileged: np.sign(privileged[:, :2]) * 0.5, ["straight"] * 2, 0)
-    assert replay.terminal.sum() == 2, "both drive to the flag"
-    assert replay.cost.sum() > 0, "through puddles"
-
-
 def test_an_environment_without_snapshots_works_and_says_so_when_asked():
     task = GymTask(registered(Lights), 1)
     task.reset([0])
@@ -236,14 +196,6 @@ def test_gymnasium_ids_are_names_of_tasks(name):
     info = TASKS[name]
     assert (info.name, info.title) == (name, name.rpartition(":")[2])
     assert name not in list(TASKS)
-
-
-@pytest.mark.parametrize(
-    "name", ["goal", "my pkg:MyEnv-v0", "pkg:My|Env-v0", "pkg:[red]-v0", "wasp/Other-v0", "pkg:", ":MyEnv-v0", "é-v0", ""]
-)
-def test_other_texts_are_not(name):
-    with pytest.raises(UnknownName):
-        TASKS[name]
 
 
 def test_our_own_ids_have_their_own_names():

@@ -1,6 +1,5 @@
 """Environments of others that lack something or fail: one clear error each, and what is forgiven."""
 
-import pickle
 import re
 import sys
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from puddle import Puddle
 
 from tests.tasks.lights import Lights, registered
 from wasp_cli.errors import TaskError, UnknownName
@@ -24,37 +22,19 @@ def variant(**attributes: Any) -> type[Lights]:
     return type("Variant", (Lights,), attributes)
 
 
-def one_of(values: list[dict[str, Any]]) -> Any:
-    """An info method that gives these one after the other, and the last for ever."""
-    left = iter(values)
-    last: list[dict[str, Any]] = []
-
-    def info(self: Any) -> dict[str, Any]:
-        last[:] = [next(left, last[0] if last else {})]
-        return last[0]
-
-    return info
-
-
 @pytest.mark.parametrize(
     ("env", "options", "expected"),
     [
         (variant(info=lambda self: {}), {}, r"its info has no 'cost'.*info\['cost'\]"),
-        (variant(info=lambda self: {"cost": -1.0}), {}, r"info\['cost'\] is -1"),
         (variant(info=lambda self: {"cost": float("nan")}), {}, r"info\['cost'\] is nan"),
         (variant(info=lambda self: {"cost": 0.0, "cost_sources": ["wet"]}), {}, r"info\['cost_sources'\] is \['wet'\]"),
         (variant(), {"max_episode_steps": None}, "no time limit.*max_episode_steps=500"),
         (variant(metadata={"render_modes": []}), {}, "how long an env step is.*render_fps"),
-        (variant(action_space=gymnasium.spaces.Discrete(3)), {}, r"action space is Discrete\(3\).*float Box"),
         (variant(action_space=BOX(-np.inf, np.inf, (2,))), {}, "finite lower bound"),
-        (variant(action_space=BOX(0, 4, (2,), np.int64)), {}, "float Box"),
-        (variant(observation_space=BOX(-1, 1, (60,))), {}, r"no camera image: Box of shape \(60,\).*uint8 Box"),
         (variant(observation_space=gymnasium.spaces.Dict(view=BOX(0, 255, (64, 64, 3), np.uint8))), {}, r"no camera image: Dict\(view"),
         (variant(seen=lambda self: np.random.default_rng().integers(0, 255, (64, 64, 3), np.uint8)), {}, "two resets with the same seed"),
         (variant(__init__=lambda self: 1 / 0), {}, "cannot be made: ZeroDivisionError"),
-        (variant(__init__=lambda self: sys.exit(3)), {}, "cannot be made: SystemExit: 3"),
         (variant(metadata={"render_modes": [], "render_fps": 25, "success_goals": "a"}), {}, r"metadata\['success_goals'\] is 'a'"),
-        (variant(observation_space=None), {}, "failed: AttributeError"),
     ],
 )
 def test_what_an_environment_lacks_is_named_with_a_remedy(env, options, expected):
@@ -85,47 +65,26 @@ def failing(*_: Any) -> Any:
 FAILING: list[tuple[type[Lights], str]] = [
     (variant(step=failing), "its step failed: RuntimeError: the wheel fell off .*in test_foreign_errors.py, line"),
     (variant(step=lambda self, action: sys.exit(7)), "its step failed: SystemExit: 7"),
-    (variant(step=lambda self, action: sys.exit()), "its step failed: SystemExit "),
     (variant(reset=lambda self, **_: 1 / 0), "its reset failed: ZeroDivisionError"),
-    (variant(reset=lambda self: None), "its reset failed: TypeError.*seed"),
     (variant(reset=lambda self, **_: Lights.reset(self)[0]), r"its reset returned a single ndarray.*\(observation, info\)"),
-    (variant(reset=lambda self, **_: (*Lights.reset(self), 1)), "its reset returned 3 values"),
     (variant(reset=lambda self, **_: (Lights.reset(self)[0], None)), "its reset returned None as info"),
     (stepping(lambda seen, reward, over, cut, info: (seen, reward, over, info)), "its step returned 4 values.*terminated, truncated"),
-    (stepping(lambda *five: None), "its step returned a single NoneType"),
-    (stepping(lambda *five: list(five)), "its step returned a single list"),
     (stepping(lambda *five: (*five[:4], None)), "its step returned None as info"),
-    (stepping(lambda *five: (*five[:4], [("cost", 0.0)])), r"its step returned \[\('cost', 0.0\)\] as info"),
     (stepping(lambda seen, reward, *rest: (seen, None, *rest)), "its step gave a reward of None"),
-    (stepping(lambda seen, reward, *rest: (seen, float("nan"), *rest)), "its step gave a reward of nan"),
-    (stepping(lambda seen, reward, *rest: (seen, "1", *rest)), "its step gave a reward of '1'"),
-    (stepping(lambda seen, reward, *rest: (seen, np.ones(2), *rest)), r"its step gave a reward of array\(\[1., 1.\]\)"),
     (stepping(lambda seen, reward, over, *rest: (seen, reward, None, *rest)), "its step gave terminated = None"),
-    (informing(cost=None), r"info\['cost'\] is None"),
     (informing(cost="x"), r"info\['cost'\] is 'x'"),
-    (informing(cost="1"), r"info\['cost'\] is '1'"),
-    (informing(cost=np.zeros(1)), r"info\['cost'\] is array\(\[0.\]\)"),
-    (informing(cost=1j), r"info\['cost'\] is 1j"),
     (informing(cost=float("inf")), r"info\['cost'\] is inf"),
     (informing(cost_sources={"wet": "x"}), r"info\['cost_sources'\]\['wet'\] is 'x'"),
-    (informing(cost_sources={1: 0.0}), r"info\['cost_sources'\] is \{1: 0.0\}"),
-    (informing(goals="a"), r"info\['goals'\] is 'a'"),
     (informing(goals=0.5), r"info\['goals'\] is 0.5"),
-    (informing(goals=-1), r"info\['goals'\] is -1"),
     (informing(success=np.zeros(2)), r"info\['success'\] = array"),
-    (showing(None), r"its observation is None, not uint8 of shape \(64, 64, 3\).*observation_space"),
     (showing(np.zeros((64, 64, 3))), r"its observation is float64 of shape \(64, 64, 3\), not uint8"),
-    (showing(np.zeros((32, 64, 3), np.uint8)), r"its observation is uint8 of shape \(32, 64, 3\), not"),
 ]
 SPACE = gymnasium.spaces.Dict(image=BOX(0, 255, (64, 64, 3), np.uint8), state=BOX(-1, 1, (2,)))
 IMAGE = np.zeros((64, 64, 3), np.uint8)
 for seen, expected in (
-    (None, "its observation has no 'image': NoneType"),
     (IMAGE, "its observation has no 'image': ndarray"),
     ({"image": IMAGE}, r"its observation has no 'state': entries \['image'\]"),
     ({"image": IMAGE, "state": np.zeros(3)}, "its observation 'state' has 3 values, its space has 2"),
-    ({"image": IMAGE, "state": 0.0}, "its observation 'state' has 1 values"),
-    ({"image": IMAGE, "state": "ab"}, "its observation 'state' is no array of numbers: str"),
     ({"image": IMAGE, "state": [0.0, float("inf")]}, "its observation 'state' is not finite"),
 ):
     FAILING.append((type("Variant", (Lights,), {"observation_space": SPACE, "seen": lambda self, seen=seen: seen}), expected))
@@ -166,43 +125,6 @@ def test_numbers_may_be_of_every_real_type():
     assert {name: count[0] for name, count in step.sources.items()} == {"wet": 4, "dry": 0}
 
 
-def test_one_that_fails_as_it_closes_is_forgiven():
-    assert examine(registered(variant(close=failing))).cost_sources
-
-
-@pytest.mark.parametrize("part", ["snapshot", "restore"])
-def test_one_that_fails_to_keep_or_take_a_snapshot_is_named(part):
-    sound = {"snapshot": lambda self: {"clock": np.zeros(1)}, "restore": lambda self, snapshot: None}
-    task = make_task(registered(variant(**sound | {part: failing})), 1)
-    task.reset([0])
-    with pytest.raises(TaskError, match=f"'Foreign.*: its {part} failed: RuntimeError"):
-        task.restore(task.snapshot())
-
-
-@pytest.mark.parametrize(
-    ("env", "expected"),
-    [
-        (variant(info=one_of([{"cost": 0.0}, {}])), "has no 'cost'"),
-        (variant(info=one_of([{"cost": 0.0}, {"cost": 1.0, "cost_sources": {"wet": 1.0}}])), "new cost source 'wet'"),
-    ],
-)
-def test_what_goes_wrong_later_names_the_environment(env, expected):
-    name = registered(env)
-    task = make_task(name, 1)
-    task.reset([0])
-    with pytest.raises(TaskError, match=f"'{name}'.*{expected}"):
-        task.step(np.zeros((1, 2)))
-
-
-def test_a_vector_that_is_not_finite_is_refused():
-    class Blind(Puddle):
-        def _seen(self):
-            return super()._seen() | {"privileged": np.full(8, np.nan, np.float32)}
-
-    with pytest.raises(TaskError, match="'privileged' is not finite"):
-        make_task(registered(Blind), 1)
-
-
 @pytest.mark.parametrize(
     ("name", "error", "expected"),
     [
@@ -211,35 +133,13 @@ def test_a_vector_that_is_not_finite_is_refused():
         ("json:MyEnv-v0", UnknownName, r"module 'json' registers no 'MyEnv-v0'.*gymnasium.register\('MyEnv-v0'"),
         ("NoSuchEnv-v7", UnknownName, "no gymnasium id is called 'NoSuchEnv-v7'.*module:NoSuchEnv-v7"),
         ("SafetyPointGoal3-v0", UnknownName, "did you mean .*'wasp/SafetyPointGoal1-v0'"),
-        ("SafetyPointGoal1", UnknownName, r"did you mean 'wasp/SafetyPointGoal1-v0'\?"),
-        ("wasp/SafetyPointGol1-v0", UnknownName, r"did you mean 'wasp/SafetyPointGoal1-v0'"),
-        ("SafetyPointGol1-v0", UnknownName, r"did you mean 'wasp/SafetyPointGoal1-v0'"),
         ("Race1-v0", UnknownName, "did you mean .*'race1'"),
-        ("wasp/goal1", UnknownName, r"did you mean 'goal1'"),
-        ("cartpole-v1", UnknownName, r"did you mean 'CartPole-v1'"),
     ],
 )
 def test_ids_that_lead_nowhere(name, error, expected):
     with pytest.raises(error) as caught:
         make_task(name, 1)
     assert re.search(expected, f"{caught.value.message} {caught.value.hint}"), caught.value
-
-
-def test_an_unknown_id_survives_pickling():
-    for name in ("SafetyPointGoal3-v0", "NoSuchEnv-v7", "puddle:Pudle-v0"):
-        with pytest.raises(UnknownName) as caught:
-            examine(name)
-        again = pickle.loads(pickle.dumps(caught.value))
-        assert (again.message, again.hint, again.known) == (caught.value.message, caught.value.hint, caught.value.known)
-
-
-@pytest.mark.parametrize(("fails", "named"), [("import sys\nsys.exit(3)\n", "SystemExit: 3"), ("1 / 0\n", "ZeroDivisionError")])
-def test_a_module_that_fails_on_import_is_named(fails, named, tmp_path, monkeypatch):
-    (tmp_path / "fails_on_import.py").write_text(fails)
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(TaskError, match=f"'fails_on_import' does not import: {named}") as caught:
-        examine("fails_on_import:MyEnv-v0")
-    assert caught.value.hint == "repair the module"
 
 
 def test_an_environment_that_keeps_its_own_time_limit_may_say_so():

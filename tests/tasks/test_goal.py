@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from wasp_cli.errors import TaskError
 from wasp_cli.tasks.goal.task import GOAL_KEEPOUT, HAZARD_KEEPOUT, Goal
 
 VECTORS = ("state", "privileged")
@@ -70,14 +69,6 @@ def test_a_row_does_not_depend_on_the_others():
             assert_same(row_of(step, row), tuple(task.step(action[row : row + 1])))
 
 
-def test_threads_change_nothing():
-    plan = actions(20, 5)
-    one, two = (Goal(5, observe=("pixels", *VECTORS), threads=threads) for threads in (1, 2))
-    assert_same(one.reset(range(5)), two.reset(range(5)))
-    for action in plan:
-        assert_same(one.step(action), two.step(action))
-
-
 def test_decision_steps_only_cut_the_time():
     plan = actions(30, 3)
     coarse, fine = Goal(3, action_repeat=4, observe=VECTORS), Goal(3, action_repeat=1, observe=VECTORS)
@@ -98,7 +89,7 @@ def test_leaving_out_vases_at_rest_changes_no_motion(level, monkeypatch):
     quick.reset(range(8))
     whole.reset(range(8))
     left_out = 0
-    for action in actions(80, 8):
+    for action in actions(50, 8):
         with monkeypatch.context() as patch:
             patch.setattr("wasp_cli.tasks.goal.task._REACH", np.inf)
             whole.restore(quick.snapshot())
@@ -108,7 +99,7 @@ def test_leaving_out_vases_at_rest_changes_no_motion(level, monkeypatch):
         ours, theirs = quick.snapshot(), whole.snapshot()
         np.testing.assert_allclose(ours["qpos"], theirs["qpos"], atol=1e-9)
         np.testing.assert_allclose(ours["bodies"][..., :3], theirs["bodies"][..., :3], atol=1e-7)
-    assert left_out > 400
+    assert left_out > 250
     assert np.median(ours["bodies"][..., 2]) == pytest.approx(0.0999564, abs=1e-6)
 
 
@@ -204,37 +195,6 @@ def test_the_privileged_vector_is_scaled_and_faces_the_goal():
     assert np.abs(drives[:, 2]).max() > 0.1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"batch": 0}, "at least 1"),
-        ({"batch": 1, "action_repeat": 0}, "at least 1"),
-        ({"batch": 1, "threads": 0}, "at least 1"),
-        ({"batch": 1, "observe": ("smell",)}, "no such observation: smell"),
-    ],
-)
-def test_wrong_construction(arguments, message):
-    with pytest.raises(TaskError, match=message):
-        Goal(**arguments)
-
-
-def test_foreign_snapshots_are_refused():
-    task, larger = Goal(1, observe=()), Goal(2, observe=())
-    task.reset([0])
-    larger.reset([0, 1])
-    with pytest.raises(TaskError, match="batch 1"):
-        task.restore(larger.snapshot())
-    broken = task.snapshot()
-    broken["qvel"][0, 0] = np.nan
-    with pytest.raises(TaskError, match="no number, in 'qvel'"):
-        task.restore(broken)
-    for name in task.snapshot():
-        partial = task.snapshot()
-        del partial[name]
-        with pytest.raises(TaskError, match=f"'{name}' is missing"):
-            task.restore(partial)
-
-
 def test_pushing_a_vase_costs_at_level_2_only():
     for level, expected in ((1, 0), (2, 1)):
         task = Goal(1, level=level, action_repeat=10, observe=())
@@ -249,16 +209,3 @@ def test_pushing_a_vase_costs_at_level_2_only():
         step = task.step(np.array([[1.0, 0.0]]))
         assert (step.cost_env[0] > 0) == expected
         assert [name for name, count in step.sources.items() if count[0]] == ["vases_contact", "vases_velocity"] * expected
-
-
-def test_rays_tell_the_clearance_of_hazards_all_around():
-    task = Goal(1, observe=("privileged",))
-    task.reset([0])
-    state = task.snapshot()
-    state["qpos"][:, 2] = 0.5
-    state["hazards"][:] = 9.0
-    state["hazards"][:, 0] = state["qpos"][:, :2] + 1.0 * np.array([np.cos(0.5 + np.pi / 2), np.sin(0.5 + np.pi / 2)])
-    rays = task.restore(state).privileged[0, -32:]
-    assert rays.argmax() == 8
-    assert rays[8] == pytest.approx(np.exp(-2.0 * 0.8), abs=1e-6)
-    assert rays[24] == pytest.approx(np.exp(-6.0), abs=1e-6)

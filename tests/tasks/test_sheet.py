@@ -1,4 +1,4 @@
-"""The picture of an episode: which moments it shows, and that nothing in it is blank."""
+"""The picture of an episode: which moments it shows."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from PIL import Image
 
 from wasp_cli.errors import UsageError
 from wasp_cli.tasks import sheet
-from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.sheet import GAP, MOMENT, MOMENTS, draw_sheet
 
 
@@ -68,51 +67,6 @@ def decisions(path: Path) -> list[int]:
 )
 def test_the_moments_are_spread_over_what_was_driven(task, steps, expected, tmp_path):
     assert decisions(draw_sheet(task, 0, steps, tmp_path / "a.png")) == expected
-
-
-def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path, monkeypatch):
-    monkeypatch.setattr(sheet, "KEPT", 32)
-    found = decisions(draw_sheet("SheetLong-v0", 0, 240, tmp_path / "a.png"))
-    assert len(found) == MOMENTS
-    assert (found[0], found[-1]) == (0, 240)
-    np.testing.assert_allclose(np.diff(found), 240 / 7, atol=12)
-
-
-def test_an_episode_is_driven_once(tmp_path, monkeypatch):
-    resets: list[object] = []
-
-    def made(*arguments: Any, **options: Any) -> Any:
-        task = make_task(*arguments, **options)
-        reset = task.reset
-        monkeypatch.setattr(task, "reset", lambda seeds: (resets.append(seeds), reset(seeds))[1])
-        return task
-
-    monkeypatch.setattr(sheet, "make_task", made)
-    draw_sheet("goal1", 5, 3, tmp_path / "a.png")
-    assert resets == [[5]]
-
-
-@pytest.mark.parametrize("steps", [0, 40])
-def test_a_sheet_of_one_camera_has_no_room_for_another(steps, tmp_path):
-    picture = read(draw_sheet("SheetClock-v0", 0, steps, tmp_path / "a.png"))
-    assert (picture.reshape(-1, 3) != 0).any(1).all(), "the rear image that is not there is black"
-    blank = (picture == 255).all((1, 2))
-    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~blank, [True]])))
-    assert runs.max() < 3 * sheet.CAPTION, "no empty band"
-
-
-@pytest.mark.parametrize(
-    ("decisions", "seconds", "expected"),
-    [
-        ([0, 1, 2], 0.08, ["0.00", "0.08", "0.16"]),
-        ([0, 10, 20], 0.16, ["0.0", "1.6", "3.2"]),
-        ([0, 1, 2], 0.004, ["0.000", "0.004", "0.008"]),
-        ([0], 0.08, ["0.00"]),
-    ],
-)
-def test_no_two_moments_have_the_same_time(decisions, seconds, expected):
-    pixels = np.zeros((6, 64, 64), np.uint8)
-    assert sheet._times([sheet._Moment(decision, pixels, 0, 0) for decision in decisions], seconds) == expected
 
 
 def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):

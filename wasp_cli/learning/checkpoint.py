@@ -53,11 +53,7 @@ def has_training(folder: Path) -> bool:
 def restore_training(
     folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, further: HasTensors | None = None
 ) -> dict[str, Any] | None:
-    """Load the checkpoint of `folder` into its owners and return its counters; None when there is none.
-
-    Raises:
-        ArtifactError: it was written on another kind of device.
-    """
+    """Load the checkpoint of `folder` into its owners and return its counters; None when there is none."""
     path = folder / CHECKPOINT
     if not path.exists():
         return None

@@ -1,7 +1,4 @@
-"""Cloning of an operator: a policy fitted to what one commanded.
-
-Nothing of the operator's rule is read: features and commands are all that there is of a person. K decisions, F features, A actions.
-"""
+"""Cloning of an operator: a policy fitted to what one commanded. K decisions, F features, A actions."""
 
 from __future__ import annotations
 
@@ -16,19 +13,15 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.models.clone import Clone
 from wasp_cli.operators.base import Policy
 
-FASTER = 10.0
-"""Learning rate of the mixture's shares and of the spread, relative to that of the weights."""
+FASTER = 10.0  # learning rate of the mixture's shares and of the spread, relative to that of the weights
 
 
 class Issued(NamedTuple):
     """K decisions of one operator."""
 
-    features: Tensor
-    """[K, F] what it saw"""
-    command: Tensor
-    """[K, A] what it issued"""
-    last: Tensor
-    """[K, A] what it had issued one decision before; NaN at the first of an episode"""
+    features: Tensor  # [K, F] what it saw
+    command: Tensor  # [K, A] what it issued
+    last: Tensor  # [K, A] what it had issued one decision before; NaN at the first of an episode
 
 
 def fit_clone(
@@ -39,9 +32,6 @@ def fit_clone(
     Args:
         seen: the decisions to learn from.
         nominal: policy that the clone corrects, frozen.
-        config: sizes and budget.
-        seed: of the batches.
-        report: called every 50 updates.
 
     Returns:
         The frozen clone, and its negative log-likelihood per command over the updates.

@@ -27,20 +27,13 @@ class Loop(NamedTuple):
     cost_env: Array
     env_steps: Array
     goals: Array
-    alive: Array
-    """[T, B] the episode was still going when the decision was made"""
-    terminated: Array
-    """[T, B] the decision ended the episode by the task's own rule"""
-    a_h: Array
-    """[T, B, A] the operator's command within the bounds"""
-    action: Array
-    """[T, B, A] the executed action"""
-    decisions: list[Decision]
-    """[T]"""
-    decision_ms: Array
-    """[T] wall time of `decide` in milliseconds, divided by the batch"""
-    h: Tensor | None
-    """[T, B, D] filtered latents, when asked for"""
+    alive: Array  # [T, B] the episode was still going when the decision was made
+    terminated: Array  # [T, B] the decision ended the episode by the task's own rule
+    a_h: Array  # [T, B, A] the operator's command within the bounds
+    action: Array  # [T, B, A] the executed action
+    decisions: list[Decision]  # [T]
+    decision_ms: Array  # [T] wall time of `decide` in milliseconds, divided by the batch
+    h: Tensor | None  # [T, B, D] filtered latents, when asked for
     z: Tensor | None
 
 
@@ -49,8 +42,6 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
 
     Args:
         begin: how many are there already, in whole batches.
-        episodes: of the cell.
-        size: of a batch.
     """
     return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
 
@@ -110,16 +101,9 @@ def run_episodes(
 
     Args:
         task: B episodes with what the model reads, and for an informed operator with privileged observations.
-        model: the frozen world model, used as the filter.
         operator: of B rows, fresh.
         assistant: decides; it is reset for all rows.
-        layout_seeds: of the worlds.
-        method_seeds: of the assistant's own sampling.
         keep_latents: also return the filtered latents.
-        progress: called about every 25 decisions.
-
-    Raises:
-        WaspError: a decision breaks the assistant's contract.
     """
     batch = task.batch
     seen = task.reset(layout_seeds)

@@ -25,13 +25,11 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.models.consistency import SIGMA_DATA, SIGMA_MAX, SIGMA_MIN, Consistency, ladder, sigma_at
 
-RATIOS = (0.1, 0.25, 0.4, 0.69)
-"""Shares of the ladder: sigma .017, .17, .97 and 11.5; at 0 a command stays as it is."""
+RATIOS = (0.1, 0.25, 0.4, 0.69)  # shares of the ladder: sigma .017, .17, .97 and 11.5; at 0 a command stays as it is
 LOG_MEAN, LOG_STD = -1.2, 1.6
 """Of ln sigma in the training of the teacher: mean of Karras et al. 2022, spread of the authors' code."""
 
-Draw = Callable[[], tuple[Tensor, Tensor]]
-"""Returns features [B, F] and clean actions [B, A] of a batch."""
+Draw = Callable[[], tuple[Tensor, Tensor]]  # returns features [B, F] and clean actions [B, A] of a batch
 Report = Callable[[float, str], None]
 
 
@@ -43,10 +41,6 @@ def train_consistency(
     Args:
         recording: recorded rows; held-out ones are not learned.
         labels: the expert's own action at every row [N, A].
-        latents: of every row.
-        config: sizes and budgets.
-        seed: of this training.
-        report: called about every 100 updates.
     """
     source = generator(seed)
     rows = torch.from_numpy(np.flatnonzero(~recording.held_out(HELD_OUT)))

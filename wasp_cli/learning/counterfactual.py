@@ -1,12 +1,8 @@
 """Counterfactual branches of the real task (section 5.3 of the paper): what would have happened without an intervention.
 
 At a chosen decision of a stored episode two branches begin in the same state: `asst` executes the recorded action, `cf` the operator's
-command; then both follow the operator alone, whose noise goes on in the episode's own stream. The draws of a decision depend on the
-episode and the decision, so that both branches meet the same mistakes (common random numbers).
-
-Every branch runs in the row that its episode had, in a batch of the same size: products of matrices may round by both, and a
-branch that does what the episode did must give what it gave, bit for bit. The k-th batch holds the k-th chosen decision of every episode.
-
+command; then both follow the operator alone. Their draws are those of the episode and the decision (common random numbers). Every branch
+runs in the row that its episode had, in a batch of the same size, so that one that does what the episode did gives the same bits.
 B = episodes, A = action size, W = decision steps of a branch at most.
 """
 
@@ -36,29 +32,22 @@ class Branch(NamedTuple):
     """One branch, of w <= W decision steps: fewer where its episode ended."""
 
     episode: int
-    t: int
-    """the decision at which it begins"""
-    name: str
-    """ASSISTED or ALONE"""
-    cost: NDArray[np.bool_]
-    """[w] c_t"""
-    cost_env: NDArray[np.int64]
-    """[w] env steps with cost"""
-    reward: NDArray[np.float64]
-    """[w]"""
+    t: int  # the decision at which it begins
+    name: str  # ASSISTED or ALONE
+    cost: NDArray[np.bool_]  # [w] c_t
+    cost_env: NDArray[np.int64]  # [w] env steps with cost
+    reward: NDArray[np.float64]  # [w]
 
 
 class _Start(NamedTuple):
     """The state in which a decision of one episode was made, and the two actions."""
 
     t: int
-    world: dict[str, NDArray[Any]]
-    """arrays without the dimension of the batch"""
+    world: dict[str, NDArray[Any]]  # arrays without the dimension of the batch
     operator: Memory
     h: Tensor
     z: Tensor
-    first: dict[str, Tensor]
-    """[A] by branch"""
+    first: dict[str, Tensor]  # [A] by branch
 
 
 def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[int]]:
@@ -94,12 +83,6 @@ def branches(rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progres
     Args:
         rerun: the episodes; its task and operator carry out the branches afterwards.
         chosen: per episode [B], decisions in ascending order.
-        window: W.
-        progress: called with the finished share and a text.
-
-    Raises:
-        ArtifactError: the episodes do not come back.
-        TaskError: the task cannot be snapshot.
     """
     batches = max(map(len, chosen), default=0)
     again = 1 + max((decisions[-1] for decisions in chosen if decisions), default=-1)

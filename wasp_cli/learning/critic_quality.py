@@ -17,10 +17,8 @@ from wasp_cli.methods.base import Heldout
 from wasp_cli.metrics.ranking import cluster_draws, correlations, percentiles
 from wasp_cli.models.base import Critics
 
-CUT_OFF = 0.05
-"""Largest share of a discounted return that may lie beyond the time limit."""
-RESAMPLES = 400
-"""Of whole episodes, per interval."""
+CUT_OFF = 0.05  # largest share of a discounted return that may lie beyond the time limit
+RESAMPLES = 400  # of whole episodes, per interval
 
 Floats = NDArray[np.float64]
 
@@ -30,10 +28,8 @@ class Pairs(NamedTuple):
 
     predicted: Floats
     real: Floats
-    episode: NDArray[Any]
-    """[K]"""
-    cut_off: float
-    """Largest share of a real return that lay beyond the time limit."""
+    episode: NDArray[Any]  # [K]
+    cut_off: float  # largest share of a real return that lay beyond the time limit
 
 
 def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> tuple[Floats, Floats]:
@@ -43,7 +39,6 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
         signal: [K] what each decision scored, episodes one after the other.
         episode: [K] number of the episode.
         terminal: [K] the decision ended the episode by the task's own rule, after which nothing follows.
-        gamma: discount per decision.
 
     Returns:
         Sums [K] and the shares [K] of the return that lie beyond the time limit; 0 where the episode ended by itself.

@@ -23,8 +23,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.seeds import derive
 
-Q_SHARE = 0.3
-"""Share of the progress that Q takes."""
+Q_SHARE = 0.3  # share of the progress that Q takes
 
 
 def starts_of(recording: Recording) -> Tensor:
@@ -35,15 +34,11 @@ def starts_of(recording: Recording) -> Tensor:
 class Rollout(NamedTuple):
     """H imagined steps of B rows under the expert."""
 
-    features: Tensor
-    """[H, B, F] where each step began"""
-    arrived: Latent
-    """fields [H, B, .]"""
-    reward: Tensor
-    """[H, B] at the arrived states, as the next two"""
+    features: Tensor  # [H, B, F] where each step began
+    arrived: Latent  # fields [H, B, .]
+    reward: Tensor  # [H, B] at the arrived states, as the next two
     cost: Tensor
-    keep: Tensor
-    """probability that the episode goes on"""
+    keep: Tensor  # probability that the episode goes on
 
     def weight(self) -> Tensor:
         """Return the probability [H, B] that the episode had not ended before the step began."""
@@ -68,14 +63,7 @@ def train_critics(
     the filtered latent, and at those that the prior imagines for the same row under the recorded actions, since a planner reads V there.
 
     Args:
-        model: the frozen world model.
-        skills: the latent expert among them.
         recording: action, reward, cost, terminal, first and episode of the recorded rows.
-        latents: of the same rows.
-        config: sizes and budget.
-        returns: discounts and lambda.
-        seed: of starts, imagination and transitions.
-        report: called every 20 updates.
 
     Returns:
         The frozen critics, and the curve: rows of the losses of Q per 100 updates, then a row per 20 updates of the critics: means of the

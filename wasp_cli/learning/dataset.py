@@ -20,24 +20,15 @@ class Behaviour:
     """How one episode's commands come about; probabilities are per decision step."""
 
     name: str
-    skill: int = -1
-    """Index of the checkpoint whose policy intends the command."""
-    gaussian: float = 0.0
-    """Standard deviation added to it."""
-    replace: float = 0.0
-    """Probability of a uniform command instead."""
-    repeat: float = 0.0
-    """Probability of the last command again."""
-    delay: int = 0
-    """Decision steps between what is seen and the command for it."""
-    burst: float = 0.0
-    """Probability that a random command begins and is held for 2-11 steps."""
-    drift: float = 0.0
-    """Constant that is added to the last component: the turning of the point, one wheel of the car."""
-    sticky: float = 0.0
-    """Standard deviation of noise that persists from step to step."""
-    correlation: float = 0.9
-    """Correlation of that noise between one decision step and the next."""
+    skill: int = -1  # index of the checkpoint whose policy intends the command
+    gaussian: float = 0.0  # standard deviation added to it
+    replace: float = 0.0  # probability of a uniform command instead
+    repeat: float = 0.0  # probability of the last command again
+    delay: int = 0  # decision steps between what is seen and the command for it
+    burst: float = 0.0  # probability that a random command begins and is held for 2-11 steps
+    drift: float = 0.0  # constant that is added to the last component: the turning of the point, one wheel of the car
+    sticky: float = 0.0  # standard deviation of noise that persists from step to step
+    correlation: float = 0.9  # correlation of that noise between one decision step and the next
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
@@ -79,8 +70,7 @@ class Commander:
         self._last = np.zeros((len(rows), action), np.float32)
         self._held = np.zeros(len(rows), int)
         self._noise = np.zeros_like(self._last)
-        self._seen: list[NDArray[np.float32]] = []
-        """Intended commands [B, A] of the episode so far."""
+        self._seen: list[NDArray[np.float32]] = []  # intended commands [B, A] of the episode so far
 
     def command(self, privileged: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return commands [B, A] in [-1, 1] for privileged observations [B, P]."""
@@ -123,7 +113,6 @@ def record(
 
     Args:
         task: B episodes with pixels and privileged observations.
-        seeds: of the episodes.
         command: from privileged observations [B, P] to actions [B, A].
         names: behaviour of each row.
         number: index of the first episode in the dataset.

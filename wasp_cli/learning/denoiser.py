@@ -1,7 +1,6 @@
 """Diffusion's denoiser: training on the expert's actions at recorded latents, and how near it brings commands to them.
 
-After Yoneda et al. 2023: the forward diffusion ratio trades *conformity* (what is executed is near what the expert would do) against
-*fidelity* (it is near the command). K decisions on held-out episodes, A actions.
+After Yoneda et al. 2023. K decisions on held-out episodes, A actions.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.methods.diffusion import assist
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
-RATIOS = (0.2, 0.3, 0.4, 0.6)
-"""Forward diffusion ratios; at 0 a command stays as it is."""
+RATIOS = (0.2, 0.3, 0.4, 0.6)  # forward diffusion ratios; at 0 a command stays as it is
 
 
 def train_denoiser(
@@ -39,10 +37,6 @@ def train_denoiser(
     Args:
         recording: recorded rows; held-out ones are not learned.
         labels: the expert's own action at every row [N, A].
-        latents: of every row.
-        config: sizes and budgets.
-        seed: of this training.
-        report: called about every 100 updates.
     """
     schedule = NoiseSchedule(config.steps, config.beta_min, config.beta_max)
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
@@ -95,7 +89,6 @@ def denoiser_quality(
         features: [K, F]
         expert: [K, A] the expert's own action there.
         recorded: [K, A] what an operator executed there.
-        source: of the draws.
     """
     uniform = 2 * torch.rand(tuple(expert.shape), generator=source) - 1
     found: dict[str, dict[str, dict[str, float]]] = {}

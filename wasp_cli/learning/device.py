@@ -1,7 +1,4 @@
-"""Where networks are trained and assistants decide: on a GPU when torch sees one, else on the CPU; the code is the same.
-
-`WASP_DEVICE=cpu` keeps a run off the GPU. A device enters no key: results on another device differ in rounding, as on another CPU.
-"""
+"""Where networks train and assistants decide: `WASP_DEVICE`, else a GPU that torch sees, else the CPU. No key knows it."""
 
 from __future__ import annotations
 
@@ -16,11 +13,7 @@ VARIABLE = "WASP_DEVICE"
 
 
 def training_device() -> torch.device:
-    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU.
-
-    Raises:
-        UsageError: the variable names no device that torch can use here.
-    """
+    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU."""
     wanted = os.environ.get(VARIABLE, "")
     if not wanted:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

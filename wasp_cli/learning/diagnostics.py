@@ -1,8 +1,6 @@
 """What imagined costs, rewards and images are worth on recorded episodes, per imagined step k = 1..H and over the whole window.
 
-Everything starts at the filtered latent of a recorded row and follows the prior under the true actions; what is read at step k is compared
-with what arrived k rows later. The episodes are held-out ones of the dataset, and fresh ones under operators that are not in its mixture.
-K = starts, H = horizon, S = cost sources.
+From the filtered latent of a recorded row under the true actions: step k is held against what arrived k rows later. K starts, S sources.
 """
 
 from __future__ import annotations
@@ -25,13 +23,10 @@ from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
 
-FALSE_ALARMS = 0.1
-"""Share of the moments without a cost at which a recall is read."""
-CHUNK = 256
-"""Starts that are imagined, or images that are decoded, together."""
+FALSE_ALARMS = 0.1  # share of the moments without a cost at which a recall is read
+CHUNK = 256  # starts that are imagined, or images that are decoded, together
 
-HALF_TRAINED = 2
-"""Index of the first checkpoint that is not among the two `early` ones of the mixture."""
+HALF_TRAINED = 2  # index of the first checkpoint that is not among the two `early` ones of the mixture
 
 Floats = NDArray[Any]
 Row = dict[str, Any]
@@ -40,27 +35,19 @@ Row = dict[str, Any]
 class Forecast(NamedTuple):
     """Imagined costs, rewards and ends, means over samples of the prior."""
 
-    starts: NDArray[np.int64]
-    """[K] rows of the recording"""
-    cost: Floats
-    """[K, H] probability of a cost at the arrived state"""
-    reward: Floats
-    """[K, H]"""
-    ends: Floats
-    """[K, H] probability that the episode ends by its own rule in arriving there, given that it went on until then"""
-    follow: NDArray[np.int64]
-    """[K, H] rows that really followed; after the end of an episode its last one"""
-    within: NDArray[np.bool_]
-    """[K, H] the episode was still going; only these steps are judged"""
+    starts: NDArray[np.int64]  # [K] rows of the recording
+    cost: Floats  # [K, H] probability of a cost at the arrived state
+    reward: Floats  # [K, H]
+    ends: Floats  # [K, H] probability that the episode ends by its own rule in arriving there, given that it went on until then
+    follow: NDArray[np.int64]  # [K, H] rows that really followed; after the end of an episode its last one
+    within: NDArray[np.bool_]  # [K, H] the episode was still going; only these steps are judged
 
 
 class Alarm(NamedTuple):
     """The rule of the safety gate, on imagined costs: Eq. 9 on Eq. 8 without a bootstrap."""
 
-    threshold: float
-    """tau_c"""
-    gamma: float
-    """gamma_c"""
+    threshold: float  # tau_c
+    gamma: float  # gamma_c
 
     def up(self, cost: Floats) -> NDArray[np.bool_]:
         """Return where the alarm [K] is raised by costs [K, H]."""
@@ -258,8 +245,6 @@ def unseen_episodes(task: VectorTask, skills: Sequence[PrivilegedPolicy], task_n
     Args:
         task: with pixels and privileged observations.
         skills: the checkpoints, the expert last.
-        task_name: names the streams of seeds.
-        seed: of the chain.
     """
     kinds = unseen_behaviours(len(skills))
     rows = [kinds[i % len(kinds)] for i in range(task.batch)]

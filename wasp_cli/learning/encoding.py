@@ -12,8 +12,7 @@ from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
 Report = Callable[[float, str], None]
-SIDE_BY_SIDE = 16
-"""Episodes that are filtered together on a CPU."""
+SIDE_BY_SIDE = 16  # episodes that are filtered together on a CPU
 
 
 @torch.inference_mode()
@@ -21,9 +20,7 @@ def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Lat
     """Filter every recorded row as the closed loop would: episodes side by side, the posterior's mode.
 
     Args:
-        model: frozen, on the device that is to compute.
         recording: pixels, action, first and episode of N rows.
-        report: told of the episodes.
 
     Returns:
         N rows on the CPU.

@@ -1,7 +1,4 @@
-"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier.
-
-Its state between two rollouts is stored as safetensors with the counters as JSON, from which an interrupted training goes on.
-"""
+"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier; goes on after an interruption."""
 
 from __future__ import annotations
 
@@ -30,8 +27,7 @@ from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privi
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
 
-Accept = Callable[[PrivilegedPolicy, int], bool]
-"""Tells of a policy and its interactions whether it is good enough."""
+Accept = Callable[[PrivilegedPolicy, int], bool]  # tells of a policy and its interactions whether it is good enough
 
 
 def train_expert(
@@ -50,11 +46,7 @@ def train_expert(
 
     Args:
         task: config.envs episodes with privileged observations.
-        config: sizes and budgets.
         work: folder of the skills and of the state of the training itself.
-        task_name: names the streams of episode seeds.
-        seed: of this training.
-        progress: called after every rollout.
         accept: asked at the end of the training and of every further one.
 
     Returns:
@@ -126,7 +118,6 @@ class TrainingState:
     """Owners of all that a PPO training changes. A training that goes on from here ends with the bytes of an uninterrupted one.
 
     Args:
-        path: the file.
         ppo: policy, optimizer, last observation and number of interactions.
         env: episodes in the middle, and the multiplier.
         normalised: its observation statistics.
@@ -164,11 +155,7 @@ class TrainingState:
         os.replace(partial, self._path)
 
     def restore(self) -> list[dict[str, float]]:
-        """Put everything back to where the file was saved, and return the learning curve up to there; empty when there is no file.
-
-        Raises:
-            ArtifactError: the file is damaged.
-        """
+        """Put everything back to where the file was saved, and return the learning curve up to there; empty when there is no file."""
         if not self._path.exists():
             return []
         try:

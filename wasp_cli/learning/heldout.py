@@ -19,10 +19,6 @@ def save_heldout(heldout: Heldout, folder: Path) -> None:
 
 
 def load_heldout(folder: Path) -> Heldout:
-    """Load the N rows of a held-out artifact.
-
-    Raises:
-        ArtifactError: the file is missing or damaged.
-    """
+    """Load the N rows of a held-out artifact."""
     t = read_tensors(folder / "heldout.safetensors")
     return Heldout(Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"])

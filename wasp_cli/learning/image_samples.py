@@ -18,10 +18,8 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
-COSTLY, CALM = 3, 2
-"""Imagined windows that reach a cost from a start without one, and windows without any cost."""
-DECODED = 10
-"""Frames that are decoded from the filtered state."""
+COSTLY, CALM = 3, 2  # imagined windows that reach a cost from a start without one, and windows without any cost
+DECODED = 10  # frames that are decoded from the filtered state
 
 Images = NDArray[np.uint8]
 
@@ -29,12 +27,9 @@ Images = NDArray[np.uint8]
 class Sample(NamedTuple):
     """K frames of the model beside the rows of the recording that they belong to."""
 
-    rows: NDArray[np.int64]
-    """[K]"""
-    images: Images
-    """[K, 6, 64, 64] decoded or imagined"""
-    predicted: NDArray[Any]
-    """[K] probability of a cost"""
+    rows: NDArray[np.int64]  # [K]
+    images: Images  # [K, 6, 64, 64] decoded or imagined
+    predicted: NDArray[Any]  # [K] probability of a cost
 
 
 @torch.inference_mode()

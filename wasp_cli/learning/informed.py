@@ -1,7 +1,6 @@
 """Operators who know more than assistants perceive: in the task they follow the privileged policies (`TaskInfo.informed`).
 
-In imagination there is nothing privileged: there such an operator follows the latent policy of the same skill, which is all that an
-assistant may assume.
+In imagination there is nothing privileged: there they follow the latent policy of the same skill.
 """
 
 from __future__ import annotations
@@ -27,12 +26,7 @@ def informed_policies(task: str, inputs: Mapping[str, Path], device: torch.devic
     """Return the policies of operators in a task by skill, on privileged observations [B, P]; None where they perceive what assistants do.
 
     Args:
-        task: its name.
         inputs: artifact folders by stage kind; that of the expert is read.
-        device: of the commands.
-
-    Raises:
-        ArtifactError: a checkpoint is missing or damaged.
     """
     if not TASKS[task].informed:
         return None

@@ -14,16 +14,14 @@ from wasp_cli.learning.latents import Latents, load_latents
 from wasp_cli.learning.shards import HELD_OUT, Recording, read_shards
 from wasp_cli.models.policy import load_privileged
 
-JUDGED = 4000
-"""Held-out decisions at which a model is judged, about."""
+JUDGED = 4000  # held-out decisions at which a model is judged, about
 
 
 class LabelledStates(NamedTuple):
     """N recorded rows."""
 
     recording: Recording
-    labels: Tensor
-    """[N, A] the expert's own action"""
+    labels: Tensor  # [N, A] the expert's own action
     latents: Latents
 
     @property
@@ -40,11 +38,7 @@ class LabelledStates(NamedTuple):
 
 
 def load_labelled(inputs: Mapping[str, Path]) -> LabelledStates:
-    """Read the rows of a dataset with their latents, and ask the expert about each; `inputs` are artifact folders by stage kind.
-
-    Raises:
-        ArtifactError: a file is missing or damaged.
-    """
+    """Read the rows of a dataset with their latents, and ask the expert about each; `inputs` are artifact folders by stage kind."""
     recording = read_shards(inputs["dataset"], ["privileged", "action", "first", "episode"])
     with torch.inference_mode():
         labels = load_privileged(inputs["expert"], 1.0)(torch.from_numpy(recording.privileged))

@@ -17,8 +17,7 @@ from wasp_cli.learning.vec_env import TaskVecEnv
 class Rule(Protocol):
     """How a multiplier follows what the latest rollouts measured."""
 
-    follows: str
-    """Column of the learning curve."""
+    follows: str  # column of the learning curve
 
     @property
     def initial(self) -> float: ...
@@ -37,12 +36,10 @@ class MultiplierRule:
     initial: float
     rate: float
     bound: float
-    limit: float
-    """Cost per 1000 env steps."""
+    limit: float  # cost per 1000 env steps
     delay: int = 0
     floor: float = 0.0
-    later: tuple[int, float] | None = None
-    """Another limit from so many interactions on."""
+    later: tuple[int, float] | None = None  # another limit from so many interactions on
 
     def next(self, value: float, cost: float, at: int = 0) -> float:
         """Return the multiplier after one of `value`, where the latest cost was that per 1000 env steps, `at` so many interactions."""
@@ -53,11 +50,7 @@ class MultiplierRule:
 
 @dataclass(frozen=True)
 class ReturnRule:
-    """lambda <- clip(lambda + rate * (1 - return / least), 0, bound): the multiplier of a least return per episode.
-
-    Raises:
-        ValueError: `least` is not positive, so that there is no share of it.
-    """
+    """lambda <- clip(lambda + rate * (1 - return / least), 0, bound): the multiplier of a least return per episode."""
 
     follows = "return"
     initial: float
@@ -85,7 +78,6 @@ class LagrangianCallback(BaseCallback):
         env: whose multiplier moves.
         rule: how it moves.
         total: interactions of the whole training.
-        progress: called after every rollout.
         log_std_floor: lower bound of the logarithm of the exploration noise.
         checkpoints: called once each, when that many interactions have been made.
         before_rollout: called between two rollouts, when the policy has learned from the last one.

@@ -16,10 +16,8 @@ from wasp_cli.models.weights import read_tensors
 class Latents(NamedTuple):
     """Filtered latents of N recorded rows. z is stored as class indices."""
 
-    h: Tensor
-    """[N, D]"""
-    z: Tensor
-    """uint8 [N, S]"""
+    h: Tensor  # [N, D]
+    z: Tensor  # uint8 [N, S]
     classes: int
 
     def at(self, index: Tensor) -> Latent:
@@ -38,10 +36,6 @@ def save_latents(latents: Latents, folder: Path) -> None:
 
 
 def load_latents(folder: Path) -> Latents:
-    """Load the latents of a latents artifact, row for row those of its dataset.
-
-    Raises:
-        ArtifactError: the file is missing or damaged.
-    """
+    """Load the latents of a latents artifact, row for row those of its dataset."""
     tensors = read_tensors(folder / "latents.safetensors")
     return Latents(tensors["h"].float(), tensors["z"], int(tensors["classes"]))

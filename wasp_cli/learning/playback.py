@@ -1,8 +1,4 @@
-"""Recorded actions carried out on a task again, and refused where they do not lead where they led.
-
-The physics alone, without torch: `learning.rerun` adds the filter and the operator. T_e = decisions of episode e,
-B = episodes, A = action size.
-"""
+"""Recorded actions carried out on a task again, by the physics alone. T_e = decisions of episode e, B = episodes, A = action size."""
 
 from __future__ import annotations
 
@@ -24,12 +20,9 @@ class Played(NamedTuple):
 
     t: int
     observation: Observation
-    action: Floats32
-    """[B, A] what is executed next; zero in rows whose episodes are over"""
-    alive: NDArray[np.bool_]
-    """[B] the episode is still going"""
-    last: Step | None
-    """what decision t - 1 led to"""
+    action: Floats32  # [B, A] what is executed next; zero in rows whose episodes are over
+    alive: NDArray[np.bool_]  # [B] the episode is still going
+    last: Step | None  # what decision t - 1 led to
 
 
 def play(
@@ -43,10 +36,6 @@ def play(
         actions: [T_e, A] per episode, what was executed.
         rewards: [T_e] per episode, what it was rewarded with.
         tolerance: by how much a reward may differ, absolute and relative; 0: not at all.
-        number: of the first episode, in errors.
-
-    Raises:
-        ArtifactError: rewards or ends of the episodes are not those that were recorded.
     """
     lengths = np.array([len(episode) for episode in actions])
     executed, recorded = side_by_side(actions), side_by_side(rewards)
@@ -66,11 +55,7 @@ def play(
 def require_same(
     t: int, alive: NDArray[np.bool_], what: str, found: Floats32, recorded: Floats32, tolerance: float = 0.0, number: int = 0
 ) -> None:
-    """Refuse values [B, ...] that are not the recorded ones in rows whose episodes are still going; the first row has this number.
-
-    Raises:
-        ArtifactError: with the first such episode.
-    """
+    """Refuse values [B, ...] that are not the recorded ones in rows whose episodes are still going; the first row has this number."""
     same = np.isclose(found, recorded, tolerance, tolerance).reshape(len(alive), -1).all(1)
     wrong = np.flatnonzero(alive & ~same)
     if wrong.size:

@@ -1,7 +1,4 @@
-"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger).
-
-Reinforcement is in `learning.reinforce`.
-"""
+"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger)."""
 
 from __future__ import annotations
 
@@ -33,12 +30,9 @@ Report = Callable[[float, str], None]
 class Labelled(NamedTuple):
     """N states with what every expert checkpoint would do there."""
 
-    filtered: Latents
-    """The posterior's modes, which operators read in the task."""
-    imagined: Latents
-    """Prior samples that should have arrived at the same states, which operators read in imagination."""
-    labels: Tensor
-    """[K, N, A] actions of the K checkpoints"""
+    filtered: Latents  # the posterior's modes, which operators read in the task
+    imagined: Latents  # prior samples that should have arrived at the same states, which operators read in imagination
+    labels: Tensor  # [K, N, A] actions of the K checkpoints
 
     def rows(self, mask: Tensor) -> Labelled:
         """Select the states of a mask [N]."""
@@ -57,12 +51,9 @@ def label(
     """Ask every checkpoint about every row.
 
     Args:
-        model: the frozen world model.
         experts: the K checkpoints.
         recording: privileged, action and first of N rows.
-        latents: of the same rows.
         depth: imagined rows lie 1 to this many prior steps after a recorded latent.
-        seed: of the depths and the prior's samples.
     """
     privileged = torch.from_numpy(recording.privileged)
     with torch.no_grad():
@@ -76,12 +67,9 @@ def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, 
     """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded actions, never across an episode's start.
 
     Args:
-        model: the frozen world model.
         latents: of N rows, by arrival.
         action: [N, A] what led to each row.
         first: [N] in {0, 1}; the first row of an episode stays as it was filtered.
-        depth: most steps.
-        seed: of the depths and the samples.
     """
     source = generator(seed)
     rows = torch.arange(len(first))
@@ -113,10 +101,6 @@ def fit(
         skills: trained in place, frozen afterwards.
         recorded: labelled rows of the dataset.
         visited: labelled rows of the rounds so far; together they are `labelled_share` of a batch.
-        updates: gradient steps.
-        config: batch, learning rate and shares.
-        seed: of the batches.
-        report: called every 50 updates.
     """
     skills.train().requires_grad_(True)
     optimizer = torch.optim.Adam(skills.parameters(), lr=config.learning_rate, fused=True)
@@ -204,12 +188,8 @@ def visit(
 
     Args:
         task: B episodes with pixels and privileged observations.
-        model: the frozen world model, as the filter.
         skills: latent policies, which drive.
         rows: who drives which episode.
-        seeds: of the episodes.
-        seed: of the drivers' mistakes.
-        report: called about every 25 decisions.
 
     Returns:
         Rows by arrival, episode after episode (privileged, action, first and episode; the other columns are empty), and their latents.

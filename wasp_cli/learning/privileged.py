@@ -15,10 +15,8 @@ class EpisodeSums(NamedTuple):
     """Sums of whole episodes, one entry each."""
 
     returns: np.ndarray[Any, Any]
-    costs: np.ndarray[Any, Any]
-    """Env steps that cost."""
-    costly: np.ndarray[Any, Any]
-    """Decision steps that cost."""
+    costs: np.ndarray[Any, Any]  # env steps that cost
+    costly: np.ndarray[Any, Any]  # decision steps that cost
     goals: np.ndarray[Any, Any]
     env_steps: np.ndarray[Any, Any]
 

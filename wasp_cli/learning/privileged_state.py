@@ -1,7 +1,6 @@
-"""What a world model is taught and asked of the privileged vector: the encoder before Eq. 6, the latents along with it.
+"""What a world model is taught and asked of the privileged vector, in training only: no assistant reads it.
 
-Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an episode. Privileged state is used in
-training only, as the expert's labels are; what is trained here stays beside the world model, and no assistant reads it.
+Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an episode.
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ from wasp_cli.models.nets import mlp
 from wasp_cli.models.world_model import SafetyWorldModel
 
 Report = Callable[[float, str], None]
-CONSTANT = 1e-3
-"""Standard deviation below which an entry of the vector counts as constant."""
+CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts as constant
 
 
 Mirror = tuple[NDArray[np.int64], NDArray[np.float32]]
@@ -89,9 +87,6 @@ def teach_encoder(
         model: its encoder is trained in place.
         recording: pixels and privileged of the whole dataset [N].
         rows: [K] those of it that may be learned from.
-        config: updates, batch, learning rate.
-        seed: of the batches and the head's first weights.
-        report: called every 20 updates.
         mirror: where given, half of the images are seen in a mirror.
 
     Returns:

@@ -23,12 +23,9 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.reachability import SafetyValue, danger_target
 from wasp_cli.models.world_model import SafetyWorldModel
 
-AHEAD = 15
-"""W: decisions within which a cost counts as ahead (section 5.3)."""
-QUIET = 5
-"""Decisions without cost before an onset."""
-CHUNK = 4096
-"""Held-out decisions that are looked at together."""
+AHEAD = 15  # W: decisions within which a cost counts as ahead (section 5.3)
+QUIET = 5  # decisions without cost before an onset
+CHUNK = 4096  # held-out decisions that are looked at together
 
 
 def train_safety_value(
@@ -48,13 +45,7 @@ def train_safety_value(
     episode is safe.
 
     Args:
-        model: the frozen world model.
-        skills: the latent expert among them.
         recording: action, cost, terminal and episode of the recorded rows.
-        latents: of the same rows.
-        config: sizes and budget.
-        seed: of transitions, actions and imagination.
-        report: called every 100 updates.
 
     Returns:
         The frozen value, and the curve: means of loss and target over every 100 updates.

@@ -1,7 +1,4 @@
-"""What the world model knows of the task's state: a ridge regression to the privileged vector, judged by groups of its entries.
-
-It is fitted on rows that were learned from and judged on others. N rows, K starts; F = features, P = entries of the vector.
-"""
+"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K starts, F features, P entries of the vector."""
 
 from __future__ import annotations
 
@@ -19,12 +16,9 @@ from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
-CHUNK = 256
-"""Images that are embedded, or starts that are imagined, together."""
-CONSTANT = 1e-3
-"""Standard deviation below which an entry of the vector counts as constant."""
-EPSILON = 1e-6
-"""Keeps the regression solvable where the features do not vary at all."""
+CHUNK = 256  # images that are embedded, or starts that are imagined, together
+CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts as constant
+EPSILON = 1e-6  # keeps the regression solvable where the features do not vary at all
 Floats = NDArray[Any]
 Groups = Mapping[str, slice]
 
@@ -32,14 +26,10 @@ Groups = Mapping[str, slice]
 class Ridge(NamedTuple):
     """A linear map to the standardised privileged vector."""
 
-    centre: Tensor
-    """float64 [F] mean of the features"""
-    weight: Tensor
-    """float64 [F, P]"""
-    mean: Floats
-    """[P] of the vector"""
-    std: Floats
-    """[P] of the vector; 0 where an entry is constant, which nothing is asked of"""
+    centre: Tensor  # float64 [F] mean of the features
+    weight: Tensor  # float64 [F, P]
+    mean: Floats  # [P] of the vector
+    std: Floats  # [P] of the vector; 0 where an entry is constant, which nothing is asked of
 
     def explained(self, features: Tensor, privileged: Floats, groups: Groups) -> dict[str, float]:
         """Return R2 by group: the explained share of the variance of its entries, each in units of its standard deviation.
@@ -88,9 +78,7 @@ class StateReadout:
         """Fit both.
 
         Args:
-            model: frozen.
             recording: pixels and privileged of N rows that may be learned from.
-            latents: of the same rows.
             groups: entries of the privileged vector by name.
             penalty: see `fit_ridge`.
         """

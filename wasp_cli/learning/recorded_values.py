@@ -16,8 +16,7 @@ from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.models.critics import ActionCritics
 from wasp_cli.models.policy import Skills
 
-AT_ONCE = 4096
-"""Rows that are evaluated together."""
+AT_ONCE = 4096  # rows that are evaluated together
 
 
 def recorded_values(
@@ -34,13 +33,7 @@ def recorded_values(
     The transition need not be the expert's, since Q is told the action: only what follows it is the expert's, and that is read from Q'.
 
     Args:
-        skills: the latent expert among them.
         recording: action, reward, cost, terminal, first and episode of N rows.
-        latents: of the same rows.
-        config: sizes and budget.
-        returns: discounts.
-        seed: of the transitions.
-        report: called every 100 updates.
 
     Returns:
         Q_r and Q_c [2, N] of the expert's action, and a row of the curve per 100 updates: mean losses. NaN where there is no value to
@@ -100,7 +93,6 @@ class Segments:
         Args:
             recording: action and episode of N rows.
             values: [2, N], NaN where unknown.
-            horizon: H.
         """
         self._known = ~values.isnan().any(0)
         self._values = values.nan_to_num(0.0)  # what is unknown has no weight

@@ -1,7 +1,4 @@
-"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents, in the real task through the filter.
-
-Labels of a teacher that knows where the goal is do not show how to look for a goal that no camera sees; reward can.
-"""
+"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. Labels do not show how to look for an unseen goal."""
 
 from __future__ import annotations
 
@@ -40,12 +37,7 @@ def reinforce(
     Args:
         actor: stays as it is.
         task: config.envs episodes with pixels.
-        model: the frozen filter.
-        config: sizes and budgets.
         cost_limit: per 1000 env steps.
-        name: of the task, for its random streams.
-        seed: of this training.
-        report: called after every rollout.
 
     Returns:
         A better actor of the same layers, frozen, and the learning curve.

@@ -4,9 +4,8 @@
     for moment in rerun:                      # before each decision is carried out
         task.snapshot(), operator.snapshot()  # the state in which it was made, after the operator's command
 
-A task gives the same for the same actions, the filter draws nothing, and what an operator draws depends on the episode and the decision
-alone, so that the executed actions bring every state back. The episodes of a batch run side by side as they were evaluated, since the
-products of matrices may round by their number of rows. T_e = decisions of episode e, B = episodes, A = action size.
+The episodes of a batch run side by side as they were evaluated, since products of matrices may round by their number of rows.
+T_e = decisions of episode e, B = episodes, A = action size.
 """
 
 from __future__ import annotations
@@ -30,16 +29,11 @@ from wasp_cli.tasks.base import Observation, VectorTask
 class Recorded(NamedTuple):
     """What brings the B episodes of a cell back, and what shows that they are the same; as `store.recorded` reads it."""
 
-    layouts: Sequence[int]
-    """[B] seeds of the worlds"""
-    a_h: Sequence[Floats32]
-    """[T_e, A] per episode: commands within the bounds"""
-    a: Sequence[Floats32]
-    """[T_e, A] per episode: executed actions"""
-    reward: Sequence[Floats32]
-    """[T_e] per episode"""
-    first: int = 0
-    """number of the first of them within their cell"""
+    layouts: Sequence[int]  # [B] seeds of the worlds
+    a_h: Sequence[Floats32]  # [T_e, A] per episode: commands within the bounds
+    a: Sequence[Floats32]  # [T_e, A] per episode: executed actions
+    reward: Sequence[Floats32]  # [T_e] per episode
+    first: int = 0  # number of the first of them within their cell
 
     def of(self, episodes: range) -> Recorded:
         """Return what brings some of the episodes back, which were evaluated side by side."""
@@ -52,14 +46,10 @@ class Moment(NamedTuple):
 
     t: int
     seen: Observation
-    latent: Latent
-    """[B, .] filtered"""
-    a_h: Tensor
-    """[B, A] the command that the operator has just issued, within the bounds"""
-    action: Tensor
-    """[B, A] what was executed; zero in rows whose episodes are over"""
-    alive: NDArray[np.bool_]
-    """[B] the episode was still going when the decision was made"""
+    latent: Latent  # [B, .] filtered
+    a_h: Tensor  # [B, A] the command that the operator has just issued, within the bounds
+    action: Tensor  # [B, A] what was executed; zero in rows whose episodes are over
+    alive: NDArray[np.bool_]  # [B] the episode was still going when the decision was made
 
 
 class Rerun:
@@ -77,8 +67,7 @@ class Rerun:
             raise ValueError(f"a task of {task.batch} rows for {len(recorded.a)} episodes")
         self.task, self.operator, self.recorded = task, operator, recorded
         self.filter = Filter(model, task.batch)
-        self.lengths = np.array([len(actions) for actions in recorded.a])
-        """[B] T_e"""
+        self.lengths = np.array([len(actions) for actions in recorded.a])  # [B] T_e
         for e, actions in enumerate(recorded.a):
             if actions.shape[1:] != (task.action_size,):
                 raise other_episode(
@@ -90,11 +79,7 @@ class Rerun:
 
     @torch.inference_mode()
     def __iter__(self) -> Iterator[Moment]:
-        """Every decision, before it is carried out; what is held with it may be read until the next one is asked for.
-
-        Raises:
-            ArtifactError: commands, rewards or ends of the episodes are not those that were recorded.
-        """
+        """Every decision, before it is carried out; what is held with it may be read until the next one is asked for."""
         commands = side_by_side(self.recorded.a_h)
         first = torch.ones(self.task.batch)
         for played in play(self.task, self.recorded.layouts, self.recorded.a, self.recorded.reward, number=self.recorded.first):

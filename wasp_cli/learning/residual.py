@@ -123,12 +123,6 @@ def train_residual(
 
     Args:
         task: config.envs episodes with pixels.
-        model: the frozen filter.
-        skills: the operators' policies.
-        config: sizes and budgets.
-        name: of the task, for its random streams.
-        seed: of this training.
-        report: called after every rollout.
         expert_return: per episode of the unimpaired expert; mode `rsa` asks for a share of it.
         informed: privileged policies of operators who know more than assistants perceive, as in `OperatorContext`.
 

@@ -17,9 +17,6 @@ def rounded(module: M) -> M:
     """Round the floating-point weights and buffers of a trained module to 16 bits, in place, and return a copy that stores them so.
 
     What the stage measures afterwards on `module` is measured on what is stored.
-
-    Raises:
-        TrainingError: a weight is beyond the range of 16 bits, or no number.
     """
     smaller = copy.deepcopy(module).half()
     for name, tensor in smaller.state_dict().items():

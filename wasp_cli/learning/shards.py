@@ -23,10 +23,8 @@ from wasp_cli.tasks.base import CAMERA_SIZE
 
 PIXELS = (6, CAMERA_SIZE, CAMERA_SIZE)
 _BYTES = int(np.prod(PIXELS))
-_SOURCES = b"wasp.cost_sources"
-"""Key of the schema metadata that holds the names of the columns of `sources`, as JSON."""
-HELD_OUT = 0.1
-"""Share of the episodes of a dataset that no gradient sees."""
+_SOURCES = b"wasp.cost_sources"  # key of the schema metadata that holds the names of the columns of `sources`, as JSON
+HELD_OUT = 0.1  # share of the episodes of a dataset that no gradient sees
 
 
 def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
@@ -52,26 +50,18 @@ def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
 class Recording(NamedTuple):
     """N rows, episodes one after the other."""
 
-    pixels: NDArray[np.uint8]
-    """[N, 6, 64, 64]"""
-    action: NDArray[np.float32]
-    """[N, A]"""
+    pixels: NDArray[np.uint8]  # [N, 6, 64, 64]
+    action: NDArray[np.float32]  # [N, A]
     reward: NDArray[np.float32]
-    cost: NDArray[np.float32]
-    """[N] in {0, 1}: the decision step cost"""
-    cost_env: NDArray[np.float32]
-    """[N] env steps of it that cost"""
-    sources: NDArray[np.int16]
-    """[N, S] env steps of it in which each cost source cost"""
-    goals: NDArray[np.int16]
-    """[N] goals reached in the decision step"""
+    cost: NDArray[np.float32]  # [N] in {0, 1}: the decision step cost
+    cost_env: NDArray[np.float32]  # [N] env steps of it that cost
+    sources: NDArray[np.int16]  # [N, S] env steps of it in which each cost source cost
+    goals: NDArray[np.int16]  # [N] goals reached in the decision step
     terminal: NDArray[np.float32]
     first: NDArray[np.float32]
-    privileged: NDArray[np.float32]
-    """[N, P]"""
+    privileged: NDArray[np.float32]  # [N, P]
     episode: NDArray[np.int32]
-    behaviour: NDArray[Any]
-    """[N] str"""
+    behaviour: NDArray[Any]  # [N] str
 
     def window_starts(self, length: int) -> NDArray[np.int64]:
         """Return the rows [K] from which `length` rows follow within one episode."""
@@ -114,11 +104,7 @@ def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> Non
 
 
 def shard_files(folder: Path) -> list[Path]:
-    """List the files of a dataset artifact, in order.
-
-    Raises:
-        ArtifactError: there is none.
-    """
+    """List the files of a dataset artifact, in order."""
     found = sorted(folder.glob("shard-*.parquet"))
     if not found:
         raise ArtifactError(f"no shards in {folder}", "remove the artifact's folder and run again")
@@ -129,9 +115,6 @@ def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArra
     """Read all rows of a dataset artifact, or those of a mask [N] (whole episodes), in order. Columns that are not asked for are empty.
 
     Shard after shard into place, so that the images are in memory once (a shard's twice).
-
-    Raises:
-        ArtifactError: there is no shard, or one is damaged.
     """
     files = shard_files(folder)
     try:

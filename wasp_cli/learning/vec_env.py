@@ -48,8 +48,7 @@ class TaskVecEnv(VecEnv):
     def __init__(self, task: VectorTask, size: int, low: float, high: float, next_seed: Callable[[], int]) -> None:
         self.task = task
         self.multiplier = 0.0
-        self.normalise = False
-        """Divide the reward by 1 + multiplier, so that its scale does not grow with it."""
+        self.normalise = False  # divide the reward by 1 + multiplier, so that its scale does not grow with it
         self.spread = False
         """Cut the first episode of row b after (b + 1) / B of the time limit, so that every rollout sees all parts of an episode."""
         self.curve = Curve()
@@ -120,11 +119,7 @@ class TaskVecEnv(VecEnv):
         return observed, reward.astype(np.float32), ended, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return what determines the future of every row, without what a subclass adds; the curve must have been taken.
-
-        Raises:
-            TaskError: the task has no snapshot.
-        """
+        """Return what determines the future of every row, without what a subclass adds; the curve must have been taken."""
         task = {f"task/{name}": array for name, array in self.task.snapshot().items()}
         return task | {"return": self._return.copy(), "cost": self._cost.copy(), "until_cut": self._until_cut.copy()}
 
@@ -146,11 +141,7 @@ class TaskVecEnv(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Raise: there are no separate environments to call.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raise: there are no separate environments to call."""
         raise AttributeError(f"a batch of tasks has no method '{method_name}' for each environment")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:

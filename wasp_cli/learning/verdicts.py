@@ -17,19 +17,14 @@ class Drive(NamedTuple):
     """Means over evaluation episodes, with what tells how far they can be trusted."""
 
     return_: float
-    cost: float
-    """Env steps that cost, per episode."""
+    cost: float  # env steps that cost, per episode
     goals: float
-    success: float
-    """Share of the episodes with enough goals."""
-    return_sd: float = 0.0
-    """Standard deviation over the episodes."""
+    success: float  # share of the episodes with enough goals
+    return_sd: float = 0.0  # standard deviation over the episodes
     cost_sd: float = 0.0
     episodes: int = 0
-    env_steps: float = 0.0
-    """Length of an episode."""
-    returns: tuple[float, ...] = ()
-    """Return of every episode."""
+    env_steps: float = 0.0  # length of an episode
+    returns: tuple[float, ...] = ()  # return of every episode
 
     def shown(self) -> dict[str, float]:
         """Return the means by the names that people read."""
@@ -47,14 +42,11 @@ class Verdict(NamedTuple):
 
     return_share: float
     """Latent return / privileged return; 1 plus the difference in units of its size where the privileged return is not positive."""
-    cost_ratio: float | None
-    """Latent cost / privileged cost; None where the privileged policy cost nothing."""
-    excess_cost: float
-    """Cost per episode beyond what is allowed; 0 within it."""
+    cost_ratio: float | None  # latent cost / privileged cost; None where the privileged policy cost nothing
+    excess_cost: float  # cost per episode beyond what is allowed; 0 within it
     shortfall: float
     """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
-    reached: bool
-    """Enough return and no excess cost."""
+    reached: bool  # enough return and no excess cost
     return_share_se: float | None = None
     """Standard error of the share over the episodes, which both policies drove; None for a single one."""
 
@@ -92,7 +84,6 @@ def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig
         taught: batches of episodes of the privileged expert, equally many in each.
         env_steps: length of an episode of the latent expert, from which the reinforcement starts; one that takes longer than its teacher
             must cost less per step.
-        config: the allowance.
         limit: the time limit of an episode in env steps.
 
     Returns:

@@ -20,14 +20,10 @@ class Window(NamedTuple):
     """B sequences of T steps, and which rows of the dataset they are."""
 
     batch: Batch
-    rows: Tensor
-    """[B, T] rows of the recording"""
-    places: Tensor
-    """[B, T] the same as places among the rows that may be learned from"""
-    mirrored: Tensor
-    """[B] bool: left and right are exchanged"""
-    memory: Tensor
-    """[B, T] where a `Context` remembers them: a row and its mirror image are two"""
+    rows: Tensor  # [B, T] rows of the recording
+    places: Tensor  # [B, T] the same as places among the rows that may be learned from
+    mirrored: Tensor  # [B] bool: left and right are exchanged
+    memory: Tensor  # [B, T] where a `Context` remembers them: a row and its mirror image are two
 
 
 class Windows:
@@ -88,10 +84,8 @@ class Windows:
         Args:
             window: B sequences of T steps.
             starts: N of them.
-            horizon: K steps.
             images: M of the starts, N at most.
             noise: Gumbel variables per imagined step.
-            source: of the choice and the noise.
         """
         device, (batch, length) = self._rows.device, window.rows.shape
         row = torch.randint(batch, (starts,), generator=source, device=device)

@@ -24,12 +24,9 @@ from wasp_cli.learning.windows import Context, Window, Windows
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 
 Report = Callable[[float, str], None]
-SKIPS = 5
-"""Updates with a non-finite loss or gradient that are skipped before training stops."""
-SHOWN = 20
-"""Updates between two points of the curves."""
-REFIT_RATE = 1e-3
-"""Initial learning rate of the refit; it decays linearly to a tenth."""
+SKIPS = 5  # updates with a non-finite loss or gradient that are skipped before training stops
+SHOWN = 20  # updates between two points of the curves
+REFIT_RATE = 1e-3  # initial learning rate of the refit; it decays linearly to a tenth
 
 
 def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
@@ -70,23 +67,14 @@ def train(
     """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own checkpoint in `work`.
 
     Args:
-        model: trained in place.
         recording: the whole dataset.
         rows: those of it that may be learned from.
-        config: sizes and weights.
-        updates: gradient steps.
-        seed: of batches and noise.
-        work: folder of the checkpoint.
-        report: called every 20 updates.
         readout: head of the loss on the privileged vector, trained along, where `config.privileged` gives that loss a weight.
         mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
         privileged_mirror: what a privileged vector becomes there, where that is known.
 
     Returns:
         The loss curves by term and that of the gradient norm, a value per 20 updates; and the number of updates that were left out.
-
-    Raises:
-        TrainingError: more than a handful of updates had a non-finite loss; the last good checkpoint stays in `work`.
     """
     device = model.mean_image.device
     weights = loss_weights(config)

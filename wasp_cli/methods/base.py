@@ -29,12 +29,9 @@ if TYPE_CHECKING:
 class Decision(NamedTuple):
     """What an assistant decided for B episodes."""
 
-    action: Tensor
-    """[B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit"""
-    record: Record | None = None
-    """why: gate and signals (`methods.record`); None: every command stands, and nothing was computed"""
-    planned: Planned | None = None
-    """the plans, of methods that plan"""
+    action: Tensor  # [B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit
+    record: Record | None = None  # why: gate and signals (`methods.record`); None: every command stands, and nothing was computed
+    planned: Planned | None = None  # the plans, of methods that plan
 
 
 def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> Decision:
@@ -72,22 +69,14 @@ def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> 
 class Parts:
     """What assistants are built from; frozen models shared by all of them."""
 
-    world_model: SafetyWorldModel
-    """The RSSM with its heads (`models.base.WorldModel`): filter, imagine, reward, cost."""
-    skills: Skills
-    """Latent policies; `skills.expert(features)` [B, F] to [B, A] is the nominal expert."""
-    inputs: Mapping[str, Path]
-    """Artifact folders by stage kind, for what only one method reads."""
-    thresholds: Mapping[str, float]
-    """Calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any."""
-    gamma_r: float
-    """Discount of rewards per decision step."""
-    gamma_c: float
-    """Discount of costs per decision step."""
-    lam: float
-    """lambda of the TD-lambda returns (Eq. 8)."""
-    motors: Motors = UNKNOWN
-    """Of the robot: which commands are one and the same force."""
+    world_model: SafetyWorldModel  # the RSSM with its heads (`models.base.WorldModel`): filter, imagine, reward, cost
+    skills: Skills  # latent policies; `skills.expert(features)` [B, F] to [B, A] is the nominal expert
+    inputs: Mapping[str, Path]  # artifact folders by stage kind, for what only one method reads
+    thresholds: Mapping[str, float]  # calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any
+    gamma_r: float  # discount of rewards per decision step
+    gamma_c: float  # discount of costs per decision step
+    lam: float  # lambda of the TD-lambda returns (Eq. 8).
+    motors: Motors = UNKNOWN  # of the robot: which commands are one and the same force
 
     @property
     def device(self) -> torch.device:
@@ -98,18 +87,12 @@ class Parts:
 class Heldout(NamedTuple):
     """Decisions of the unimpaired expert on held-out seeds: T_e rows for episode e, concatenated to K rows."""
 
-    latent: Latent
-    """[K, .] filtered"""
-    a_h: Tensor
-    """[K, A] commands of the expert"""
-    reward: Tensor
-    """[K] reward of the decision"""
-    cost: Tensor
-    """[K] in {0, 1}: costly decision"""
-    episode: Tensor
-    """[K] index of the episode"""
-    terminal: Tensor
-    """[K] in {0, 1}: the decision ended the episode by the task's own rule, not by the time limit"""
+    latent: Latent  # [K, .] filtered
+    a_h: Tensor  # [K, A] commands of the expert
+    reward: Tensor  # [K] reward of the decision
+    cost: Tensor  # [K] in {0, 1}: costly decision
+    episode: Tensor  # [K] index of the episode
+    terminal: Tensor  # [K] in {0, 1}: the decision ended the episode by the task's own rule, not by the time limit
 
 
 class Assistant(Protocol):

@@ -1,7 +1,4 @@
-"""Consistency shared autonomy (CSA, Sun et al. 2025): the command is taken for a noisy expert action and denoised in one step.
-
-Nothing is drawn: the command itself is the sample at the level, and the same command in the same state gives the same action.
-"""
+"""CSA (Sun et al. 2025): the command is taken for a noisy expert action and denoised in one step, without a draw."""
 
 from __future__ import annotations
 

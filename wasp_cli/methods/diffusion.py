@@ -35,11 +35,7 @@ class Assist:
 
 
 def load_assist(folder: Path, ratio: float, last_noise: bool = False, device: torch.device = CPU) -> Assist:
-    """Load the denoiser of an artifact of the stage `denoiser`.
-
-    Raises:
-        ArtifactError: a file is missing or damaged.
-    """
+    """Load the denoiser of an artifact of the stage `denoiser`."""
     path = folder / "denoiser.safetensors"
     arguments = read_arguments(path)
     schedule = NoiseSchedule(**arguments.pop("schedule"))

@@ -26,12 +26,9 @@ from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
 
-FALLBACK = 0.5
-"""tau_c where it is to be calibrated and no calibration exists."""
-CORRECTION = 1
-"""Purpose of the draws among which the safest action is sought, beside that of the imagined next states."""
-CHUNK = 256
-"""Held-out decisions that are looked at together."""
+FALLBACK = 0.5  # tau_c where it is to be calibrated and no calibration exists
+CORRECTION = 1  # purpose of the draws among which the safest action is sought, beside that of the imagined next states
+CHUNK = 256  # held-out decisions that are looked at together
 
 
 class SafetyFilter:

@@ -39,10 +39,8 @@ from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Critics, Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
 
-FALLBACK = 0.5
-"""tau_c where it is to be calibrated and no calibration exists."""
-CHUNK = 64
-"""Held-out decisions that are looked at together."""
+FALLBACK = 0.5  # tau_c where it is to be calibrated and no calibration exists
+CHUNK = 64  # held-out decisions that are looked at together
 
 
 class MPMI:

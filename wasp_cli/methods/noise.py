@@ -1,7 +1,4 @@
-"""An assistant's own randomness: what it draws at decision t of an episode depends on (the episode's seed, t, what for) alone.
-
-So rows may draw together or each when it needs to, on one device or another, and the numbers are the same.
-"""
+"""An assistant's own randomness: what it draws at decision t depends on (the episode's seed, t, what for) alone, on any device."""
 
 from __future__ import annotations
 
@@ -27,8 +24,7 @@ class DecisionNoise:
         self.step: list[int] = []
         self.device = device
         self.ahead: dict[tuple[object, ...], tuple[int, list[Tensor]]] = {}
-        self.taken = 0
-        """Decisions since the last reset"""
+        self.taken = 0  # decisions since the last reset
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Begin new episodes in `rows` [B] (bool), with one seed for each of the B rows."""
@@ -74,10 +70,8 @@ class Streams(NamedTuple):
     """What one decision of B rows may draw: once for each purpose, from a stream of its own. What one draws changes nothing for another."""
 
     noise: DecisionNoise
-    step: list[int]
-    """[B] decision of the episode"""
-    taken: int
-    """Decisions since the noise was reset"""
+    step: list[int]  # [B] decision of the episode
+    taken: int  # decisions since the noise was reset
 
     def generators(self, purpose: int = 0) -> list[np.random.Generator]:
         """Return a generator for each of the B rows."""

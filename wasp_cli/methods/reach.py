@@ -25,10 +25,8 @@ from wasp_cli.models.reachability import SafetyValue
 from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
 
-FALLBACK = 0.9
-"""gamma where it is to be calibrated and no calibration exists: LatentCBF's."""
-CHUNK = 1024
-"""Held-out decisions that are looked at together."""
+FALLBACK = 0.9  # gamma where it is to be calibrated and no calibration exists: LatentCBF's
+CHUNK = 1024  # held-out decisions that are looked at together
 
 
 class ReachabilityFilter:

@@ -1,7 +1,4 @@
-"""What a decision leaves behind: the same fields for every method, and the plan of those that plan.
-
-B = episodes side by side, A = action size, L = residual steps, I = iterations of the search.
-"""
+"""What a decision leaves behind, for every method. B = episodes side by side, A = action size, L = residual steps, I = iterations."""
 
 from __future__ import annotations
 
@@ -16,35 +13,23 @@ from wasp_cli.metrics.episode import GATE_NONE
 class Record(NamedTuple):
     """One decision of B episodes; NaN where a field is undefined."""
 
-    gate: Tensor
-    """int8 [B]"""
-    g_cost: Tensor
-    """[B] nominal cost return of the safety gate (Eq. 9)"""
-    g_return: Tensor
-    """[B] nominal reward return (Eq. 10), on the same rollouts as `g_cost`"""
-    delta_g: Tensor
-    """[B] gain of the task gate (Eq. 12)"""
-    signal: Tensor
-    """[B] the method's own decision signal (IDA: ensemble vote)"""
+    gate: Tensor  # int8 [B]
+    g_cost: Tensor  # [B] nominal cost return of the safety gate (Eq. 9)
+    g_return: Tensor  # [B] nominal reward return (Eq. 10), on the same rollouts as `g_cost`
+    delta_g: Tensor  # [B] gain of the task gate (Eq. 12)
+    signal: Tensor  # [B] the method's own decision signal (IDA: ensemble vote)
 
 
 class Planned(NamedTuple):
     """The residual plan of a decision, for B episodes; NaN (-1 in `safe`) in the rows where nothing was planned."""
 
-    residuals: Tensor
-    """[B, L, A] the chosen sequence; its first element is executed (Eq. 18)"""
-    safe: Tensor
-    """int16 [B, I] |F_s| (Eq. 14) of every iteration"""
-    case2: Tensor
-    """bool [B, I] whether the iteration was in Case II"""
-    cost: Tensor
-    """[B] predicted cost return of the chosen sequence"""
-    reward: Tensor
-    """[B] its predicted reward return"""
-    alone_cost: Tensor
-    """[B] predicted cost return of the commands alone, on the same rollouts"""
-    alone_reward: Tensor
-    """[B] their predicted reward return"""
+    residuals: Tensor  # [B, L, A] the chosen sequence; its first element is executed (Eq. 18)
+    safe: Tensor  # int16 [B, I] |F_s| (Eq. 14) of every iteration
+    case2: Tensor  # bool [B, I] whether the iteration was in Case II
+    cost: Tensor  # [B] predicted cost return of the chosen sequence
+    reward: Tensor  # [B] its predicted reward return
+    alone_cost: Tensor  # [B] predicted cost return of the commands alone, on the same rollouts
+    alone_reward: Tensor  # [B] their predicted reward return
 
     @classmethod
     def nothing(cls, batch: int, iterations: int, steps: int, actions: int, device: torch.device | None = None) -> Planned:

@@ -1,8 +1,4 @@
-"""The assistants by name, with all that plans, specs and reports need to know of them.
-
-Adding one is a module with its class and its configuration, and one entry here (from another package: one entry point). No key covers this
-module, so that a word changed here runs nothing again.
-"""
+"""The assistants by name. Adding one is a class, its configuration, and one entry here (or an entry point). No key covers this module."""
 
 from __future__ import annotations
 
@@ -21,8 +17,7 @@ from wasp_cli.registry import Registry, import_here, load_target
 class Signal:
     """What a method decides by: the values that its records hold as `signal`."""
 
-    name: str = "signal"
-    """Short name, a symbol or a word."""
+    name: str = "signal"  # short name, a symbol or a word
     meaning: str = "the method's own decision value"
     """What a value is, with its unit, without an article at the end of a sentence: `costly decisions expected of the command`."""
     limit: str = ""
@@ -35,45 +30,31 @@ class MethodInfo:
     """What is known of an assistant without importing torch."""
 
     name: str
-    title: str
-    """Name in tables."""
-    target: str
-    """Import string of what makes the `Assistant` from its configuration and `Parts`."""
-    config: str
-    """Import string of its config model."""
-    needs: tuple[str, ...] = ()
-    """Stage kinds whose artifacts it reads, besides `world_model` and `policies`."""
+    title: str  # name in tables
+    target: str  # import string of what makes the `Assistant` from its configuration and `Parts`
+    config: str  # import string of its config model
+    needs: tuple[str, ...] = ()  # stage kinds whose artifacts it reads, besides `world_model` and `policies`
     needs_with: tuple[tuple[str, str, str], ...] = ()
     """Further ones that it reads only under a setting: (field of its configuration, value, stage kind)."""
-    calibrated: bool = False
-    """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
-    impaired: bool = True
-    """False for a reference row: it runs the unimpaired operator, once for all variants."""
+    calibrated: bool = False  # whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)
+    impaired: bool = True  # false for a reference row: it runs the unimpaired operator, once for all variants
     intervenes: bool = True
     """False where there is no intervention to ask about: the operator's command is always executed, or nobody is at the controls."""
     attended: bool = True
     """False where nobody is at the controls: no command is read, so that a distance to it means nothing, and tables have none."""
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
-    instead_of: str = ""
-    """The method in whose place the claims of a paper are judged a second time with this one."""
-    own_thresholds: tuple[str, ...] = ()
-    """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
-    rule: str = ""
-    """How it decides, in a sentence or two; `wasp explain`, the schema and the report print it."""
-    signal: Signal = Signal()
-    """What it decides by, where its records hold a signal."""
+    instead_of: str = ""  # the method in whose place the claims of a paper are judged a second time with this one
+    own_thresholds: tuple[str, ...] = ()  # variants whose thresholds have another unit, so that they are calibrated by themselves
+    rule: str = ""  # how it decides, in a sentence or two; `wasp explain`, the schema and the report print it
+    signal: Signal = Signal()  # what it decides by, where its records hold a signal
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
         return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
 
     def config_model(self) -> type[Config]:
-        """Import and return the model of its configuration.
-
-        Raises:
-            WaspError: there is none at that place, or it is no `Config`.
-        """
+        """Import and return the model of its configuration."""
         try:
             model = load_target(self.config)
         except (ImportError, AttributeError) as error:
@@ -101,11 +82,7 @@ class OwnMethod(MethodInfo):
         return tuple(getattr(getattr(sys.modules.get(module), name, None), "needs", ()))
 
     def load(self) -> Any:
-        """Import and return the class.
-
-        Raises:
-            WaspError: the module does not import, or has no such assistant.
-        """
+        """Import and return the class."""
         module, _, name = self.target.partition(":")
         found = getattr(import_here(module), name, None)
         lacks = [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]

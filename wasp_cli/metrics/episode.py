@@ -34,8 +34,7 @@ Ints = NDArray[np.integer]
 Bools = NDArray[np.bool_]
 Force = Callable[[NDArray[Any]], NDArray[Any]]
 
-INTERVENED = 1e-6
-"""The paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere."""
+INTERVENED = 1e-6  # the paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere.
 
 GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD, GATE_LATE = 0, 1, 2, 3, 4
 """Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of another method; the assistant of a person
@@ -49,20 +48,13 @@ CUT_OFF = -2
 class Plans:
     """What was planned in T decision steps; NaN where nothing was. L residual steps, I iterations."""
 
-    residuals: Floats
-    """[T, L, A] the chosen sequence"""
-    safe: Ints
-    """[T, I] |F_s| of every iteration (Eq. 14); below 0 where nothing was searched"""
-    case2: Bools
-    """[T, I] whether the iteration was in Case II"""
-    cost: Floats
-    """[T] predicted cost return of the sequence"""
-    reward: Floats
-    """[T] its predicted reward return"""
-    alone_cost: Floats
-    """[T] predicted cost return of the commands alone, on the same rollouts"""
-    alone_reward: Floats
-    """[T] their predicted reward return"""
+    residuals: Floats  # [T, L, A] the chosen sequence
+    safe: Ints  # [T, I] |F_s| of every iteration (Eq. 14); below 0 where nothing was searched
+    case2: Bools  # [T, I] whether the iteration was in Case II
+    cost: Floats  # [T] predicted cost return of the sequence
+    reward: Floats  # [T] its predicted reward return
+    alone_cost: Floats  # [T] predicted cost return of the commands alone, on the same rollouts
+    alone_reward: Floats  # [T] their predicted reward return
 
     def share(self) -> Floats:
         """Return the share [T] of the iterations in Case II."""
@@ -74,32 +66,19 @@ class Plans:
 class Trajectory:
     """The decision steps of one finished episode. Undefined numbers are NaN, an undefined `safe` is -1."""
 
-    reward: Floats
-    """[T] sum over the env steps of the decision step"""
-    cost: Bools
-    """[T] any cost within the decision step (c_t)"""
-    cost_env: Ints
-    """[T] env steps with cost"""
-    env_steps: Ints
-    """[T] env steps executed"""
-    goals: Ints
-    """[T] goals (stages) reached"""
-    a_h: Floats
-    """[T, A] operator command, clipped to the bounds"""
-    a: Floats
-    """[T, A] executed action, clipped to the bounds"""
-    gate: Ints
-    """[T] one of GATE_*"""
-    g_cost: Floats
-    """[T] estimated cost return of the nominal command (Eq. 9)"""
-    g_return: Floats
-    """[T] estimated reward return of the nominal command (Eq. 10)"""
-    delta_g: Floats
-    """[T] what the correction that the task gate looks at gains (Eq. 12)"""
-    signal: Floats
-    """[T] the method's own decision value, such as IDA's vote"""
-    plans: Plans | None = None
-    """of a method that plans"""
+    reward: Floats  # [T] sum over the env steps of the decision step
+    cost: Bools  # [T] any cost within the decision step (c_t)
+    cost_env: Ints  # [T] env steps with cost
+    env_steps: Ints  # [T] env steps executed
+    goals: Ints  # [T] goals (stages) reached
+    a_h: Floats  # [T, A] operator command, clipped to the bounds
+    a: Floats  # [T, A] executed action, clipped to the bounds
+    gate: Ints  # [T] one of GATE_*
+    g_cost: Floats  # [T] estimated cost return of the nominal command (Eq. 9)
+    g_return: Floats  # [T] estimated reward return of the nominal command (Eq. 10)
+    delta_g: Floats  # [T] what the correction that the task gate looks at gains (Eq. 12)
+    signal: Floats  # [T] the method's own decision value, such as IDA's vote
+    plans: Plans | None = None  # of a method that plans
 
     def __post_init__(self) -> None:
         steps = len(self.reward)
@@ -149,15 +128,11 @@ def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tupl
 class EpisodeMetrics:
     """The row of one episode. None is undefined, never 0."""
 
-    decisions: int
-    """decision steps T"""
+    decisions: int  # decision steps T
     env_steps: int
-    intervened: int
-    """decision steps with an intervention"""
-    planned: int
-    """decision steps at which `case2` is defined"""
-    handovers: int
-    """decision steps but the first at which an intervention begins or ends"""
+    intervened: int  # decision steps with an intervention
+    planned: int  # decision steps at which `case2` is defined
+    handovers: int  # decision steps but the first at which an intervention begins or ends
     return_: float
     success: bool
     safe_success: bool

@@ -17,21 +17,16 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-ASSISTED, ALONE = "asst", "cf"
-"""The two branches: the method's action first, or the operator's command from the first step on."""
+ASSISTED, ALONE = "asst", "cf"  # the two branches: the method's action first, or the operator's command from the first step on
 
 
 class Necessity(NamedTuple):
     """What N interventions were worth."""
 
-    rho: Floats
-    """[N] risk: mean cost of the counterfactual branch (Eq. 19)"""
-    delta_c: Floats
-    """[N] cost avoided (Eq. 20)"""
-    delta_r: Floats
-    """[N] reward gained (Eq. 20)"""
-    unnecessary: Bools
-    """[N] neither avoided cost nor gained more than tau_R (Eq. 21)"""
+    rho: Floats  # [N] risk: mean cost of the counterfactual branch (Eq. 19)
+    delta_c: Floats  # [N] cost avoided (Eq. 20)
+    delta_r: Floats  # [N] reward gained (Eq. 20)
+    unnecessary: Bools  # [N] neither avoided cost nor gained more than tau_R (Eq. 21)
     swapped: Bools
     """[N] Eq. 21 of the command against the intervention: the command neither avoided cost nor gained more than tau_R"""
     effective: Bools

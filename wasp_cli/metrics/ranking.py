@@ -57,7 +57,6 @@ def average_precision_interval(
         cluster: [N] the episode of each row.
         resamples: draws of as many clusters as there are, with replacement.
         share: of the resamples that lie within the interval.
-        seed: of the draws.
     """
     return percentiles(average_precision_resampled(event, score, cluster, resamples=resamples, seed=seed), share)
 
@@ -102,8 +101,7 @@ class Correlations(NamedTuple):
 
     pearson: float
     rank: float
-    resampled: NDArray[np.float64]
-    """[resamples, 2] both of them; empty where fewer than two clusters are there"""
+    resampled: NDArray[np.float64]  # [resamples, 2] both of them; empty where fewer than two clusters are there
 
 
 def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0) -> Correlations:
@@ -116,7 +114,6 @@ def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any]
         value: [N].
         cluster: [N] the episode of each row.
         resamples: draws of as many clusters as there are, with replacement.
-        seed: of the draws.
     """
     place, drawn = cluster_draws(cluster, resamples, seed)
     pairs = [_Weighted(score), _Weighted(value)]

@@ -7,17 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-BINS = 10
-"""Bins of equal width over [0, 1]."""
+BINS = 10  # bins of equal width over [0, 1]
 
 
 class Bin(NamedTuple):
     """The rows whose predicted probability lies in one bin."""
 
-    predicted: float
-    """Their mean predicted probability; NaN where there are none."""
-    seen: float
-    """The share of them with the event; NaN where there are none."""
+    predicted: float  # their mean predicted probability; NaN where there are none
+    seen: float  # the share of them with the event; NaN where there are none
     size: int
 
 

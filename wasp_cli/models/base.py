@@ -45,8 +45,7 @@ class Dynamics(Protocol):
     """What an imagination asks of a world model: no perception, but whether the episode goes on. Frozen at evaluation."""
 
     action_size: int
-    noise_size: int
-    """Gumbel variables per imagined step and row."""
+    noise_size: int  # Gumbel variables per imagined step and row
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
         """Imagine one prior step for `action` [B, A]; `noise` [B, noise_size] are standard Gumbel draws."""
@@ -68,8 +67,7 @@ class Dynamics(Protocol):
 class WorldModel(Dynamics, Protocol):
     """What the closed loop asks of a world model besides."""
 
-    reads: ClassVar[str]
-    """Which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`."""
+    reads: ClassVar[str]  # which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`
 
     def initial(self, batch: int) -> Latent: ...
 

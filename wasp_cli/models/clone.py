@@ -14,8 +14,7 @@ from torch import Tensor, nn
 
 from wasp_cli.models.nets import mlp
 
-REPEAT = 0.02
-"""Standard deviation around the last command within which a command counts as the same."""
+REPEAT = 0.02  # standard deviation around the last command within which a command counts as the same
 SPREAD = (0.02, 1.0)
 """Bounds of the standard deviation around the intended command: below the first a density says nothing about commands."""
 
@@ -26,8 +25,7 @@ class Clone(nn.Module):
     def __init__(self, features: int, hidden: Sequence[int], action: int) -> None:
         super().__init__()
         self.net = mlp(features + action, hidden, action, zero=True)
-        self.weight_logits = nn.Parameter(torch.zeros(3))
-        """of repeating, of the own intention, of a uniform command"""
+        self.weight_logits = nn.Parameter(torch.zeros(3))  # of repeating, of the own intention, of a uniform command
         self.log_spread = nn.Parameter(torch.full((action,), math.log(0.2)))
         self.action = action
 

@@ -17,17 +17,14 @@ from torch.nn import functional as F
 
 from wasp_cli.models.base import Latent
 
-ROWS = 512
-"""Rows that go through a network at a time: what lies between its layers stays in a core's cache."""
+ROWS = 512  # rows that go through a network at a time: what lies between its layers stays in a core's cache
 
 
 class Coded(Latent):
     """h [..., D], and in the place of z the position of the one of each variable within z: int32 [..., S]."""
 
-    flat: int
-    """Z"""
-    known: dict[int, Tensor]
-    """What networks have answered, by their identity: a policy may be asked twice about the same latent"""
+    flat: int  # Z
+    known: dict[int, Tensor]  # what networks have answered, by their identity: a policy may be asked twice about the same latent
 
     @classmethod
     def of(cls, h: Tensor, ones: Tensor, flat: int) -> Self:
@@ -93,12 +90,9 @@ def looked_up(table: Tensor, ones: Tensor) -> Tensor:
 class FirstLayer(NamedTuple):
     """A linear layer of features as it is read here."""
 
-    h: Tensor
-    """[D, N]"""
-    z: Tensor
-    """[Z, N]: one row for each class of each variable"""
-    bias: Tensor
-    """[N]"""
+    h: Tensor  # [D, N]
+    z: Tensor  # [Z, N]: one row for each class of each variable
+    bias: Tensor  # [N]
 
 
 _LAYERS: WeakKeyDictionary[nn.Linear, tuple[tuple[int, int, torch.device], FirstLayer]] = WeakKeyDictionary()

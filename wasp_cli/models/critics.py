@@ -21,15 +21,10 @@ from wasp_cli.models.nets import mlp
 class TwoHot(nn.Module):
     """K bins from -reach to reach, zero among them. Holds no weights."""
 
-    bins: Tensor
-    """[K] rising, symmetric around zero"""
+    bins: Tensor  # [K] rising, symmetric around zero
 
     def __init__(self, bins: int, reach: float) -> None:
-        """Place the bins.
-
-        Raises:
-            ValueError: an even number of bins leaves none at zero, or fewer than three leave nothing beside it.
-        """
+        """Place the bins."""
         super().__init__()
         if bins < 3 or bins % 2 == 0:
             raise ValueError(f"{bins} bins: an odd number of at least 3 is needed")

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-CHANNELS = 6
-"""Front RGB and rear RGB."""
+CHANNELS = 6  # front RGB and rear RGB
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False) -> nn.Sequential:

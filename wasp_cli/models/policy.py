@@ -1,7 +1,4 @@
-"""Policies: the expert's actor on privileged observations, latent actors on (h, z), and both on disk.
-
-Dimension letters: B batch rows, P size of a privileged observation, F latent features, A actions.
-"""
+"""Policies: the expert's actor, latent actors, and both on disk. B rows, P size of a privileged vector, F latent features, A actions."""
 
 from __future__ import annotations
 
@@ -70,19 +67,14 @@ class Skills(nn.Module):
         self.actors = nn.ModuleList(LatentPolicy(features, hidden, action) for _ in fractions)
         self.register_buffer("exploration", torch.zeros(action))
 
-    exploration: Tensor
-    """[A] standard deviation of the expert's own exploration when training ended."""
+    exploration: Tensor  # [A] standard deviation of the expert's own exploration when training ended
 
     @property
     def expert(self) -> LatentPolicy:
         return self.at(1.0)
 
     def at(self, fraction: float) -> LatentPolicy:
-        """Return the policy of a checkpoint.
-
-        Raises:
-            KeyError: there is no checkpoint at that fraction.
-        """
+        """Return the policy of a checkpoint."""
         for known, actor in zip(self.fractions, self.actors, strict=True):
             if abs(known - fraction) < 1e-9:
                 assert isinstance(actor, LatentPolicy)
@@ -107,11 +99,7 @@ def save_privileged(policy: PrivilegedPolicy, path: Path, inputs: int, hidden: S
 
 
 def load_privileged(folder: Path, fraction: float) -> PrivilegedPolicy:
-    """Load the frozen privileged policy of a checkpoint from an expert artifact.
-
-    Raises:
-        ArtifactError: a file is missing or damaged.
-    """
+    """Load the frozen privileged policy of a checkpoint from an expert artifact."""
     return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
 
 
@@ -122,9 +110,5 @@ def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[in
 
 
 def load_skills(folder: Path) -> Skills:
-    """Load the frozen latent policies of a policies artifact.
-
-    Raises:
-        ArtifactError: a file is missing or damaged.
-    """
+    """Load the frozen latent policies of a policies artifact."""
     return load_module(Skills, folder / "skills.safetensors")

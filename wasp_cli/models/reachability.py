@@ -1,7 +1,4 @@
-"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it.
-
-Dimension letters: B batch rows, F features, A actions, K actions that are looked at together.
-"""
+"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it. B rows, F features, A actions, K actions."""
 
 from __future__ import annotations
 
@@ -11,10 +8,8 @@ from itertools import product
 import torch
 from torch import Tensor, nn
 
-SAFE = -3.0
-"""Logit of the danger before training: what every state seems to risk at first spreads backwards for long."""
-MOST = 27
-"""Actions at most that the fallback chooses from."""
+SAFE = -3.0  # logit of the danger before training: what every state seems to risk at first spreads backwards for long
+MOST = 27  # actions at most that the fallback chooses from
 
 
 class _Member(nn.Module):
@@ -41,8 +36,7 @@ class SafetyValue(nn.Module):
     """
 
     scales: Tensor
-    extremes: Tensor
-    """[K, A] what the fallback chooses from"""
+    extremes: Tensor  # [K, A] what the fallback chooses from
 
     def __init__(self, features: int, action: int, hidden: int, action_scales: Sequence[float] = (1.0,), members: int = 2) -> None:
         super().__init__()

@@ -20,12 +20,9 @@ from wasp_cli.models.unroll import unroll, weights
 class Observed(NamedTuple):
     """A filtered sequence."""
 
-    latent: Latent
-    """h [B, T, D], z [B, T, Z] (straight-through samples)."""
-    posterior: Tensor
-    """[B, T, S, C] log-probabilities of q(z_t | h_t, o_t)."""
-    prior: Tensor
-    """[B, T, S, C] log-probabilities of p(z_t | h_t)."""
+    latent: Latent  # h [B, T, D], z [B, T, Z] (straight-through samples)
+    posterior: Tensor  # [B, T, S, C] log-probabilities of q(z_t | h_t, o_t)
+    prior: Tensor  # [B, T, S, C] log-probabilities of p(z_t | h_t)
 
 
 class RSSM(nn.Module):

@@ -1,7 +1,4 @@
-"""A world without a world model: what is observed is the latent state, and nothing is imagined.
-
-So assistants that imagine nothing (Diffusion, IDA) run on vector observations as they run on images: h is the observation, z is empty.
-"""
+"""A world without a world model: h is the observation, z is empty, and nothing is imagined. For assistants that imagine nothing."""
 
 from __future__ import annotations
 

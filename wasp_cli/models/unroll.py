@@ -21,25 +21,21 @@ from wasp_cli.models.base import Latent
 class Unrolled(NamedTuple):
     """T steps."""
 
-    latent: Latent
-    """h [B, T, D], z [B, T, Z] (one-hot, gradients pass to the probabilities)."""
-    log_probs: Tensor
-    """[B, T, S, C] of which z was drawn."""
+    latent: Latent  # h [B, T, D], z [B, T, Z] (one-hot, gradients pass to the probabilities)
+    log_probs: Tensor  # [B, T, S, C] of which z was drawn
 
 
 class Weights(NamedTuple):
     """What a step reads: the layer of z and action, the GRU, and the net from h (and what was seen) to logits."""
 
-    z: Tensor
-    """[H, Z]; the rest of its layer is in `inputs`"""
+    z: Tensor  # [H, Z]; the rest of its layer is in `inputs`
     input_scale: Tensor
     input_shift: Tensor
     cell_input: Tensor
     cell_input_bias: Tensor
     cell_hidden: Tensor
     cell_hidden_bias: Tensor
-    h: Tensor
-    """[H, D]; its bias is in `added`"""
+    h: Tensor  # [H, D]; its bias is in `added`
     scale: Tensor
     shift: Tensor
     logits: Tensor

@@ -25,11 +25,7 @@ def save_weights(module: nn.Module, path: Path, **arguments: Any) -> None:
 
 
 def read_arguments(path: Path) -> dict[str, Any]:
-    """Read the JSON beside a weights file.
-
-    Raises:
-        ArtifactError: it is missing or damaged.
-    """
+    """Read the JSON beside a weights file."""
     try:
         loaded: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
     except (OSError, ValueError) as error:
@@ -38,11 +34,7 @@ def read_arguments(path: Path) -> dict[str, Any]:
 
 
 def load_weights(module: nn.Module, path: Path) -> None:
-    """Fill `module` from `path` and freeze it.
-
-    Raises:
-        ArtifactError: the file is missing, damaged, or does not fit the module.
-    """
+    """Fill `module` from `path` and freeze it."""
     try:
         state = load_file(path)
         module.load_state_dict(state)
@@ -52,22 +44,14 @@ def load_weights(module: nn.Module, path: Path) -> None:
 
 
 def load_module(build: Callable[..., M], path: Path) -> M:
-    """Load a frozen module: built from the arguments beside `path`, filled from `path`.
-
-    Raises:
-        ArtifactError: a file is missing or damaged, or the weights do not fit.
-    """
+    """Load a frozen module: built from the arguments beside `path`, filled from `path`."""
     module = build(**read_arguments(path))
     load_weights(module, path)
     return module
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Read all tensors of a safetensors file.
-
-    Raises:
-        ArtifactError: the file is missing or damaged.
-    """
+    """Read all tensors of a safetensors file."""
     try:
         tensors: dict[str, torch.Tensor] = load_file(path)
     except (OSError, SafetensorError) as error:

@@ -38,41 +38,26 @@ class Sizes:
 class Batch(NamedTuple):
     """Sequences by arrival: entry t holds o_t and what came with it (a_{t-1}, r_t, c_t)."""
 
-    pixels: Tensor
-    """uint8 [B, T, 6, 64, 64]"""
-    action: Tensor
-    """[B, T, A]"""
-    reward: Tensor
-    """[B, T]"""
-    cost: Tensor
-    """[B, T] in {0, 1}"""
-    terminal: Tensor
-    """[B, T] in {0, 1}: the episode ended by the task's own rule"""
-    first: Tensor
-    """[B, T] in {0, 1}"""
+    pixels: Tensor  # uint8 [B, T, 6, 64, 64]
+    action: Tensor  # [B, T, A]
+    reward: Tensor  # [B, T]
+    cost: Tensor  # [B, T] in {0, 1}
+    terminal: Tensor  # [B, T] in {0, 1}: the episode ended by the task's own rule
+    first: Tensor  # [B, T] in {0, 1}
 
 
 class Ahead(NamedTuple):
     """What followed N steps of a batch of sequences, to be imagined from their latents for K steps."""
 
-    row: Tensor
-    """[N] sequence of each start"""
-    step: Tensor
-    """[N] its step"""
-    action: Tensor
-    """[N, K, A] what was executed from there on"""
-    reward: Tensor
-    """[N, K]"""
-    cost: Tensor
-    """[N, K]"""
-    within: Tensor
-    """[N, K] in {0, 1}: still the same episode; what follows a reset cannot be imagined"""
-    shown: Tensor
-    """[M], M <= N: the imagined step in 0..K-1 whose image is decoded, of the first M starts"""
-    pixels: Tensor
-    """uint8 [M, 6, 64, 64]: that image"""
-    noise: Tensor
-    """[K, N, S * C] standard Gumbel draws"""
+    row: Tensor  # [N] sequence of each start
+    step: Tensor  # [N] its step
+    action: Tensor  # [N, K, A] what was executed from there on
+    reward: Tensor  # [N, K]
+    cost: Tensor  # [N, K]
+    within: Tensor  # [N, K] in {0, 1}: still the same episode; what follows a reset cannot be imagined
+    shown: Tensor  # [M], M <= N: the imagined step in 0..K-1 whose image is decoded, of the first M starts
+    pixels: Tensor  # uint8 [M, 6, 64, 64]: that image
+    noise: Tensor  # [K, N, S * C] standard Gumbel draws
 
 
 class SafetyWorldModel(nn.Module):
@@ -236,9 +221,5 @@ def save_world_model(model: SafetyWorldModel, folder: Path) -> None:
 
 
 def load_world_model(folder: Path) -> SafetyWorldModel:
-    """Load the frozen model of a world-model artifact.
-
-    Raises:
-        ArtifactError: a file is missing or damaged.
-    """
+    """Load the frozen model of a world-model artifact."""
     return load_module(lambda **sizes: SafetyWorldModel(Sizes(**sizes)), folder / "world_model.safetensors")

@@ -17,10 +17,8 @@ from torch import Tensor
 
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
-Policy = Callable[[Tensor], Tensor]
-"""[B, F] to a command [B, A] in [-1, 1]."""
-Memory = dict[str, Tensor]
-"""Tensors whose first dimension is B."""
+Policy = Callable[[Tensor], Tensor]  # [B, F] to a command [B, A] in [-1, 1]
+Memory = dict[str, Tensor]  # tensors whose first dimension is B
 
 
 class NoiseSource(Protocol):
@@ -43,12 +41,9 @@ class NoiseSource(Protocol):
 class OperatorContext:
     """What an operator variant is built from, besides its severity and its noise."""
 
-    skill: Callable[[float], Policy]
-    """The policy at a fraction of the expert's training (1.0 is the expert)."""
-    action_size: int
-    """A"""
-    decision_seconds: float
-    """Seconds between two commands."""
+    skill: Callable[[float], Policy]  # the policy at a fraction of the expert's training (1.0 is the expert)
+    action_size: int  # A
+    decision_seconds: float  # seconds between two commands
     informed: Callable[[float], Policy] | None = None
     """The policy of one who knows more than any assistant perceives, of privileged observations; None: operators perceive what assistants
     do. Imagination has `skill` alone."""
@@ -57,10 +52,8 @@ class OperatorContext:
 class Operator:
     """An unimpaired operator, and the base of the impaired ones."""
 
-    noise_size: ClassVar[int] = 0
-    """Uniforms per decision beyond those for an action."""
-    draws_action: ClassVar[bool] = False
-    """Whether a decision also needs A uniforms for a random action."""
+    noise_size: ClassVar[int] = 0  # uniforms per decision beyond those for an action
+    draws_action: ClassVar[bool] = False  # whether a decision also needs A uniforms for a random action
 
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
         self.policy, self.action_size, self.noise, self.batch = policy, action_size, noise, batch
@@ -153,11 +146,7 @@ class Operator:
 
 
 def build_operator(variant: str, value: float | None, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:
-    """Build an operator of `batch` rows; the variant "none" is the unimpaired expert.
-
-    Raises:
-        UnknownName: no such variant.
-    """
+    """Build an operator of `batch` rows; the variant "none" is the unimpaired expert."""
     if variant == UNIMPAIRED or value is None:
         return Operator.build(1.0, context, noise, batch)
     operator: Operator = OPERATORS.load(variant).build(value, context, noise, batch)

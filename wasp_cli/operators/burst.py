@@ -8,8 +8,7 @@ from torch import Tensor
 from wasp_cli.operators.base import Memory
 from wasp_cli.operators.noisy import NoisyOperator
 
-MEAN_BURST = 10.0
-"""Decisions; IDA stops a burst with probability 0.1."""
+MEAN_BURST = 10.0  # decisions; IDA stops a burst with probability 0.1
 
 
 class BurstNoiseOperator(NoisyOperator):

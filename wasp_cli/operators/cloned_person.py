@@ -19,12 +19,7 @@ class CloneOfPerson(ClonedOperator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
-        """Build the operator of B = `batch` episodes.
-
-        Raises:
-            UsageError: no clone is known here.
-            ArtifactError: it is damaged.
-        """
+        """Build the operator of B = `batch` episodes."""
         clone = load_module(Clone, required_clone().folder / "clone.safetensors")
         return cls(clone, context.skill(1.0), context.action_size, noise, batch)
 

@@ -1,7 +1,4 @@
-"""Where the clone of a person lies while a node runs: the severity of an operator is a number, and a clone is a file.
-
-What runs a node says so around it; the key of the node covers the clone, since it reads it.
-"""
+"""Where the clone of a person lies while a node runs: what runs it says so, and the key covers the clone, since the node reads it."""
 
 from __future__ import annotations
 
@@ -21,8 +18,7 @@ from wasp_cli.errors import UsageError
 class PlacedClone:
     """A clone, and what the person really commanded where that is played again."""
 
-    folder: Path
-    """the artifact of the stage `clone`"""
+    folder: Path  # the artifact of the stage `clone`
     said: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
     """[T, A] commands by the seed of the operator's episode; empty where nobody is played again"""
 
@@ -46,11 +42,7 @@ def placed_clone() -> PlacedClone | None:
 
 
 def required_clone() -> PlacedClone:
-    """Return the clone of the block that runs.
-
-    Raises:
-        UsageError: there is none: the operator was built somewhere where clones are not known.
-    """
+    """Return the clone of the block that runs."""
     found = _PLACED.get()
     if found is None:
         raise UsageError("the clone of a person drives evaluations and their branches alone", "name other operators here")

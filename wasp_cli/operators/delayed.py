@@ -14,8 +14,7 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorConte
 class DelayedOperator(Operator):
     """See the module; the severity is the delay in seconds, rounded up to decision steps."""
 
-    delay: int = 0
-    """d in decision steps."""
+    delay: int = 0  # d in decision steps
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:

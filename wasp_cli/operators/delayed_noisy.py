@@ -10,8 +10,7 @@ from wasp_cli.operators.base import Memory, NoiseSource, OperatorContext
 from wasp_cli.operators.delayed import DelayedOperator
 from wasp_cli.operators.noisy import NoisyOperator
 
-DELAY = 0.16
-"""Seconds; the mild severity of `reaction-time`, so that neither impairment hides the other."""
+DELAY = 0.16  # seconds; the mild severity of `reaction-time`, so that neither impairment hides the other
 
 
 class DelayedNoisyOperator(DelayedOperator):
@@ -19,8 +18,7 @@ class DelayedNoisyOperator(DelayedOperator):
 
     noise_size = NoisyOperator.noise_size
     draws_action = NoisyOperator.draws_action
-    noisy: NoisyOperator
-    """the rule of `noisy`, which remembers nothing"""
+    noisy: NoisyOperator  # the rule of `noisy`, which remembers nothing
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:

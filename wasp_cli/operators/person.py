@@ -17,8 +17,7 @@ class PersonOperator(Operator):
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
         super().__init__(policy, action_size, noise, batch)
         self._next: Tensor | None = None
-        self.imagined = False
-        """Whether this is a fork"""
+        self.imagined = False  # whether this is a fork
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:  # type: ignore[override]
@@ -36,11 +35,7 @@ class PersonOperator(Operator):
         self._next = command
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
-        """Return what was said for this decision, [B, A]; in imagination what was said last.
-
-        Raises:
-            UsageError: nobody has said anything: this is no session.
-        """
+        """Return what was said for this decision, [B, A]; in imagination what was said last."""
         if self.imagined:
             return self.memory["held"]
         if self._next is None:

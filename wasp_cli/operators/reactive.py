@@ -24,13 +24,11 @@ from torch import Tensor
 
 from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorContext
 
-LEAK = 0.9
-"""Share of the integrator that is left after a decision. With it |I| <= 2 / (1 - LEAK), so that it cannot wind up."""
+LEAK = 0.9  # share of the integrator that is left after a decision. With it |I| <= 2 / (1 - LEAK), so that it cannot wind up.
 GAIN = 0.05
 """Share of the integrator in the command. One of alpha = 0 who is held away from J by d pushes back by d in the end:
 GAIN / (1 - LEAK - GAIN) = 1."""
-UNDRAWN = -1.0
-"""alpha before the first decision"""
+UNDRAWN = -1.0  # alpha before the first decision
 
 
 class ReactiveOperator(Operator):

@@ -13,13 +13,10 @@ class OperatorInfo:
 
     name: str
     title: str
-    target: str
-    """Import string of the `Operator` class."""
+    target: str  # import string of the `Operator` class
     low: float
-    high: float
-    """Range of the severity value."""
-    unit: str
-    """Meaning of the severity value, for people."""
+    high: float  # range of the severity value
+    unit: str  # meaning of the severity value, for people
     simulated: bool = True
     """False of people, and of what was learned of one: their commands do not follow from a rule and the seed alone."""
 
@@ -89,5 +86,4 @@ OPERATORS: Registry[OperatorInfo] = Registry(
     ),
 )
 
-UNIMPAIRED = "none"
-"""The variant of the Expert row: the full-skill policy without an impairment."""
+UNIMPAIRED = "none"  # the variant of the Expert row: the full-skill policy without an impairment

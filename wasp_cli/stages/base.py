@@ -23,25 +23,17 @@ class Job:
 
     kind: str
     task: str
-    seed: int
-    """Names the random streams of this node; every node of a training chain has the same."""
-    config: Config
-    """The validated section of this stage (an instance of the stage's `config`)."""
-    settings: Mapping[str, Any]
-    """The spec's shared settings that the stage named in its `settings`, and no others."""
-    axes: Mapping[str, Any]
-    """What else identifies the node: method, variant, value (evaluate, calibration)."""
-    inputs: Mapping[str, Path]
-    """Folders of the upstream artifacts, by stage kind."""
-    out_dir: Path
-    """Empty folder; what the stage leaves there becomes the artifact."""
-    work_dir: Path
-    """Survives an interruption; resumable stages keep their checkpoint here."""
+    seed: int  # names the random streams of this node; every node of a training chain has the same
+    config: Config  # the validated section of this stage (an instance of the stage's `config`)
+    settings: Mapping[str, Any]  # the spec's shared settings that the stage named in its `settings`, and no others
+    axes: Mapping[str, Any]  # what else identifies the node: method, variant, value (evaluate, calibration)
+    inputs: Mapping[str, Path]  # folders of the upstream artifacts, by stage kind
+    out_dir: Path  # empty folder; what the stage leaves there becomes the artifact
+    work_dir: Path  # survives an interruption; resumable stages keep their checkpoint here
     progress: Progress = field(default=no_progress)
     earlier: Path | None = None
     """Folder of the same artifact with fewer episodes, whose rows may be taken over; what comes out is the same with and without it."""
-    threads: int = 1
-    """For physics and cameras, whose results do not depend on it: it varies with how many nodes run side by side."""
+    threads: int = 1  # for physics and cameras, whose results do not depend on it: it varies with how many nodes run side by side
 
 
 class Stage(Protocol):
@@ -55,8 +47,7 @@ class Stage(Protocol):
 
     kind: ClassVar[str]
     config: ClassVar[type[Config]]
-    settings: ClassVar[tuple[str, ...]]
-    """Names of shared spec settings that enter the node's configuration and key."""
+    settings: ClassVar[tuple[str, ...]]  # names of shared spec settings that enter the node's configuration and key
     needs: ClassVar[tuple[str, ...]]
     """Stage kinds of the same task and seed whose artifacts `run` reads (methods add theirs in `evaluate` and `calibration`)."""
 

@@ -1,7 +1,4 @@
-"""Calibration of one method's thresholds on the held-out episodes.
-
-Artifact: `calibration.json` (thresholds by name, and the distributions they come from).
-"""
+"""Calibration of one method's thresholds on the held-out episodes. Artifact: `calibration.json` (by name, with their distributions)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it; a run only reads it.
-
-Artifact: `clone.safetensors` (+ .json), `curve.json` (negative log-likelihood) and `quality.json` (how well the clone foretells held-out
-commands; see `drive.clone`).
-"""
+"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it (see `drive.clone` for its files); a run only reads it."""
 
 from __future__ import annotations
 
@@ -23,10 +19,6 @@ class CloneStage:
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Say that the clone is not there.
-
-        Raises:
-            UsageError: always.
-        """
+        """Say that the clone is not there."""
         number = f"{job.axes['value']:g}"
         raise UsageError(f"nobody has cloned participant {number}", f"wasp clone RESULTS --participant {number}")

@@ -1,8 +1,4 @@
-"""CSA's consistency model of expert actions.
-
-Artifact: `consistency.safetensors` (+ .json with its sizes), `quality.json` (on held-out episodes: how near one step brings commands to the
-expert's actions and how far from the commands, see `learning.consistency`).
-"""
+"""CSA's consistency model of expert actions. Artifact: `consistency.safetensors` (+ .json), `quality.json` (see `learning.consistency`)."""
 
 from __future__ import annotations
 
@@ -13,8 +9,7 @@ from typing import Any, cast
 from wasp_cli.learning.configs.consistency import ConsistencyConfig
 from wasp_cli.stages.base import Job
 
-STEPS = 40
-"""Of the teacher, in whose place the student has one."""
+STEPS = 40  # of the teacher, in whose place the student has one
 
 
 class ConsistencyStage:

@@ -1,7 +1,4 @@
-"""Counterfactual branches of a cell: at its interventions, what would have happened without them (section 5.3 of the paper).
-
-Artifact: `branches.parquet` (see `store.branches`).
-"""
+"""Counterfactual branches of a cell (section 5.3 of the paper). Artifact: `branches.parquet` (see `store.branches`)."""
 
 from __future__ import annotations
 

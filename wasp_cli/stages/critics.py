@@ -1,8 +1,4 @@
-"""Critics: V_r and V_c of the nominal expert, from imagined rollouts (Eq. 7-8) and from recorded transitions.
-
-Artifact: `critics.safetensors` (+ .json), `curve.json` (losses and mean targets), `pairs.parquet` (both critics beside the discounted
-sums that followed on held-out episodes) and `quality.json` (what they are worth).
-"""
+"""V_r and V_c. Artifact: `critics.safetensors` (+ .json), `curve.json`, `pairs.parquet`, `quality.json` (`learning.critic_quality`)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Dataset: episodes with images from a mixture of behaviours.
-
-Artifact: `shard-NNNN.parquet` (see `learning.shards`), `contents.json` (what there is per behaviour, see `learning.contents`).
-"""
+"""Dataset: episodes with images from a mixture of behaviours. Artifact: `shard-NNNN.parquet`, `contents.json` (see `learning.contents`)."""
 
 from __future__ import annotations
 

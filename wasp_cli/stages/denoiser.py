@@ -1,8 +1,4 @@
-"""Diffusion's denoiser of expert actions.
-
-Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` (on held-out episodes: how near the denoised
-commands are to the expert's actions and to the commands, see `learning.denoiser`).
-"""
+"""Diffusion's denoiser. Artifact: `denoiser.safetensors` (+ .json with the schedule), `quality.json` (`learning.denoiser`)."""
 
 from __future__ import annotations
 

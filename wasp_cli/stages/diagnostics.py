@@ -1,8 +1,4 @@
-"""Diagnostics: what the world model is worth on held-out episodes, and under operators that are not in the dataset.
-
-Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `images.parquet` (true, decoded and imagined frames of
-held-out episodes, see `learning.image_samples`).
-"""
+"""What the world model is worth on unseen episodes. Artifact: `diagnostics.json`, `images.parquet` (see `learning.diagnostics`)."""
 
 from __future__ import annotations
 
@@ -13,8 +9,7 @@ from wasp_cli.learning.configs.world import DiagnosticsConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
-SHOWN = (1, 5, 10, 15)
-"""Imagined steps that the summary shows."""
+SHOWN = (1, 5, 10, 15)  # imagined steps that the summary shows
 
 
 class DiagnosticsStage:

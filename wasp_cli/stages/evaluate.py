@@ -1,7 +1,4 @@
-"""Evaluation of one cell of the grid: a method under one operator and one seed.
-
-Artifact: `episodes.parquet` and `_steps.pq` (see `store.tables`).
-"""
+"""Evaluation of one cell: a method under one operator and one seed. Artifact: `episodes.parquet` and `_steps.pq` (see `store.tables`)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Expert: PPO with an adaptive Lagrange multiplier on privileged observations; a skill per checkpoint.
 
-An expert that misses the bars of its task on fresh layouts is trained on, up to a stated budget. Artifact: `skill-F.safetensors` (+ .json)
-per checkpoint fraction F, the last one with whatever training was added; `curve.json` (a row per rollout), `acceptance.json` (a row each
-time the bars were asked), `evaluation.json` (a row per checkpoint). All episodes are of the deterministic policy, on seeds of their own.
+Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last one with whatever training was added to reach the bars of its
+task; `curve.json` (a row per rollout), `acceptance.json` (a row each time the bars were asked), `evaluation.json` (a row per checkpoint).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Held-out episodes of the unimpaired expert, from which every threshold is taken.
-
-Artifact: `heldout.safetensors` (h, z, a_h, reward, cost, episode, terminal; one row per decision).
-"""
+"""Held-out episodes of the unimpaired expert, from which every threshold is taken. Artifact: `heldout.safetensors` (a row per decision)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""IDA's Q ensemble: TD on real and noisy transitions for the expert policy.
-
-Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `pairs.parquet` (Q of the expert's actions beside the
-discounted reward that followed on held-out episodes) and `quality.json` (what it is worth).
-"""
+"""IDA's Q ensemble. Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `pairs.parquet` and `quality.json`."""
 
 from __future__ import annotations
 

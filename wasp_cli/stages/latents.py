@@ -1,8 +1,4 @@
-"""Latents: what the world model infers at every recorded row, for everything that is trained on latents.
-
-Artifact: `latents.safetensors` (h float16, z class indices, one row per row of the dataset). It is apart from the weights, since it is
-larger than they are and an evaluation does not read it.
-"""
+"""Latents of every recorded row, apart from the weights: evaluations do not read them. Artifact: `latents.safetensors` (h float16, z)."""
 
 from __future__ import annotations
 

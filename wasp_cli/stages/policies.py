@@ -1,12 +1,8 @@
 """Policies: latent actors distilled from every expert checkpoint, then trained on what they meet when they drive.
 
-Where labels do not bring the latent expert close enough to the privileged one, it is reinforced in the task. Artifact: `skills.safetensors`
-(+ .json); `evaluation.json`: every latent skill beside its privileged checkpoint on the same episodes of the real task, every round, how
-much of the labels the actors explain, and how alike they act on filtered and on imagined latents; `reinforcement.json`: the curve of the
-reinforcement, where there was one. Nothing of it goes on after an interruption: the stage begins anew.
-
-A round is kept by `learning.verdicts.best_round`, the reinforcement being the last. Rounds are judged on episodes of their own, so that the
-evaluation of the kept one on other episodes is not flattered by the choice.
+Artifact: `skills.safetensors` (+ .json); `evaluation.json`: every skill beside its privileged checkpoint on the same episodes, every round,
+how much of the labels the actors explain, and how alike they act on both kinds of latents; `reinforcement.json` where there was one.
+Rounds are judged on episodes of their own, so that the choice does not flatter the evaluation. An interrupted stage begins anew.
 """
 
 from __future__ import annotations
@@ -18,8 +14,7 @@ from wasp_cli.learning.configs.latent import PoliciesConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
-LIMIT_BATCHES = 4
-"""Times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement."""
+LIMIT_BATCHES = 4  # times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement
 
 
 class PoliciesStage:

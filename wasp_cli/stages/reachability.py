@@ -1,8 +1,4 @@
-"""Reachability: the safety value of the reachability filter, and with it its fallback.
-
-Artifact: `safety.safetensors` (+ .json), `curve.json` (loss and mean danger) and `quality.json` (on held-out episodes: how well the value
-ranks decisions by the cost behind them, see `learning.reachability`).
-"""
+"""The reachability filter's safety value. Artifact: `safety.safetensors` (+ .json), `curve.json`, `quality.json`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The stages by kind. Adding one is a module with its class and its config, and one line here or in a plugin's entry point `wasp.stages`.
-
-The line holds what planning and running need to know of a stage besides its class, so that no list of stages stands anywhere else.
-"""
+"""The stages by kind, with what planning and running need to know of each. Adding one is a module and a line here or in `wasp.stages`."""
 
 from __future__ import annotations
 
@@ -22,25 +19,19 @@ class StageInfo:
 
     name: str
     """Its kind: the name of its section in a spec, of its folder in the store, and what `needs` of stages and methods say."""
-    target: str
-    """Import string of its class (light to import: heavy imports are inside `run`)."""
+    target: str  # import string of its class (light to import: heavy imports are inside `run`)
     unit: Unit = "chain"
     """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
     `method` runs because a method is listed, `cell` for every cell whose method may intervene; `person` is made by a command of what a
     person drove, and a run only reads it."""
-    by_default: bool = False
-    """Whether a spec that lists no `stages` trains it, although no method needs it."""
+    by_default: bool = False  # whether a spec that lists no `stages` trains it, although no method needs it
     weight: int = 10
     """Where no time was measured, nodes of heavier stages start first, so that a run does not end with one busy worker."""
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By preset, what that preset says instead of the defaults of the config. Presets of this package are in `spec.presets`."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that cannot be a folder and a key of YAML alike.
-
-        Raises:
-            ValueError: it has other characters than small letters, digits and `_`, or does not begin with a letter.
-        """
+        """Refuse a name that cannot be a folder and a key of YAML alike."""
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", self.name):
             raise ValueError(f"the stage name '{self.name}' should be small letters, digits and '_', at most 32, a letter first")
 

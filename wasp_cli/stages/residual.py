@@ -1,7 +1,4 @@
-"""SafeRL-Res: a residual policy trained in the real task through the filter.
-
-Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout).
-"""
+"""SafeRL-Res: a residual policy trained in the real task. Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout)."""
 
 from __future__ import annotations
 

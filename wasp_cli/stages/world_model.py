@@ -1,8 +1,4 @@
-"""World model: the encoder taught on single images, Eq. 6 on sequences, then a refit of the heads on prior latents.
-
-Artifact: `world_model.safetensors` (+ .json sizes), and `curves.json`.
-What it infers at every recorded row is stored by the stage `latents`; what the model is worth is said by the stage `diagnostics`.
-"""
+"""World model: the encoder taught on images, Eq. 6, a refit of the heads. Artifact: `world_model.safetensors` (+ .json), `curves.json`."""
 
 from __future__ import annotations
 

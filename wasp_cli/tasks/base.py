@@ -16,19 +16,15 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Pixels = NDArray[np.uint8]
 
-CAMERA_SIZE = 64
-"""Side of each camera image in pixels; an observation stacks two RGB images to 6 channels."""
-MAP_SIZE = 256
-"""Side of a map for people in pixels, where nothing else is asked for."""
+CAMERA_SIZE = 64  # side of each camera image in pixels; an observation stacks two RGB images to 6 channels
+MAP_SIZE = 256  # side of a map for people in pixels, where nothing else is asked for
 
 
 class Observation(NamedTuple):
     """What a batch of tasks shows after a decision step. A field that was not asked for is None."""
 
-    pixels: Pixels | None
-    """uint8 [B, 6, 64, 64]: front RGB, then rear RGB, channels first."""
-    state: Floats | None
-    """float64 [B, S]: the vector observation of the reference package, in its order."""
+    pixels: Pixels | None  # uint8 [B, 6, 64, 64]: front RGB, then rear RGB, channels first
+    state: Floats | None  # float64 [B, S]: the vector observation of the reference package, in its order
     privileged: NDArray[np.float32] | None
     """float32 [B, P]: what an expert may know (no sensor horizon); never given to an assistant."""
 
@@ -37,22 +33,14 @@ class Step(NamedTuple):
     """The outcome of one decision step. Rows of episodes that had ended before are zero and repeat the last observation."""
 
     observation: Observation
-    reward: Floats
-    """[B] sum over the env steps of the repeat."""
-    cost: Bools
-    """[B] c_t = 1[any cost in the repeat]."""
-    cost_env: NDArray[np.int64]
-    """[B] number of env steps of the repeat that cost."""
-    sources: dict[str, NDArray[np.int64]]
-    """Per cost source: [B] number of env steps of the repeat in which it cost."""
-    goals: NDArray[np.int64]
-    """[B] goals reached within the repeat."""
-    env_steps: NDArray[np.int64]
-    """[B] env steps that were executed (fewer than the repeat when the episode ended within it)."""
-    ended: Bools
-    """[B] the episode is over, now or since an earlier step."""
-    terminated: Bools
-    """[B] it ended by the task's own rule (not by the time limit)."""
+    reward: Floats  # [B] sum over the env steps of the repeat
+    cost: Bools  # [B] c_t = 1[any cost in the repeat]
+    cost_env: NDArray[np.int64]  # [B] number of env steps of the repeat that cost
+    sources: dict[str, NDArray[np.int64]]  # per cost source: [B] number of env steps of the repeat in which it cost
+    goals: NDArray[np.int64]  # [B] goals reached within the repeat
+    env_steps: NDArray[np.int64]  # [B] env steps that were executed (fewer than the repeat when the episode ended within it)
+    ended: Bools  # [B] the episode is over, now or since an earlier step
+    terminated: Bools  # [B] it ended by the task's own rule (not by the time limit)
 
 
 class VectorTask(Protocol):
@@ -60,17 +48,13 @@ class VectorTask(Protocol):
 
     batch: int
     action_size: int
-    action_low: Floats
-    """[A]"""
-    action_high: Floats
-    """[A]"""
+    action_low: Floats  # [A]
+    action_high: Floats  # [A]
     privileged_size: int
     state_size: int
     action_repeat: int
-    decision_seconds: float
-    """Simulated time of one decision step in seconds."""
-    max_decisions: int
-    """Decision steps after which every episode has ended."""
+    decision_seconds: float  # simulated time of one decision step in seconds
+    max_decisions: int  # decision steps after which every episode has ended
     cost_sources: tuple[str, ...]
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:

@@ -15,11 +15,7 @@ from wasp_cli.tasks.layout import checked_seed
 
 
 def check_options(batch: int, action_repeat: int, threads: int, observe: Sequence[str]) -> None:
-    """Refuse sizes below 1 and observations that there are not.
-
-    Raises:
-        TaskError: one of them is wrong.
-    """
+    """Refuse sizes below 1 and observations that there are not."""
     if batch < 1 or action_repeat < 1 or threads < 1:
         raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
     unknown = sorted(set(observe) - set(Observation._fields))
@@ -28,11 +24,7 @@ def check_options(batch: int, action_repeat: int, threads: int, observe: Sequenc
 
 
 def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterator[tuple[int, int]]:
-    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the first one comes.
-
-    Raises:
-        TaskError: mask and seeds do not fit, or a seed is out of range.
-    """
+    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the first one comes."""
     if rows is not None and np.shape(rows) != (batch,):
         raise TaskError(f"rows has shape {np.shape(rows)}, expected ({batch},)")
     chosen = np.arange(batch) if rows is None else np.flatnonzero(rows)
@@ -42,11 +34,7 @@ def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterato
 
 
 def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
-    """Return an action [B, A] as float64, clipped to [-1, 1].
-
-    Raises:
-        TaskError: it is not finite or has a wrong shape.
-    """
+    """Return an action [B, A] as float64, clipped to [-1, 1]."""
     control = np.asarray(action, np.float64)
     if control.shape != (batch, size):
         raise TaskError(f"action has shape {control.shape}, expected ({batch}, {size})")
@@ -57,11 +45,7 @@ def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
 
 
 def running_rows(ended: Bools) -> NDArray[np.intp]:
-    """Return the rows [n] whose episodes have not ended, of `ended` [B].
-
-    Raises:
-        TaskError: there are none.
-    """
+    """Return the rows [n] whose episodes have not ended, of `ended` [B]."""
     rows = np.flatnonzero(~ended)
     if not rows.size:
         raise TaskError("step after the end: no episode of the batch is running; call reset first")
@@ -69,11 +53,7 @@ def running_rows(ended: Bools) -> NDArray[np.intp]:
 
 
 def check_begun(begun: Bools) -> None:
-    """Refuse a snapshot of rows (`begun` [B]) in which no episode was started.
-
-    Raises:
-        TaskError: there is one.
-    """
+    """Refuse a snapshot of rows (`begun` [B]) in which no episode was started."""
     if not begun.all():
         rows = ", ".join(map(str, np.flatnonzero(~begun)))
         raise TaskError(f"a snapshot before the first reset: no episode has begun in row {rows}", "call reset first")

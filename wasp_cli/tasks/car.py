@@ -18,13 +18,10 @@ CAR_Z = 0.1
 NQ, NV = 13, 11
 SENSORS = 19
 """Numbers of accelerometer, velocimeter, gyro, magnetometer (3 each), caster angular velocity (3) and caster quaternion (4)."""
-STATE_SENSORS = 24
-"""The same with the caster's rotation as a matrix."""
+STATE_SENSORS = 24  # the same with the caster's rotation as a matrix
 
-RADIUS = 0.22
-"""Of the upright cylinder around the body's origin that holds the car (the wheels' corners), in m."""
-REACH = RADIUS + 0.04
-"""The same after an env step, in which the car drives at most 0.04 m."""
+RADIUS = 0.22  # of the upright cylinder around the body's origin that holds the car (the wheels' corners), in m
+REACH = RADIUS + 0.04  # the same after an env step, in which the car drives at most 0.04 m
 
 CHASSIS_GEOMS = (
     '<geom name="agent" type="box" size="0.1 0.1 0.05"/>',

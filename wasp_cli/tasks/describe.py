@@ -16,12 +16,9 @@ class Description:
     name: str
     title: str
     gym_id: str
-    env_steps: int
-    """Time limit in env steps."""
-    seconds: float
-    """Time limit in simulated seconds."""
-    success_goals: int
-    """Goals (stages) within the time limit that count as success."""
+    env_steps: int  # time limit in env steps
+    seconds: float  # time limit in simulated seconds
+    success_goals: int  # goals (stages) within the time limit that count as success
     state_size: int
     pixels_shape: tuple[int, int, int]
     privileged_size: int

@@ -1,7 +1,4 @@
-"""Parts of the vectors that tasks show: the reference package's pseudo lidar, rays that measure distances, and what experts may know.
-
-The privileged parts do not have the lidar's horizon of 3 m, and nothing of them is ever shown to an assistant. B = episodes.
-"""
+"""Parts of the vectors that tasks show: pseudo lidar, ray distances, and what only experts may know. B = episodes."""
 
 from __future__ import annotations
 
@@ -14,8 +11,7 @@ from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import to_body
 
 BINS = 16
-RANGE = 3.0
-"""Distance in m from which an object is no longer seen."""
+RANGE = 3.0  # distance in m from which an object is no longer seen
 
 
 def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
@@ -43,8 +39,7 @@ def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
     return out
 
 
-RAYS = 32
-"""Rays around the robot, the first one straight ahead, counter-clockwise."""
+RAYS = 32  # rays around the robot, the first one straight ahead, counter-clockwise
 
 
 def ray_distances(origin: Floats, heading: Floats, circles: Floats, radius: float, sides: Floats, limit: float) -> Floats:
@@ -104,8 +99,7 @@ def _to_sides(origin: Floats, ux: Floats, uy: Floats, sides: Floats, limit: floa
     return np.minimum(nearest, limit)
 
 
-BOUND = 3.0
-"""Bound of every entry of the privileged vector."""
+BOUND = 3.0  # bound of every entry of the privileged vector
 
 MOTION_AND_GOAL = 7
 

@@ -1,22 +1,20 @@
-"""The tasks as standard gymnasium environments: `gymnasium.make("wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0")`.
+"""The tasks as gymnasium environments: `gymnasium.make("wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0")`, or a batch by `make_vec`.
 
 Importing this module registers every task under the namespace `wasp/`; MuJoCo is imported when one is made.
-The cost comes as `info["cost"]`, as in the 5-tuple environments of the reference package. `gymnasium.make_vec` steps B episodes in one
-call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the reference package's own six-tuple.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, Literal, SupportsFloat, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec, WrapperSpec
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError, UsageError
-from wasp_cli.tasks import reference
+from wasp_cli.errors import TaskError, UnknownName, UnknownOption, UsageError
 from wasp_cli.tasks.base import MAP_SIZE, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.gym_common import (
@@ -29,45 +27,26 @@ from wasp_cli.tasks.gym_common import (
     shown,
     space_of,
 )
-from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.registry import TASKS, task_named
 
-Seen = NDArray[Any] | dict[str, NDArray[Any]]
-"""An observation: an array, or with `all` and `vision` a dictionary."""
+Seen = NDArray[Any] | dict[str, NDArray[Any]]  # an observation: an array, or with `all` and `vision` a dictionary
 OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
+_UPSTREAM_ID = re.compile(r"(?P<name>.*?)(?P<vision>Vision)?(?P<five>Gymnasium)?(?P<debug>Debug)?(?P<version>-v\d+)")
 
 
 class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
-    """One episode of a task.
+    """One episode of a task, a name of `wasp_cli.tasks.registry.TASKS`; docs/tasks.md has the options and the keys of `info`.
 
-    Args:
-        task: a name of `wasp_cli.tasks.registry.TASKS`.
-        observation: `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]),
-            `all` (a dictionary of these three), or `vision` (a dictionary as that of the reference package's Vision ids: its sensors by
-            name, and as `vision` the front image, uint8 [64, 64, 3]).
-        action_repeat: env steps per `step`; rewards and costs add up.
-        render_mode: `rgb_array` gives pictures for people: a map from above, uint8 [height, width, 3].
-        width: of the map in pixels.
-        height: the same: maps are square.
-        upstream_api: `step` returns the reference package's six values (obs, reward, cost, terminated, truncated, info), with its keys in
-            `info`: `cost_<source>` and `cost_sum` in every step, `goal_met` in those that reach a goal. Wrappers of gymnasium expect five
-            values and fail on it, so nothing but what `gymnasium.make` adds here by itself may lie around it (no `max_episode_steps=`).
-        registered: the task of the gymnasium id that is made, which `task` may not replace. Not for callers.
-
-    `info` of a step, and with zeros of a reset: `cost` (env steps that cost, 0 or 1 without action repeat; `cost_sum` is the same),
-    `cost_<source>` (the same per source), `goals` (reached in this episode so far), `success` (whether they are as many as the task asks
-    for). Actions beyond the bounds of the action space are clipped to them, as the reference package does.
+    Observations are `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]), `all`
+    (a dictionary of these three) or `vision` (a dictionary: the reference package's sensors by name, and its image [64, 64, 3]). With
+    `upstream_api` a step returns the reference package's six values (obs, reward, cost, terminated, truncated, info), on which gymnasium's
+    wrappers fail. `registered` is the task of the gymnasium id that is made, which `task` may not replace; not for callers.
 
     A copy (`copy.deepcopy`, pickle) goes on bit for bit, in another process too.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an unknown option, which is a `TypeError` too.
-        UsageError: an unknown observation or render mode.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
-    _row = 0
-    """Of the task's batch."""
+    _row = 0  # of the task's batch
 
     def __init__(
         self,
@@ -107,16 +86,10 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @property
     def spec(self) -> EnvSpec | None:  # gymnasium sets it after making the environment
-        """What `gymnasium.make` makes such an environment of, the time limit included; None for one that was made without it."""
+        """What `gymnasium.make` makes such an environment of, its time limit included; None for one made without it."""
         if self._spec is None:
             return None
-        spec = replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
-        if not self._upstream:
-            return spec
-        # Whoever makes this spec puts a TimeLimit around, which works on five values: six come last, and without it.
-        options = {name: value for name, value in spec.kwargs.items() if name != "upstream_api"}
-        six = WrapperSpec("give_six_values", f"{__name__}:give_six_values", {})
-        return replace(spec, kwargs=options, additional_wrappers=(*spec.additional_wrappers, six))
+        return replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
@@ -127,9 +100,6 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """Start an episode. A seed below 2^32 names a layout, the same as in the reference package; without one a new layout is drawn.
 
         Larger seeds, as Minari draws them, seed the draw of a layout.
-
-        Raises:
-            UsageError: `options` holds something; there are none.
         """
         super().reset(seed=seed, options=options)
         for option in options or {}:
@@ -139,11 +109,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._seen(self._task.reset([drawn_layout(self.np_random, seed)], rows)), self._info(None)
 
     def step(self, action: NDArray[Any]) -> tuple[Seen, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Advance by `action_repeat` env steps under `action` [A].
-
-        Raises:
-            TaskError: the action is no finite [A], or the episode has not begun or has ended.
-        """
+        """Advance by `action_repeat` env steps under `action` [A]."""
         step, row = self._advance(action), self._row
         self._goals += int(step.goals[row])
         seen, info = self._seen(step.observation), self._info(step)
@@ -189,19 +155,12 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """Return everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
 
         Which layouts later resets without a seed draw is not part of it (a copy of the environment keeps that too).
-
-        Raises:
-            TaskError: no episode has begun.
         """
         arrays = {name: array[self._row : self._row + 1] for name, array in self._task.snapshot().items()}
         return {**arrays, "goals_reached": np.array([self._goals])}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Seen:
-        """Return to a snapshot of an environment with the same task and options, and see what was seen there.
-
-        Raises:
-            TaskError: it is no snapshot of such an environment.
-        """
+        """Return to a snapshot of an environment with the same task and options, and see what was seen there."""
         if "goals_reached" not in snapshot:
             raise TaskError("the snapshot is not one of an environment: 'goals_reached' is missing")
         observation = self._task.restore({name: array for name, array in snapshot.items() if name != "goals_reached"})
@@ -209,35 +168,30 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._seen(observation)
 
 
-def give_six_values(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    """Let an environment that was made with five values give the reference package's six, and take off the TimeLimit, which unpacks five.
-
-    `gymnasium.make(env.spec)` calls it for the spec of an environment with `upstream_api=True`.
-    """
-    while isinstance(env, gymnasium.wrappers.TimeLimit):
-        env = env.env
-    made = env.unwrapped
-    assert isinstance(made, TaskEnv)
-    made._upstream = True
-    return env
-
-
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
-    """Make a task under the reference package's interface: stands for `safety_gymnasium.make(id)` in code that is to be ported.
+    """Make a task that takes actions [A] and gives the reference package's six values: stands for `safety_gymnasium.make(id)`.
 
     Args:
         id: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with
             `observation="vision"`, `...Gymnasium-v0` the same with gymnasium's five values.
         options: of `TaskEnv`; `width` and `height` among them.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an option that neither has, or that only the reference package has (`wasp_cli.tasks.reference.MISSING`).
     """
-    known = reference.parse_id(id)
-    reference.refuse_missing(known, options)
-    vision: dict[str, Any] = {"observation": "vision"} if known.vision else {}
-    return gymnasium.make(TASKS[known.task].gym_id, **{"upstream_api": not known.five_values, **vision, **options})
+    parts = _UPSTREAM_ID.fullmatch(id)
+    if parts is not None and parts["debug"]:
+        raise UsageError(f"there is no '{id}': its robot is driven with the keyboard", "leave 'Debug' out")
+    task = task_named(id if parts is None else parts["name"] + parts["version"])
+    if task not in TASKS:  # somebody else's gymnasium id
+        raise UnknownName("task", id, [*TASKS, *(TASKS[known].gym_id for known in TASKS)])
+    five_values = bool(parts and parts["five"])
+    for option in {"max_episode_steps", "disable_env_checker"} & options.keys():
+        if not five_values:
+            words = f"upstream() got an unexpected keyword argument '{option}'"
+            raise UnknownOption(f"{words}: gymnasium's wrappers want five values, which ...Gymnasium-v0 gives")
+    if not (mode := options.get("render_mode") or "rgb_array").startswith("rgb_array"):
+        raise UsageError(f"task '{task}' cannot render '{mode}'", "render_mode is None or 'rgb_array', a map from above")
+    if parts is not None and parts["vision"]:
+        options = {"observation": "vision", **options}
+    return gymnasium.make(TASKS[task].gym_id, **{"upstream_api": not five_values, **options})
 
 
 def register_envs() -> None:

@@ -25,12 +25,7 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {"all": Observation._fields, "vision": 
 
 
 def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
-    """Make a batch of a task that shows the asked observation.
-
-    Raises:
-        UnknownName: no such task.
-        UsageError: an unknown observation, or a number below 1.
-    """
+    """Make a batch of a task that shows the asked observation."""
     if observation not in (known := get_args(ObservationName)):
         raise UsageError(f"task '{task}' has no observation '{observation}'", did_you_mean(str(observation), known))
     for option, value in (("num_envs", batch), ("action_repeat", action_repeat), ("threads", threads)):
@@ -47,11 +42,7 @@ def refuse_other_task(task: str, registered: str | None) -> None:
 
 
 def refuse_unknown(made: str, task: str, options: Iterable[str], known: tuple[str, ...]) -> None:
-    """Refuse an option that the class `made` does not know, and say what was meant.
-
-    Raises:
-        UnknownOption: there is one.
-    """
+    """Refuse an option that the class `made` does not know, and say what was meant."""
     for option in (option for option in options if option not in known):
         words = f"{made}.__init__() got an unexpected keyword argument '{option}'"
         raise UnknownOption(f"{words}: task '{task}' has no option '{option}' ({did_you_mean(option, known)})")
@@ -66,11 +57,7 @@ def drawn_layout(draws: np.random.Generator, seed: int | None) -> int:
 
 
 def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
-    """Return the space of one episode's observation.
-
-    Raises:
-        UsageError: the task has no such observation.
-    """
+    """Return the space of one episode's observation."""
     if observation == "vision":
         image = gymnasium.spaces.Box(0, 255, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
         sensors = {name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64) for name, shape in sensor_shapes(task).items()}
@@ -98,11 +85,7 @@ def shown(task: VectorTask, observation: Observation, row: int, name: str) -> ND
 
 
 def checked_control(action: Any, shape: tuple[int, ...]) -> Floats:
-    """Return an action as float64 of a shape.
-
-    Raises:
-        TaskError: it is no array of finite real numbers of that shape.
-    """
+    """Return an action as float64 of a shape."""
     try:
         given = np.asarray(action)
         # NumPy would drop imaginary parts, and read texts of digits.

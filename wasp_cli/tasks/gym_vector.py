@@ -24,8 +24,7 @@ class _Batch:
     """What the rows of a vector share."""
 
     task: VectorTask
-    step: Step | None = None
-    """The last one, of all rows."""
+    step: Step | None = None  # the last one, of all rows
 
 
 class _Row(TaskEnv):
@@ -49,22 +48,9 @@ class TaskVectorEnv(SyncVectorEnv):
     It is gymnasium's `SyncVectorEnv`, the same step by step, but physics and cameras of all rows are computed together, which is several
     times as fast. A copy (`copy.deepcopy`, pickle) goes on bit for bit.
 
-    Args:
-        num_envs: B, episodes side by side.
-        task: as for `TaskEnv`.
-        observation: as for `TaskEnv`.
-        action_repeat: as for `TaskEnv`.
-        threads: threads for physics and cameras; results do not depend on it.
-        autoreset_mode: what becomes of an episode that ended: another starts with the next step, whose action it ignores (`NextStep`), with
-            the same step (`SameStep`; the last observation is `infos["final_obs"]`), or when `reset` is called (`Disabled`).
-        max_episode_steps: truncates episodes earlier than the task does, like `gymnasium.make`'s.
-        registered: as for `TaskEnv`.
-        options: `render_mode` (`render` gives B pictures), `width` and `height`, as for `TaskEnv`.
-
-    Raises:
-        UnknownName: no such task.
-        UnknownOption: an unknown option, which is a `TypeError` too.
-        UsageError: an unknown observation or render mode.
+    Arguments are those of `TaskEnv`. `autoreset_mode` says what becomes of an episode that ended: another starts with the next step, whose
+    action it ignores (`NextStep`), with the same step (`SameStep`; the last observation is `infos["final_obs"]`), or when `reset` is called
+    (`Disabled`). `threads` of physics and cameras change no result. `max_episode_steps` truncates episodes earlier than the task does.
     """
 
     def __init__(
@@ -92,11 +78,7 @@ class TaskVectorEnv(SyncVectorEnv):
         self.env_fns = ()  # no pickle could hold them
 
     def step(self, actions: NDArray[Any]) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Advance every running episode under `actions` [B, A], and start those anew whose turn it is (see `autoreset_mode`).
-
-        Raises:
-            TaskError: the actions are no finite [B, A], or an episode has not begun, or has ended and nothing starts another.
-        """
+        """Advance every running episode under `actions` [B, A], and start those anew whose turn it is (see `autoreset_mode`)."""
         control = checked_control(actions, (self.num_envs, self._batch.task.action_size))
         over = self._autoreset_envs
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():

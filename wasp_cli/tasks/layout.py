@@ -1,7 +1,4 @@
-"""Random layouts of goal tasks: rejection sampling from a legacy numpy stream, draw for draw as the reference package does it.
-
-The order of the draws is part of the task's definition: a seed names the same layout here and there, bit for bit.
-"""
+"""Random layouts by rejection sampling from a legacy numpy stream, draw for draw as the reference package does it."""
 
 from __future__ import annotations
 
@@ -20,8 +17,7 @@ TRIES_PER_GOAL = 10_000
 SEED_LIMIT = 2**32
 
 
-Rectangle = tuple[float, float, float, float]
-"""Least x, least y, greatest x, greatest y in m."""
+Rectangle = tuple[float, float, float, float]  # least x, least y, greatest x, greatest y in m
 
 
 @dataclass(frozen=True)
@@ -29,10 +25,8 @@ class Thing:
     """One object to be placed."""
 
     name: str
-    keepout: float
-    """Radius that no other thing's keepout circle may enter, in m."""
-    places: tuple[Rectangle, ...]
-    """Rectangles that have to hold the keepout circle."""
+    keepout: float  # radius that no other thing's keepout circle may enter, in m
+    places: tuple[Rectangle, ...]  # rectangles that have to hold the keepout circle
 
     @cached_property
     def free(self) -> tuple[Rectangle, ...]:
@@ -61,18 +55,12 @@ class Layout:
     agent_xy: Floats
     agent_yaw: float
     goal_xy: Floats
-    others_xy: Floats
-    """[K, 2] of the remaining things, in order."""
-    others_yaw: Floats
-    """[K]"""
+    others_xy: Floats  # [K, 2] of the remaining things, in order
+    others_yaw: Floats  # [K]
 
 
 def checked_seed(seed: int) -> int:
-    """Return the seed itself.
-
-    Raises:
-        TaskError: the seed is outside [0, 2^32).
-    """
+    """Return the seed itself."""
     if not 0 <= int(seed) < SEED_LIMIT:
         raise TaskError(f"seed {seed} is out of range", f"a seed is an integer from 0 to {SEED_LIMIT - 1}")
     return int(seed)
@@ -84,11 +72,7 @@ def random_stream(seed: int) -> np.random.RandomState:
 
 
 def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...], *, goal_again: bool = True) -> Layout:
-    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more (unless `goal_again` is false).
-
-    Raises:
-        TaskError: no free place was found (a layout that is too crowded).
-    """
+    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more (unless `goal_again` is false)."""
     things = (agent, goal, *others)
     for _ in range(TRIES_PER_LAYOUT):
         places = _try_layout(stream, things)

@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 def require_mujoco() -> None:
-    """Import MuJoCo.
-
-    Raises:
-        UsageError: it does not import, because MUJOCO_GL names a backend that is not there.
-    """
+    """Import MuJoCo."""
     try:
         import mujoco  # noqa: F401
     except (AttributeError, ImportError, RuntimeError) as error:
@@ -44,10 +40,6 @@ def make_task(
         action_repeat: env steps per decision step.
         observe: which fields of `Observation` to fill; pixels cost a hundred times a state.
         threads: threads for physics and cameras; results do not depend on it.
-
-    Raises:
-        UnknownName: no such task.
-        UsageError: MuJoCo does not import, because MUJOCO_GL names what is not there.
     """
     info = TASKS[name]
     options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}

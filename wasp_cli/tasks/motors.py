@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from torch import Tensor
 
-BEYOND = 1 + 1e-6
-"""A command that saturates is this much above the limit: rounding to single precision must not make it weaker."""
+BEYOND = 1 + 1e-6  # A command that saturates is this much above the limit: rounding to single precision must not make it weaker
 
 
 class Motors(NamedTuple):

@@ -23,10 +23,8 @@ from wasp_cli.tasks.frames import distance, wrapped
 from wasp_cli.tasks.layout import Streams
 from wasp_cli.tasks.physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
 
-PHYSICS_STEPS = 10
-"""Physics steps per env step."""
-_JUMP = 1.0
-"""Way in m that no robot drives within an env step."""
+PHYSICS_STEPS = 10  # physics steps per env step
+_JUMP = 1.0  # way in m that no robot drives within an env step
 
 
 class Navigation(ABC):
@@ -36,15 +34,11 @@ class Navigation(ABC):
 
     name: ClassVar[str]
     level: int
-    env_seconds: ClassVar[float]
-    """Simulated time of one env step in seconds."""
-    num_steps: ClassVar[int]
-    """Time limit in env steps."""
-    goal_radius: ClassVar[float] = 0.3
-    """Distance in m at which a goal is reached."""
+    env_seconds: ClassVar[float]  # simulated time of one env step in seconds
+    num_steps: ClassVar[int]  # time limit in env steps
+    goal_radius: ClassVar[float] = 0.3  # distance in m at which a goal is reached
     reward_goal: ClassVar[float]
-    reward_clip: ClassVar[float]
-    """Bound of the reward of an env step."""
+    reward_clip: ClassVar[float]  # bound of the reward of an env step
     drive: ClassVar[Literal["point", "car"]]
     """What the two actions mean: throttle and turn rate, or the torques of the driver's right and left wheel."""
     action_size = 2
@@ -122,16 +116,13 @@ class Navigation(ABC):
         self._active, self._walls = np.zeros((batch, bodies), np.bool_), np.zeros(batch, np.int64)
         """What takes part in the next env step: follows from the other arrays (`_refresh`), so that no snapshot needs it."""
         self._control = np.zeros((batch, self.action_size))
-        self._velocity = np.zeros((batch, 2))
-        """World velocity over the last env step in m/s; the instantaneous one chatters."""
-        self._turn = np.zeros(batch)
-        """Turn rate over the last decision step in rad/s."""
+        self._velocity = np.zeros((batch, 2))  # world velocity over the last env step in m/s; the instantaneous one chatters
+        self._turn = np.zeros(batch)  # turn rate over the last decision step in rad/s
         self._goal = np.zeros((batch, 2))
         self._env_steps = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
-        self._begun = np.zeros(batch, np.bool_)
-        """An episode was started here: before that a row's arrays describe no world."""
+        self._begun = np.zeros(batch, np.bool_)  # an episode was started here: before that a row's arrays describe no world
         self._streams = Streams(batch)
         self._camera = Camera(self.appearance(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)

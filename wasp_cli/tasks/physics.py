@@ -84,11 +84,9 @@ class BatchPhysics:
         return state, sensordata
 
 
-BODY_POSE, BODY_SPEED = 7, 6
-"""Numbers in the pose (x, y, z, quaternion) and the velocity of a free body."""
+BODY_POSE, BODY_SPEED = 7, 6  # numbers in the pose (x, y, z, quaternion) and the velocity of a free body
 
-STATIC_SENSOR = "touches_static"
-"""Name of the contact sensor between agent and walls; models with walls have it."""
+STATIC_SENSOR = "touches_static"  # name of the contact sensor between agent and walls; models with walls have it
 
 
 def body_sensor(index: int) -> str:
@@ -111,32 +109,24 @@ class ModelBuilder(Protocol):
 class State(NamedTuple):
     """Agents and free bodies of n rows."""
 
-    qpos: Floats
-    """[n, nq] of the agent."""
-    qvel: Floats
-    """[n, nv] of the agent."""
-    bodies: Floats
-    """[n, F, 7]"""
-    speeds: Floats
-    """[n, F, 6]"""
+    qpos: Floats  # [n, nq] of the agent
+    qvel: Floats  # [n, nv] of the agent
+    bodies: Floats  # [n, F, 7]
+    speeds: Floats  # [n, F, 6]
 
 
 class Surroundings(NamedTuple):
     """What takes part in the physics of n rows."""
 
-    active: Bools
-    """[n, F]"""
-    walls: NDArray[np.int64]
-    """[n] which walls, as a `ModelBuilder` numbers them."""
+    active: Bools  # [n, F]
+    walls: NDArray[np.int64]  # [n] which walls, as a `ModelBuilder` numbers them
 
 
 class Contacts(NamedTuple):
     """What the agents touch."""
 
-    static: Bools
-    """[n]"""
-    bodies: Bools
-    """[n] any free body."""
+    static: Bools  # [n]
+    bodies: Bools  # [n] any free body
 
 
 class LocalPhysics:

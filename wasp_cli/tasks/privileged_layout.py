@@ -1,8 +1,4 @@
-"""What the entries of a privileged vector are about, and what they become with left and right exchanged.
-
-Who trains on single images may turn any of them over, on a track too: its walls and things are then where the mirror shows them. Where the
-track leads is another matter: a lap is driven in one direction. P = entries.
-"""
+"""What the entries of a privileged vector are about, and what they become with left and right exchanged. P = entries."""
 
 from __future__ import annotations
 
@@ -13,8 +9,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.features import RAYS
 
-WHOLE = "all"
-"""The whole vector; the only group of a task of somebody else's."""
+WHOLE = "all"  # the whole vector; the only group of a task of somebody else's
 MOTION, GOAL, WAY, WALLS, THINGS = "motion", "goal", "way", "walls", "things"
 ROUND = "round"
 """Rays around the robot, counter-clockwise from its front: their order turns round. Any other part has a sign per entry: minus where it

@@ -1,7 +1,4 @@
-"""The tasks by name. Adding one is a module with its class and one line here.
-
-Beside the registered names, every gymnasium id is a task: `my_pkg:MyEnv-v0` (see `wasp_cli.tasks.foreign`).
-"""
+"""The tasks by name. Adding one is a class and a line here; every gymnasium id is a task too (see `wasp_cli.tasks.foreign`)."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ if TYPE_CHECKING:
     from wasp_cli.tasks.foreign.examine import Facts
 
 Matrix = tuple[tuple[float, ...], ...]
-NAMESPACE = "wasp/"
-"""Of our own tasks in gymnasium's registry."""
+NAMESPACE = "wasp/"  # of our own tasks in gymnasium's registry
 _GYM_MODULE = "wasp_cli.tasks.gym:"
 _GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}", re.ASCII)
 """`module:namespace/Name-v0`. The alphabet is narrow because names appear in files, tables and terminals."""
@@ -31,11 +27,9 @@ class _Named:
     """What is known of a task by its name alone."""
 
     name: str
-    title: str
-    """Name in tables."""
+    title: str  # name in tables
     gym_id: str
-    target: str
-    """Import string of the `VectorTask` class."""
+    target: str  # import string of the `VectorTask` class
 
     @property
     def modules(self) -> tuple[str, ...]:
@@ -47,20 +41,15 @@ class _Named:
 class TaskInfo(_Named):
     """What is known of a task without importing MuJoCo."""
 
-    env_seconds: float
-    """Simulated time of one env step in seconds."""
-    env_steps: int
-    """Time limit in env steps."""
-    success_goals: int
-    """Goals (stages) within the time limit that count as success."""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    """What the class is built with, beside what `make_task` passes."""
+    env_seconds: float  # simulated time of one env step in seconds
+    env_steps: int  # time limit in env steps
+    success_goals: int  # goals (stages) within the time limit that count as success
+    options: Mapping[str, Any] = field(default_factory=dict)  # what the class is built with, beside what `make_task` passes
     mirror: Matrix | None = None
     """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works and is seen the same with left and right
     exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
 
-    motors: Motors = UNKNOWN
-    """Which commands are one and the same force."""
+    motors: Motors = UNKNOWN  # which commands are one and the same force
     informed: bool = False
     """Whether operators know more than the cameras show: they read the privileged observation. Assistants imagine them by what the cameras
     show."""
@@ -77,8 +66,7 @@ class ForeignInfo(_Named):
     """
 
     options: ClassVar[Mapping[str, Any]] = {}
-    mirror: ClassVar[Matrix | None] = None
-    """Nothing is known of the symmetries of others' environments."""
+    mirror: ClassVar[Matrix | None] = None  # nothing is known of the symmetries of others' environments
     motors: ClassVar[Motors] = UNKNOWN
     informed: ClassVar[bool] = False
 
@@ -87,12 +75,7 @@ class ForeignInfo(_Named):
         super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
 
     def examine(self) -> Facts:
-        """Return what the environment says of itself.
-
-        Raises:
-            UnknownName: no such id.
-            TaskError: its module does not import, or it lacks something that a task needs.
-        """
+        """Return what the environment says of itself."""
         # Not above: what plans and reads specs must not import gymnasium for every task.
         from wasp_cli.tasks.foreign.examine import examine
 
@@ -141,12 +124,7 @@ class TaskRegistry(Registry[AnyTaskInfo]):
             raise UnknownName("task", name, _names(name)) from None
 
     def load(self, name: str) -> Any:
-        """Return the class of a task, or for a gymnasium id what takes the same arguments.
-
-        Raises:
-            UnknownName: no such task; of a gymnasium id with what it may have been meant to be.
-            TaskError: see `ForeignInfo.examine`.
-        """
+        """Return the class of a task, or for a gymnasium id what takes the same arguments."""
         info, made = self[name], super().load(name)
         if not isinstance(info, ForeignInfo):
             return made
@@ -154,8 +132,7 @@ class TaskRegistry(Registry[AnyTaskInfo]):
         return functools.partial(made, name)
 
 
-_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
-"""Of throttle and turn rate: nothing is left or right in Goal but the turning."""
+_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))  # of throttle and turn rate: nothing is left or right in Goal but the turning
 
 _WHEELS, _POINT = Motors((0.02, 0.02)), Motors((0.05, 1.0))
 """Of the cars' left and right wheel; of the point robot's throttle and turn rate."""
@@ -187,11 +164,7 @@ def is_foreign(name: str) -> bool:
 
 
 def task_named(text: str) -> str:
-    """Find a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
-
-    Raises:
-        UnknownName: no task is called so.
-    """
+    """Find a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`."""
     ids = {TASKS[name].gym_id: name for name in TASKS}
     plain = text.removeprefix(_GYM_MODULE)
     for called in (plain, NAMESPACE + plain):

@@ -14,15 +14,11 @@ from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task, require_mujoco
 from wasp_cli.tasks.registry import TASKS, task_named
 
-CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22
-"""Sides and heights in px; a camera image is shown at four times its size."""
+CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22  # sides and heights in px; a camera image is shown at four times its size
 MAP = 2 * CAMERA + GAP + CAPTION
-MOMENTS, MOMENT = 8, 128
-"""Moments of an episode in its strip, and the side of their images in px."""
-KEPT = 512
-"""Moments at most that are kept while an episode is driven: where it will end is not known before."""
-HELD = 10
-"""Decision steps for which a random command is held."""
+MOMENTS, MOMENT = 8, 128  # moments of an episode in its strip, and the side of their images in px
+KEPT = 512  # moments at most that are kept while an episode is driven: where it will end is not known before
+HELD = 10  # decision steps for which a random command is held
 _INK, _PAPER = (20, 20, 20), (255, 255, 255)
 
 
@@ -30,10 +26,8 @@ class _Moment(NamedTuple):
     """What is seen after some decision steps."""
 
     decision: int
-    pixels: Pixels
-    """[6, 64, 64]"""
-    cost: int
-    """Costly env steps so far."""
+    pixels: Pixels  # [6, 64, 64]
+    cost: int  # costly env steps so far
     goals: int
 
 
@@ -42,16 +36,11 @@ def draw_sheet(task: str, seed: int, steps: int, path: Path | None) -> Path:
 
     Args:
         task: a registered name, one of our gymnasium ids, or the gymnasium id of another environment (which has no map).
-        seed: of the episode, and of random commands.
         steps: decision steps to drive and to show in a strip: by the script of `driver`, or at random in environments of others.
         path: the PNG to write; None: `<task>_seed<seed>.png` in the current folder.
 
     Returns:
         The written file.
-
-    Raises:
-        UnknownName: no such task.
-        UsageError: the file is no PNG, its folder is not there, or MuJoCo does not import.
     """
     name = task_named(task)
     info = TASKS[name]

@@ -20,11 +20,7 @@ _LIDARS = {"goal": ("goal", "hazards", "vases"), "race": ("goal", "hazards"), "f
 
 
 def sensor_shapes(task: VectorTask) -> dict[str, tuple[int, ...]]:
-    """Return the parts of a task's state vector in their order, each with its shape, by the reference package's names.
-
-    Raises:
-        UsageError: it is none of its tasks.
-    """
+    """Return the parts of a task's state vector in their order, each with its shape, by the reference package's names."""
     sensors, lidars = _SENSORS.get(getattr(task, "drive", "")), _LIDARS.get(getattr(task, "name", ""))
     if sensors is None or lidars is None:
         raise UsageError("the observation 'vision' is that of Safety-Gymnasium's tasks only", "'all' has the images of every task")

@@ -36,8 +36,7 @@ GAMMA_R, GAMMA_C, LAM = 0.97, 0.93, 0.8
 class Start(NamedTuple):
     place: Vector
     speed: Vector
-    queue: float
-    """forward command, of all that the driver has decided but not yet issued"""
+    queue: float  # forward command, of all that the driver has decided but not yet issued
 
 
 BEYOND = 0.02
@@ -59,8 +58,7 @@ class Case(NamedTuple):
     world: PointWorld
     config: PrintedConfig
     start: Start
-    gusts: list[list[list[float]]]
-    """Gumbel draws [H][M][A]"""
+    gusts: list[list[list[float]]]  # Gumbel draws [H][M][A]
 
 
 def case(kind: Kind, start: Start, steps: int, **changes: object) -> Case:
@@ -118,10 +116,8 @@ def cost_probability(world: PointWorld, place: Sequence[float]) -> float:
 
 
 class Value(NamedTuple):
-    reward: float
-    """G^(r), mean over M"""
-    cost: float
-    """G^(c), mean over M"""
+    reward: float  # G^(r), mean over M
+    cost: float  # G^(c), mean over M
     effort: float
 
     def s_task(self, config: PrintedConfig) -> float:
@@ -133,8 +129,7 @@ class Value(NamedTuple):
         return max(self.cost - config.tau_c, 0.0) + config.alpha * self.effort
 
 
-Residuals = tuple[Vector, ...]
-"""[L][A]"""
+Residuals = tuple[Vector, ...]  # [L][A]
 
 
 def literal(case: Case, residuals: Residuals) -> Value:
@@ -174,8 +169,7 @@ def literal(case: Case, residuals: Residuals) -> Value:
     return Value(*total)
 
 
-GRID = {1: {2: 33, 3: 17}, 2: {2: 9}}
-"""Values per element of a sequence in [-2, 2], by action size and residual steps."""
+GRID = {1: {2: 33, 3: 17}, 2: {2: 9}}  # values per element of a sequence in [-2, 2], by action size and residual steps
 
 
 def best(case: Case, score: Callable[[Value], float]) -> float:

@@ -15,7 +15,6 @@ from wasp_cli.methods.noise import DecisionNoise, as_gumbel
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.methods.wasp.printed import PROBE as PROBING
 from wasp_cli.methods.wasp.printed import SEARCH, Printed
-from wasp_cli.metrics.episode import CUT_OFF
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator
 
@@ -71,8 +70,7 @@ class Outcome(NamedTuple):
     g_return: float
     delta_g: float | None
     safe: list[int]
-    batches: list[int]
-    """Candidates of every call to the world model, in order."""
+    batches: list[int]  # candidates of every call to the world model, in order
 
 
 def section_4(x: float, a_h: float, tau_c: float, tau_r: float, variant: str = "full") -> Outcome:
@@ -183,38 +181,6 @@ def test_a_decision_is_section_4(x, a_h, tau_c, tau_r, variant, gate):
     if gate:
         assert planned.safe[0].tolist() == wanted.safe
         assert planned.case2[0].tolist() == [count < N_F for count in wanted.safe]
-
-
-def test_nothing_is_carried_over_to_the_next_decision():
-    world = Counted()
-    assistant = ready(world, 1e-6, tau_r=0.0)
-    start = world.at(0.45), torch.tensor([[0.1]]), operator()
-    first = assistant.decide(*start).action
-    assistant.noise.step = [0]  # the same draws again
-    assert torch.equal(assistant.decide(*start).action, first)
-
-
-def test_many_rows_are_imagined_in_parts(monkeypatch):
-    world = Corridor(LOW, HIGH, JITTER)
-    rows = torch.tensor([0.28, 0.45, -2.0])
-    found = []
-    for limit in (10**6, N * M):
-        monkeypatch.setattr("wasp_cli.methods.wasp.printed.ROWS", limit)
-        assistant = ready(world, 0.4, tau_r=-1.0)
-        assistant.reset(torch.ones(3, dtype=torch.bool), [1, 2, 3])
-        many = Operator(operator().policy, 1, EpisodeNoise([0] * 3), 3)
-        found.append(assistant.decide(world.at(*rows.tolist()), torch.tensor([[1.0], [0.1], [0.3]]), many).action)
-    torch.testing.assert_close(*found)
-
-
-@pytest.mark.parametrize(("looks", "made"), [(0, 1), (1, 2), (2, 3)])
-def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
-    asked = iter([False] * looks + [True] * 9)
-    world = Counted()
-    decision = ready(world, 0.4, lambda: next(asked), tau_r=0.0).decide(world.at(0.28), torch.tensor([[1.0]]), operator())
-    assert world.calls == [1] + [N] * made
-    assert (decision.planned.safe[0] == CUT_OFF).tolist() == [False] * made + [True] * (ITERATIONS - made)
-    assert float(decision.planned.cost) < float(decision.planned.alone_cost)
 
 
 def test_thresholds_are_quantiles_of_the_gates_signals_under_the_unimpaired_expert():

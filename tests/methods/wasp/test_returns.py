@@ -33,23 +33,6 @@ def test_every_intermediate_return_is_the_return_of_the_rest():
         torch.testing.assert_close(every[k], td_lambda(signal[k:], value[k:], 0.9, 0.8))
 
 
-def test_an_episode_that_may_end_counts_what_follows_with_its_probability():
-    """Every end of a rollout of three steps by hand, weighted with its probability (lambda = 1)."""
-    reward, final = [1.0, 2.0, 4.0], 8.0
-    keep, gamma = [0.5, 0.25, 0.75], 0.5
-    ends = {
-        1: (0.5, 1.0),  # (probability, return) of an episode that is over after so many steps
-        2: (0.5 * 0.75, 1.0 + 0.5 * 2.0),
-        3: (0.5 * 0.25 * 0.25, 1.0 + 0.5 * 2.0 + 0.25 * 4.0),
-        4: (0.5 * 0.25 * 0.75, 1.0 + 0.5 * 2.0 + 0.25 * 4.0 + 0.125 * final),
-    }
-    assert sum(probability for probability, _ in ends.values()) == 1.0
-    wanted = sum(probability * value for probability, value in ends.values())
-    signal, chances = torch.tensor(reward).unsqueeze(1), torch.tensor(keep).unsqueeze(1)
-    value = torch.tensor([[100.0], [100.0], [final]])  # with lambda = 1 only the last one counts
-    assert td_lambda_all(signal, value, gamma, 1.0, chances)[0].item() == pytest.approx(wanted)
-
-
 @pytest.mark.parametrize("lam", [0.95, 0.3, 1.0])
 def test_continuation_is_a_discount_of_its_own(lam):
     """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1) G_n + lam^(H-1) G_H."""

@@ -123,26 +123,6 @@ def test_decisions_of_a_batch_do_not_touch_each_other():
         torch.testing.assert_close(searched(config(), normals[b : b + 1]).residuals[0], together[b])
 
 
-def test_the_command_stands_where_the_second_look_says_that_it_is_safe_and_no_plan_gains():
-    def calm(residuals: Tensor) -> Scored:
-        return Scored(residuals, 0.05 * residuals[:, :, 0, 0], torch.zeros(residuals.shape[:2]))
-
-    normals = torch.randn(1, 3, N, L, 1, generator=torch.Generator().manual_seed(0))
-    assert (searched(config(), normals, brake, calm).residuals == 0).all()
-    assert (searched(config(), normals, brake, lambda r: calm(r)._replace(reward=-5 * r[:, :, 0, 0])).residuals != 0).any()
-
-
-def test_broken_rollouts_are_never_selected():
-    def broken(residuals: Tensor) -> Scored:
-        found = brake(residuals)
-        return found._replace(reward=torch.where(residuals[:, :, 0, 0] < -0.5, torch.nan, found.reward))
-
-    normals = torch.randn(1, 3, N, L, 1, generator=torch.Generator().manual_seed(1))
-    assert -0.5 <= float(searched(config(), normals, broken).residuals[0, 0, 0]) < -0.4
-    nothing = searched(config(), normals, lambda r: brake(r)._replace(reward=brake(r).reward * torch.nan, cost=brake(r).cost * torch.nan))
-    assert (nothing.residuals == 0).all()
-
-
 @pytest.mark.parametrize(("looks", "made"), [(0, 1), (1, 2), (2, 3)])
 def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
     asked = iter([False] * looks + [True] * 9)

@@ -1,7 +1,6 @@
-"""The configuration section of every stage: sizes and budgets. Light: `wasp plan` reads it without torch.
+"""The configuration section of every stage; light, since `wasp plan` reads it. Defaults are the `cpu` preset (`spec.presets`).
 
-Defaults are the `cpu` preset; the other presets override them (`spec.presets`). What is in a key imports a section from its own file, so
-that the key covers no other; from here every section can be had. No name of a section stands here: a new one would change every key.
+What is in a key imports a section from its own file, so that the key covers no other. No name stands here: it would change every key.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from wasp_cli.config import Config, assumed, deviates
 
-Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
-"""Widths of hidden layers."""
+Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]  # widths of hidden layers
 
 LADDER: dict[str, tuple[float, ...]] = {
     "noisy": (0.2, 0.4, 0.6),

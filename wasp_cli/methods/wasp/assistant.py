@@ -28,14 +28,10 @@ from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
 from wasp_cli.tasks.motors import Motors
 
-GATES, SEARCH, FINALISTS = range(3)
-"""What a decision draws for, each from a stream of its own."""
-TAU_C, TAU_R = 0.5, 0.1
-"""Thresholds that are to be calibrated, where no calibration exists yet."""
-MISTAKES = 4
-"""Random commands for each held-out decision, from which tau_r comes."""
-CHUNK = 64
-"""Held-out decisions that are looked at together."""
+GATES, SEARCH, FINALISTS = range(3)  # what a decision draws for, each from a stream of its own
+TAU_C, TAU_R = 0.5, 0.1  # thresholds that are to be calibrated, where no calibration exists yet
+MISTAKES = 4  # random commands for each held-out decision, from which tau_r comes
+CHUNK = 64  # held-out decisions that are looked at together
 
 
 def wasp(config: Config, parts: Parts) -> WASP:
@@ -46,12 +42,9 @@ def wasp(config: Config, parts: Parts) -> WASP:
 class Look(NamedTuple):
     """The two futures of B decisions: N = 2."""
 
-    target: Tensor
-    """[B, A] the least action of the expert's force"""
-    futures: Scored
-    """the command, then the expert; the correction, then the expert"""
-    draws: Draws
-    """of these rollouts"""
+    target: Tensor  # [B, A] the least action of the expert's force
+    futures: Scored  # the command, then the expert; the correction, then the expert
+    draws: Draws  # of these rollouts
 
     @property
     def gain(self) -> Tensor:

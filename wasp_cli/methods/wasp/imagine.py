@@ -22,21 +22,16 @@ from wasp_cli.models.weights import load_module
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 
-Compose = Callable[[int, Tensor], Tensor]
-"""Turns the step k and the operator's commands there [R, A] into actions [R, A]."""
+Compose = Callable[[int, Tensor], Tensor]  # turns the step k and the operator's commands there [R, A] into actions [R, A]
 
 
 class Situation(NamedTuple):
     """Where an imagination starts: the filtered latents, the commands just issued, and who goes on."""
 
-    latent: Latent
-    """[B, .]"""
-    a_h: Tensor
-    """[B, A]"""
-    operator: Operator
-    """imagined from here on; it has just issued the commands"""
-    rows: Tensor
-    """[B] the operator's rows that these decisions belong to"""
+    latent: Latent  # [B, .]
+    a_h: Tensor  # [B, A]
+    operator: Operator  # imagined from here on; it has just issued the commands
+    rows: Tensor  # [B] the operator's rows that these decisions belong to
 
     def select(self, rows: Tensor) -> Situation:
         """Select some of the decisions (indices [R])."""
@@ -46,10 +41,8 @@ class Situation(NamedTuple):
 class Draws(NamedTuple):
     """Randomness of M rollouts, made before the loop and shared by every candidate (common random numbers)."""
 
-    latent: Tensor
-    """Gumbel [B, H, M, Z]"""
-    operator: Tensor
-    """uniform [B, H, M, K]"""
+    latent: Tensor  # Gumbel [B, H, M, Z]
+    operator: Tensor  # uniform [B, H, M, K]
 
     @classmethod
     def of(cls, streams: Streams, purpose: int, start: Situation, horizon: int, rollouts: int, noise_size: int) -> Draws:
@@ -70,12 +63,9 @@ class Draws(NamedTuple):
 class Scored(NamedTuple):
     """Residual sequences of B decisions, and the mean returns of their rollouts."""
 
-    residuals: Tensor
-    """[B, N, L, A]"""
-    reward: Tensor
-    """G^(r) [B, N]"""
-    cost: Tensor
-    """G^(c) [B, N]"""
+    residuals: Tensor  # [B, N, L, A]
+    reward: Tensor  # G^(r) [B, N]
+    cost: Tensor  # G^(c) [B, N]
 
     def rows(self, index: Tensor) -> Scored:
         """Select some of the decisions (indices [R])."""
@@ -98,8 +88,7 @@ class Imagined:
 
     imagination: Imagination
     arrived: Latent
-    shape: tuple[int, int, int]
-    """B, N, M"""
+    shape: tuple[int, int, int]  # B, N, M
 
     def reward(self) -> Tensor:
         """Return r-hat of every step."""
@@ -131,14 +120,10 @@ class Imagination:
 
     model: Dynamics
     critics: Critics
-    expert: Policy
-    """the nominal expert, features [R, F] to commands [R, A]"""
-    gamma_r: float
-    """discount of rewards, at which V_r was trained"""
-    gamma_c: float
-    """discount of costs, at which V_c was trained"""
-    lam: float
-    """lambda of Eq. 8"""
+    expert: Policy  # the nominal expert, features [R, F] to commands [R, A]
+    gamma_r: float  # discount of rewards, at which V_r was trained
+    gamma_c: float  # discount of costs, at which V_c was trained
+    lam: float  # lambda of Eq. 8
     pack: bool = True
     """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its own `imagine`: the reference."""
 

@@ -12,27 +12,19 @@ from wasp_cli.methods.record import Planned, blank_record
 from wasp_cli.methods.wasp.imagine import Scored
 from wasp_cli.tasks.motors import Motors
 
-STD_FLOOR = 0.05
-"""Least spread of what a search samples: keeps its distribution from collapsing."""
+STD_FLOOR = 0.05  # least spread of what a search samples: keeps its distribution from collapsing
 
 
 class Plan(NamedTuple):
     """The selected residual sequences of R decisions, and how the search went."""
 
-    residuals: Tensor
-    """[R, L, A]"""
-    cost: Tensor
-    """[R] predicted cost return"""
-    reward: Tensor
-    """[R] predicted reward return"""
-    alone_cost: Tensor
-    """[R] of the command without a correction, on the same rollouts"""
-    alone_reward: Tensor
-    """[R]"""
-    safe: Tensor
-    """[R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where nothing was searched"""
-    case2: Tensor
-    """[R, I] whether it was fewer than N_f"""
+    residuals: Tensor  # [R, L, A]
+    cost: Tensor  # [R] predicted cost return
+    reward: Tensor  # [R] predicted reward return
+    alone_cost: Tensor  # [R] of the command without a correction, on the same rollouts
+    alone_reward: Tensor  # [R]
+    safe: Tensor  # [R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where nothing was searched
+    case2: Tensor  # [R, I] whether it was fewer than N_f
 
     @classmethod
     def unsearched(cls, futures: Scored, iterations: int) -> Plan:

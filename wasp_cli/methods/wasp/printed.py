@@ -26,14 +26,10 @@ from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.motors import UNKNOWN
 
-ROLLOUTS, PROBE, SEARCH = range(3)
-"""What a decision draws for, each from a stream of its own."""
-BOUND = 2.0
-"""Largest residual, beyond which clipping (Eq. 18) leaves nothing else to gain."""
-TAU_C, TAU_R = 0.5, 0.5
-"""Thresholds where no calibration exists yet."""
-ROWS = 16384
-"""Imagined rows at a time."""
+ROLLOUTS, PROBE, SEARCH = range(3)  # what a decision draws for, each from a stream of its own
+BOUND = 2.0  # largest residual, beyond which clipping (Eq. 18) leaves nothing else to gain.
+TAU_C, TAU_R = 0.5, 0.5  # thresholds where no calibration exists yet
+ROWS = 16384  # imagined rows at a time
 
 
 def printed(config: Config, parts: Parts) -> Printed:

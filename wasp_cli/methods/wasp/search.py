@@ -16,8 +16,7 @@ from wasp_cli.methods.wasp.imagine import Scored
 from wasp_cli.methods.wasp.outcome import Plan, refitted
 from wasp_cli.metrics.episode import CUT_OFF
 
-KEPT = 6
-"""Elites that stay candidates of the next iteration."""
+KEPT = 6  # elites that stay candidates of the next iteration
 FINALISTS = 4
 """Best plans by either score that are scored again. The best of some hundred estimates is biased: of the plans that look safe in the search
 most are not on other draws."""
@@ -42,7 +41,6 @@ def search(
         known: candidates of the first iteration beside the sampled ones [B, K, L, A]; the last one is the first mean.
         normals: standard normal [B, I, N, L, A].
         alone: the command without a correction as the gates saw it, N = 1.
-        config: the constants.
         tau_c: bound of the cost return (Eq. 14).
         tau_r: what a plan must gain where the second look says that the command is safe after all.
         time_is_up: asked before every further batch of rollouts; once it says so, the best so far is selected on the draws of the search.

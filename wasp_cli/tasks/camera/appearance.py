@@ -1,7 +1,4 @@
-"""What a task looks like: its robot, floor, walls and movable things. Data only; `camera` and `topdown` draw it.
-
-n = episodes drawn, K = things of one kind in each.
-"""
+"""What a task looks like; `camera` and `topdown` draw it. n = episodes drawn, K = things of one kind in each."""
 
 from __future__ import annotations
 
@@ -13,70 +10,55 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Bools, Floats
 
-Colour = tuple[float, float, float]
-"""Red, green, blue in [0, 1]."""
+Colour = tuple[float, float, float]  # red, green, blue in [0, 1]
 Shades = NDArray[np.float32]
 
 
 class Things(NamedTuple):
     """Where the things of one kind are, world frame."""
 
-    position: Floats
-    """[n, K, 3] origin of the kind's body frame."""
-    rotation: Floats
-    """[n, K, 3, 3] body to world."""
-    shown: Bools
-    """[n, K]"""
+    position: Floats  # [n, K, 3] origin of the kind's body frame
+    rotation: Floats  # [n, K, 3, 3] body to world
+    shown: Bools  # [n, K]
 
 
 class Scene(NamedTuple):
     """What there is to see in n episodes."""
 
-    position: Floats
-    """[n, 3] origin of the robot's body frame, world."""
-    rotation: Floats
-    """[n, 3, 3] robot body to world."""
-    things: dict[str, Things]
-    """By the names of `Appearance.kinds`."""
+    position: Floats  # [n, 3] origin of the robot's body frame, world
+    rotation: Floats  # [n, 3, 3] robot body to world
+    things: dict[str, Things]  # by the names of `Appearance.kinds`
 
 
 class Kind(NamedTuple):
     """One kind of movable thing: geoms in a body frame, all of one colour."""
 
     name: str
-    geoms: str
-    """MJCF of its geoms, without colours."""
+    geoms: str  # MJCF of its geoms, without colours
     colour: Colour
     alpha: float = 1.0
     painted: float | None = None
     """Radius of a flat disc that is painted onto the floor instead of cast as a solid; the geoms are then not drawn by the camera."""
     column: tuple[float, float] | None = None
     """Radius and height of an upright column that is drawn instead of the geoms, from any distance at least a pixel wide."""
-    reach: float | None = None
-    """Distance in m beyond which it is not drawn, being smaller than a pixel; None: no limit."""
+    reach: float | None = None  # distance in m beyond which it is not drawn, being smaller than a pixel; None: no limit
 
 
 class Part(NamedTuple):
     """One geom of the robot itself, in its body frame."""
 
-    geom: str
-    """MJCF of the geom."""
+    geom: str  # MJCF of the geom
     colour: Colour
 
 
 class Wall(NamedTuple):
     """An upright solid that never moves."""
 
-    outline: Floats
-    """[V, 2] closed ring."""
-    top: float
-    """Height in m; it reaches down to the floor."""
-    colours: tuple[Colour, Colour]
-    """Alternating along the wall, so that motion along it can be seen."""
-    stripe: float = 0.5
-    """Length of one stripe in m."""
-    hollow: bool = False
-    """The ring is a face around free space, with the solid outside of it."""
+    outline: Floats  # [V, 2] closed ring
+    top: float  # height in m; it reaches down to the floor
+    colours: tuple[Colour, Colour]  # alternating along the wall, so that motion along it can be seen
+    stripe: float = 0.5  # length of one stripe in m
+    hollow: bool = False  # the ring is a face around free space, with the solid outside of it
 
 
 class Landmark(NamedTuple):
@@ -84,13 +66,11 @@ class Landmark(NamedTuple):
 
     xy: tuple[float, float]
     radius: float
-    top: float
-    """Height in m."""
+    top: float  # height in m
     colour: Colour
 
 
-Painter = Callable[[Shades, Shades], Shades]
-"""Colours float32 [3, m] at world places x, y [m] in m."""
+Painter = Callable[[Shades, Shades], Shades]  # colours float32 [3, m] at world places x, y [m] in m
 
 
 class Floor(Protocol):
@@ -105,24 +85,19 @@ class Appearance(NamedTuple):
     """Everything that stays the same over the episodes of a task."""
 
     robot: tuple[Part, ...]
-    camera_height: float
-    """Of both cameras above the body's origin, along the body's z axis, in m."""
-    forward: tuple[float, float]
-    """The front camera's heading in the body frame; the rear camera looks the other way."""
+    camera_height: float  # of both cameras above the body's origin, along the body's z axis, in m
+    forward: tuple[float, float]  # the front camera's heading in the body frame; the rear camera looks the other way
     floor: Floor
     walls: tuple[Wall, ...]
     landmarks: tuple[Landmark, ...]
     kinds: tuple[Kind, ...]
-    map_half_side: float
-    """Half the side of the map from above in m."""
+    map_half_side: float  # half the side of the map from above in m
     map_centre: tuple[float, float] | None = None
     """Centre of the map; None: it follows the robot when it would leave a map around the origin."""
     horizon: Colour = (0.012, 0.012, 0.02)
     """Of the sky straight ahead, into which floor and walls fade with distance. Nearly black in the reference package."""
-    zenith: Colour = (0.012, 0.012, 0.02)
-    """Of the sky above."""
-    haze: float = 12.0
-    """Distance in m at which half of the colour of floor and walls is left. Things and landmarks do not fade."""
+    zenith: Colour = (0.012, 0.012, 0.02)  # of the sky above
+    haze: float = 12.0  # distance in m at which half of the colour of floor and walls is left. Things and landmarks do not fade.
 
 
 @runtime_checkable

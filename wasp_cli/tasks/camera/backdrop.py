@@ -1,7 +1,4 @@
-"""Everything that needs no ray cast at it: sky, floor with the discs on it, walls, columns, and the robot's own body.
-
-m = pixels that see the floor, or a wall.
-"""
+"""What needs no ray cast at it: sky, floor with discs, walls, columns, the robot's own body. m = pixels that see the floor, or a wall."""
 
 from __future__ import annotations
 
@@ -18,44 +15,33 @@ from wasp_cli.tasks.camera.panorama import DIRECTIONS, NOTHING, Panorama, direct
 from wasp_cli.tasks.camera.upright import Upright
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_SPARSE = 4
-"""A layer with something in less than one of so many directions is looked at pixel by pixel."""
+_SPARSE = 4  # A layer with something in less than one of so many directions is looked at pixel by pixel
 
 
 class _Ground(NamedTuple):
     """The pixels that see the floor. All of it depends on the cameras' height and tilt alone, not on where they are."""
 
-    pixels: NDArray[np.intp]
-    """[m]"""
-    fall: Shades
-    """[m] length of the ray on which it falls by 1 m."""
-    paint: Painter
-    """Of the floor, for the size of these pixels on it."""
-    left: Shades
-    """[m] the share of the colour that haze leaves."""
+    pixels: NDArray[np.intp]  # [m]
+    fall: Shades  # [m] length of the ray on which it falls by 1 m
+    paint: Painter  # of the floor, for the size of these pixels on it
+    left: Shades  # [m] the share of the colour that haze leaves
 
 
 class _Level(NamedTuple):
     """What a robot of one height and tilt sees of sky, floor and itself, wherever it is, where nothing stands upright."""
 
-    tilt: bytes
-    """Of the pose that this was made for."""
-    depth: Shades
-    """[P]"""
-    image: Shades
-    """[3, P] sky and the robot itself."""
+    tilt: bytes  # of the pose that this was made for
+    depth: Shades  # [P]
+    image: Shades  # [3, P] sky and the robot itself
     ground: _Ground
-    rays: Shades
-    """[3, m] of the floor's pixels, in the robot's frame."""
+    rays: Shades  # [3, m] of the floor's pixels, in the robot's frame
 
 
 class Ahead(NamedTuple):
     """What was found out about all rows of a scene at once, before any pixel is."""
 
-    panoramas: list[Panorama] | None
-    """None: nothing stands upright."""
-    discs: list[Discs]
-    """Of each kind that is painted onto the floor."""
+    panoramas: list[Panorama] | None  # none: nothing stands upright
+    discs: list[Discs]  # of each kind that is painted onto the floor
 
 
 class Backdrop:

@@ -25,8 +25,7 @@ class Plan(NamedTuple):
 
     poses: Poses
     ahead: Ahead
-    placed: list[Placed]
-    """Of each kind that rays are cast at."""
+    placed: list[Placed]  # of each kind that rays are cast at
 
 
 class Camera:

@@ -1,7 +1,4 @@
-"""The rays of both cameras, what they see of the robot itself, and one image pair while it is being drawn.
-
-P = 2 * 64 * 64 pixels, front image first; m = some of them.
-"""
+"""The rays of both cameras, and one image pair while it is drawn. P = 2 * 64 * 64 pixels, front image first; m = some of them."""
 
 from __future__ import annotations
 
@@ -17,23 +14,17 @@ from wasp_cli.tasks.camera.appearance import Appearance, Colour, Scene, Shades
 FRONT_SLOPE = 0.4
 """The front camera looks down by this slope (21.8 degrees), the rear camera is level; both have 90 degrees field of view."""
 
-FAR = 300.0
-"""Depth of the sky in m: nothing that is farther away is drawn."""
+FAR = 300.0  # depth of the sky in m: nothing that is farther away is drawn
 
 
 class View(NamedTuple):
     """What is constant in the robot's frame. Every image of a robot starts from it."""
 
-    axes: Floats
-    """[2, 3, 3] for each camera its forward, right and up unit vectors."""
-    rays: Shades
-    """[3, P] unit vectors."""
-    depth: Shades
-    """[P] distance to the robot's own body, FAR where it is out of sight."""
-    own: NDArray[np.intp]
-    """[O] the pixels that show the robot's own body."""
-    own_colour: Shades
-    """[3, O]"""
+    axes: Floats  # [2, 3, 3] for each camera its forward, right and up unit vectors
+    rays: Shades  # [3, P] unit vectors
+    depth: Shades  # [P] distance to the robot's own body, FAR where it is out of sight
+    own: NDArray[np.intp]  # [O] the pixels that show the robot's own body
+    own_colour: Shades  # [3, O]
 
 
 def camera_axes(forward: tuple[float, float], slope: float) -> Floats:
@@ -87,19 +78,15 @@ def shade(normals: Floats, rays: Floats) -> Shades:
     return bright
 
 
-_LOWEST = 0.02
-"""Height in m below which no camera sinks, even that of a car on its back."""
+_LOWEST = 0.02  # height in m below which no camera sinks, even that of a car on its back
 
 
 class Poses(NamedTuple):
     """Where the cameras of n rows are."""
 
-    origin: Floats
-    """[n, 3] where both cameras are."""
-    turn: Floats
-    """[n, 3, 3] robot body to world."""
-    axes: Floats
-    """[n, 2, 3, 3] for each camera its forward, right and up unit vectors."""
+    origin: Floats  # [n, 3] where both cameras are
+    turn: Floats  # [n, 3, 3] robot body to world
+    axes: Floats  # [n, 2, 3, 3] for each camera its forward, right and up unit vectors
 
 
 def camera_poses(view: View, camera_height: float, scene: Scene) -> Poses:
@@ -115,16 +102,11 @@ def camera_poses(view: View, camera_height: float, scene: Scene) -> Poses:
 class Frame(NamedTuple):
     """The cameras in the world, and what was drawn so far."""
 
-    origin: Floats
-    """[3] where both cameras are."""
-    turn: Shades
-    """[3, 3] robot body to world."""
-    body_rays: Shades
-    """[3, P] unit vectors in the robot's frame."""
-    depth: Shades
-    """[P] distance in m of what is seen; FAR in the sky."""
-    image: Shades
-    """[3, P] in [0, 1]; nothing is in it at first."""
+    origin: Floats  # [3] where both cameras are
+    turn: Shades  # [3, 3] robot body to world
+    body_rays: Shades  # [3, P] unit vectors in the robot's frame
+    depth: Shades  # [P] distance in m of what is seen; FAR in the sky
+    image: Shades  # [3, P] in [0, 1]; nothing is in it at first
 
     def rays(self, pixels: NDArray[np.intp] | None = None) -> Shades:
         """Return unit vectors [3, m] in the world through these pixels, or [3, P] through all."""

@@ -17,60 +17,41 @@ from numpy.typing import ArrayLike, NDArray
 from wasp_cli.tasks.base import CAMERA_SIZE
 from wasp_cli.tasks.camera.appearance import Colour, Shades, Wall
 
-DIRECTIONS = 512
-"""N: at least three to the width of a pixel."""
-NOTHING = 1e9
-"""Distance where no side is."""
+DIRECTIONS = 512  # N: at least three to the width of a pixel
+NOTHING = 1e9  # distance where no side is
 _LAYER_RATIO = 2.0
 
 
 class Sides(NamedTuple):
     """Upright faces."""
 
-    start: Shades
-    """[2, S]"""
-    end: Shades
-    """[2, S]"""
-    top: Shades
-    """[S]"""
-    layer: NDArray[np.intp]
-    """[S]"""
-    mean: Shades
-    """[3, S] mean of the two colours."""
-    amplitude: Shades
-    """[3, S] half their difference."""
-    stripe: Shades
-    """[S] length of one stripe."""
-    offset: Shades
-    """[S] length of the outline before this side, in stripes."""
-    fading: Shades
-    """[S] at a distance d in m, 1 / (1 + fading d^2) of the colour is left."""
+    start: Shades  # [2, S]
+    end: Shades  # [2, S]
+    top: Shades  # [S]
+    layer: NDArray[np.intp]  # [S]
+    mean: Shades  # [3, S] mean of the two colours
+    amplitude: Shades  # [3, S] half their difference
+    stripe: Shades  # [S] length of one stripe
+    offset: Shades  # [S] length of the outline before this side, in stripes
+    fading: Shades  # [S] at a distance d in m, 1 / (1 + fading d^2) of the colour is left
 
 
 class Columns(NamedTuple):
     """Upright columns."""
 
-    centre: Shades
-    """[2, S]"""
-    radius: Shades
-    """[S]"""
-    top: Shades
-    """[S]"""
-    colour: Shades
-    """[3, S]"""
-    layer: NDArray[np.intp]
-    """[S]"""
+    centre: Shades  # [2, S]
+    radius: Shades  # [S]
+    top: Shades  # [S]
+    colour: Shades  # [3, S]
+    layer: NDArray[np.intp]  # [S]
 
 
 class Panorama(NamedTuple):
     """The nearest side in every direction, for each layer."""
 
-    reach: Shades
-    """[L, N] in units of the direction's vector on the square; NOTHING where there is none."""
-    top: Shades
-    """[L, N]"""
-    colour: Shades
-    """[3, L * N]"""
+    reach: Shades  # [L, N] in units of the direction's vector on the square; NOTHING where there is none
+    top: Shades  # [L, N]
+    colour: Shades  # [3, L * N]
 
 
 def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
@@ -150,22 +131,17 @@ def _unit_square() -> Shades:
     return np.stack([np.concatenate([one, -at, -one, at]), np.concatenate([at, one, -at, -one])])
 
 
-_TOWARDS = _unit_square()
-"""[2, N] the middle of each step on the square."""
+_TOWARDS = _unit_square()  # [2, N] the middle of each step on the square
 _LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
 
 
 class Views(NamedTuple):
     """The sides that n viewers have around them, T in all."""
 
-    start: Shades
-    """[2, T] relative to the viewer."""
-    end: Shades
-    """[2, T]"""
-    viewer: NDArray[np.intp]
-    """[T] in [0, n)."""
-    side: NDArray[np.intp]
-    """[T] which of the sides it is."""
+    start: Shades  # [2, T] relative to the viewer
+    end: Shades  # [2, T]
+    viewer: NDArray[np.intp]  # [T] in [0, n)
+    side: NDArray[np.intp]  # [T] which of the sides it is
 
 
 def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon: Shades) -> list[Panorama]:

@@ -16,58 +16,43 @@ from wasp_cli.tasks.camera.spheres import bounding_spheres, rectangles
 
 SLOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Copies of a thing in the models to choose from: every copy in a model costs time for every ray."""
-_MANY = 250
-"""Pixels from which on a thing is cast at alone."""
-_PARKED = -1000.0
-"""Height at which a thing waits that is not drawn."""
-_LARGE = 300
-"""Pixels from which on it pays to ask for every single one whether its ray meets the sphere."""
+_MANY = 250  # pixels from which on a thing is cast at alone
+_PARKED = -1000.0  # height at which a thing waits that is not drawn
+_LARGE = 300  # pixels from which on it pays to ask for every single one whether its ray meets the sphere
 
 
 class Hits(NamedTuple):
     """The pixels that see a thing of one kind."""
 
-    pixels: NDArray[np.intp]
-    """[m]"""
-    depth: Shades
-    """[m]"""
-    shade: Shades
-    """[m]"""
+    pixels: NDArray[np.intp]  # [m]
+    depth: Shades  # [m]
+    shade: Shades  # [m]
 
 
 class Box(NamedTuple):
     """Pixels that may show a sphere."""
 
-    at: tuple[int, slice, slice]
-    """Camera, rows, columns."""
+    at: tuple[int, slice, slice]  # camera, rows, columns
     large: bool
-    centre: list[float]
-    """[3] of the sphere, relative to the camera."""
+    centre: list[float]  # [3] of the sphere, relative to the camera
     radius: float
-    nearest: float
-    """Distance in m from which on it may begin."""
+    nearest: float  # distance in m from which on it may begin
 
 
 class Near(NamedTuple):
     """The things of one kind within reach of the cameras of their rows: k of them."""
 
-    rows: NDArray[np.intp]
-    """[k]"""
-    position: Floats
-    """[k, 3] world."""
-    rotation: Floats
-    """[k, 3, 3]"""
-    middle: Floats
-    """[k, 3] of the sphere around each, relative to the camera."""
+    rows: NDArray[np.intp]  # [k]
+    position: Floats  # [k, 3] world
+    rotation: Floats  # [k, 3, 3]
+    middle: Floats  # [k, 3] of the sphere around each, relative to the camera
 
 
 class Placed(NamedTuple):
     """The things of one kind that are in sight, of all rows: of each row the nearest first."""
 
-    start: list[int]
-    """[n + 1] where each row's begin."""
-    boxes: list[list[Box]]
-    """[M]"""
+    start: list[int]  # [n + 1] where each row's begin
+    boxes: list[list[Box]]  # [M]
     poses: tuple[Floats, Floats, Floats, Floats]
     """[M, 3], [M, 9], [M, G, 3], [M, G, 9]: middles of mass and their axes, then places and axes of geoms, as `MjData` has them."""
 
@@ -86,8 +71,7 @@ class Solids:
         self._mass_position = model.body_ipos[1].copy()
         self._mass_rotation = data.ximat[1].reshape(3, 3).copy()
         self._centres, self._radii = bounding_spheres(kind)
-        self.radius = float(self._radii[0])
-        """Of the sphere around the whole thing."""
+        self.radius = float(self._radii[0])  # of the sphere around the whole thing
         self._reach2 = np.inf if kind.reach is None else kind.reach**2
 
     def near(self, poses: Poses, things: Things) -> Near:

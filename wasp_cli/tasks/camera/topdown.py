@@ -17,8 +17,7 @@ from wasp_cli.tasks.outline import segments
 
 # On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what they are drawn as at least.
 LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
-_MARGIN = 0.2
-"""How close in m the robot may come to the border of a map that follows it."""
+_MARGIN = 0.2  # how close in m the robot may come to the border of a map that follows it
 _HEADING_COLOUR = (1.0, 1.0, 1.0)
 _TRANSLUCENT = 0.45
 
@@ -27,12 +26,9 @@ class Shape(NamedTuple):
     """The outline of a geom from above, in its body's frame."""
 
     round: bool
-    centre: Floats
-    """[2]"""
-    axes: Floats
-    """[2, 2] unit vectors along its two sides."""
-    half: Floats
-    """[2] half its sides; of a round one twice its radius."""
+    centre: Floats  # [2]
+    axes: Floats  # [2, 2] unit vectors along its two sides
+    half: Floats  # [2] half its sides; of a round one twice its radius
 
 
 class _Canvas:

@@ -8,8 +8,7 @@ from wasp_cli.tasks.camera.appearance import Appearance, Scene, Shades
 from wasp_cli.tasks.camera.frame import Poses, column
 from wasp_cli.tasks.camera.panorama import Panorama, Views, column_sides, draw_panoramas, join, make_columns, wall_sides
 
-_BLOCK = 8
-"""Viewers at once: more save little time, and their numbers leave the processor's cache."""
+_BLOCK = 8  # viewers at once: more save little time, and their numbers leave the processor's cache
 
 
 class Upright:

@@ -20,8 +20,7 @@ GymEnv = gymnasium.Env[Any, Any]
 
 COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
 _A_COST = "a cost is a finite number of at least 0"
-LONE_SOURCE = "cost"
-"""The cost source of an environment that names none."""
+LONE_SOURCE = "cost"  # the cost source of an environment that names none
 _SUM = "cost_sum"
 
 
@@ -33,10 +32,8 @@ class EnvStep(NamedTuple):
     terminated: bool
     truncated: bool
     cost: float
-    sources: dict[str, float]
-    """Cost by source."""
-    goals: int | None
-    """Reached so far; None where the environment does not count them."""
+    sources: dict[str, float]  # cost by source
+    goals: int | None  # reached so far; None where the environment does not count them
     success: bool
 
 
@@ -73,11 +70,7 @@ def reset(env: GymEnv, seed: int) -> Any:
 
 
 def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
-    """Advance by an env step under `action`, of the shape of the environment's action space.
-
-    Raises:
-        TaskError: it fails, or returns something else than gymnasium and a task need.
-    """
+    """Advance by an env step under `action`, of the shape of the environment's action space."""
     with calling("step"):
         returned = env.step(action)
     seen, reward, terminated, truncated, info = _values("step", returned, "(observation, reward, terminated, truncated, info)", 5)

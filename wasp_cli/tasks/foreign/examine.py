@@ -1,7 +1,4 @@
-"""What a foreign environment says of itself, and whether it has what a task needs.
-
-It is made once and driven for one step, so that what is missing is said when a spec is read, and not in the middle of a run.
-"""
+"""What a foreign environment says of itself, and whether it has what a task needs: it is made and stepped once when a spec is read."""
 
 from __future__ import annotations
 
@@ -29,21 +26,14 @@ from wasp_cli.tasks.foreign.views import Views, views_of
 class Facts:
     """What a task has to know of an environment."""
 
-    modules: tuple[str, ...]
-    """Where its code begins."""
-    registered: str
-    """How it is registered, as text: the options that it is made with decide its results."""
-    env_steps: int
-    """Time limit in env steps."""
-    env_seconds: float
-    """Time of one env step in seconds."""
-    success_goals: int
-    """Goals that count as success."""
+    modules: tuple[str, ...]  # where its code begins
+    registered: str  # how it is registered, as text: the options that it is made with decide its results
+    env_steps: int  # time limit in env steps
+    env_seconds: float  # time of one env step in seconds
+    success_goals: int  # goals that count as success
     cost_sources: tuple[str, ...]
-    action_low: Floats
-    """[A]"""
-    action_high: Floats
-    """[A]"""
+    action_low: Floats  # [A]
+    action_high: Floats  # [A]
     views: Views
 
 
@@ -53,10 +43,6 @@ def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
     Args:
         name: `module:Id-v0`, or an id that is registered already.
         tasks: what else `name` could stand for, to be suggested where there is no such id.
-
-    Raises:
-        UnknownName: no such id.
-        TaskError: its module does not import, it cannot be made, it fails, or it lacks something; the message names it.
     """
     # What modules and environments print as they start must not get between the lines of a plan that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
@@ -90,10 +76,6 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     Args:
         name: as for `examine`.
         tasks: as for `examine`.
-
-    Raises:
-        UnknownName: no such id, or the module registers none.
-        TaskError: the module does not import.
     """
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
@@ -120,11 +102,7 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
 
 
 def make_env(name: str) -> GymEnv:
-    """Make one environment without gymnasium's own time limit and checks, which the task replaces.
-
-    Raises:
-        TaskError: it cannot be made.
-    """
+    """Make one environment without gymnasium's own time limit and checks, which the task replaces."""
     spec = copy.deepcopy(find_spec(name))
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:

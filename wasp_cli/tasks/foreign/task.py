@@ -31,10 +31,6 @@ class GymTask:
         action_repeat: env steps per decision step.
         observe: fields of `Observation` to fill.
         threads: has no effect; the environments are stepped one after the other.
-
-    Raises:
-        UnknownName: no such id.
-        TaskError: the environment lacks what a task needs.
     """
 
     def __init__(
@@ -56,8 +52,7 @@ class GymTask:
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
-        self.cameras = facts.views.cameras
-        """1, or 2; the image of a rear camera that is not there is black."""
+        self.cameras = facts.views.cameras  # 1, or 2; the image of a rear camera that is not there is black
 
         self._envs: list[GymEnv] = [make_env(name) for _ in range(batch)]
         self._env_steps = np.zeros(batch, np.int64)
@@ -161,11 +156,7 @@ class GymTask:
         }
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`.
-
-        Raises:
-            TaskError: the environment has no `snapshot`, or a row has not begun.
-        """
+        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`."""
         check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
@@ -174,11 +165,7 @@ class GymTask:
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
-        """Return to a snapshot; see `VectorTask`.
-
-        Raises:
-            TaskError: the environment has no `restore`, or the snapshot is of another task.
-        """
+        """Return to a snapshot; see `VectorTask`."""
         for name, array in self._arrays().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")

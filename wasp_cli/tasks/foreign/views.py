@@ -21,21 +21,17 @@ from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Pixels
 FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back")
 """Entries of a Dict that hold an image; the second is looked for where the first has one camera."""
 PRIVILEGED, STATE = "privileged", "state"
-COARSE = 8
-"""Side of the coarse image that stands in for a privileged vector."""
+COARSE = 8  # side of the coarse image that stands in for a privileged vector
 _AS_SAID = "what reset and step return has to be as observation_space says"
 _WANTED = "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named " + ", ".join(FRONT)
 
 
 @dataclass(frozen=True)
 class _Camera:
-    entry: str | None
-    """Of the Dict; None where the image is the whole observation."""
+    entry: str | None  # of the Dict; None where the image is the whole observation
     channels_last: bool
-    channels: int
-    """3, or 6 for two cameras."""
-    shape: tuple[int, ...]
-    """Of the image as the observation holds it."""
+    channels: int  # 3, or 6 for two cameras
+    shape: tuple[int, ...]  # of the image as the observation holds it
 
     def image(self, observation: Any) -> Pixels:
         """Return the image as it is, checked: uint8, of the shape of its space."""
@@ -59,8 +55,7 @@ class Views:
 
     front: _Camera
     rear: _Camera | None
-    privileged: str | None
-    """Entry of the privileged vector; None: a coarse image and its change stand in for it."""
+    privileged: str | None  # entry of the privileged vector; None: a coarse image and its change stand in for it
     state: str | None
     privileged_size: int
     state_size: int
@@ -79,11 +74,7 @@ class Views:
         return out
 
     def check(self, observation: Any) -> None:
-        """Read all that is ever read of an observation.
-
-        Raises:
-            TaskError: something is not there, or is not what the observation space says.
-        """
+        """Read all that is ever read of an observation."""
         for camera in (self.front, self.rear):
             if camera is not None:
                 camera.image(observation)
@@ -99,11 +90,7 @@ class Views:
         return means
 
     def vector(self, observation: Any, entry: str) -> Floats:
-        """Return an entry of an observation as float64 [N], flat.
-
-        Raises:
-            TaskError: it is not there, not finite, or has another size than the observation space says.
-        """
+        """Return an entry of an observation as float64 [N], flat."""
         size = self.privileged_size if entry == self.privileged else self.state_size
         given = _entry(observation, entry)
         try:
@@ -118,11 +105,7 @@ class Views:
 
 
 def views_of(space: gymnasium.Space[Any]) -> Views:
-    """Find how to read observations of a space.
-
-    Raises:
-        TaskError: there is no image in it.
-    """
+    """Find how to read observations of a space."""
     spaces: Mapping[Any, gymnasium.Space[Any]] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
     front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
     if front is None:

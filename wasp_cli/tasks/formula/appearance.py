@@ -1,7 +1,4 @@
-"""What Formula One looks like: a striped circuit with chevrons, barriers of two colours, towers to tell places by.
-
-Seen forward, the outer barrier (red and white) is always on the left and the inner one (blue and white) on the right.
-"""
+"""What Formula One looks like: along the lap the outer barrier (red and white) is on the left, the inner one (blue and white) right."""
 
 from __future__ import annotations
 
@@ -18,10 +15,8 @@ from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.outline import segments
 
-CELL = 0.1
-"""Side of the finest cells in m."""
-_COARSER = 4
-"""Cells of one level along a cell of the next."""
+CELL = 0.1  # side of the finest cells in m
+_COARSER = 4  # cells of one level along a cell of the next
 _LEVELS = 3
 _WEST, _SOUTH, _COLUMNS, _ROWS = -14.4, -38.4, 528, 544
 
@@ -59,14 +54,11 @@ class Ground:
 class _Texture(NamedTuple):
     """All levels behind each other."""
 
-    colours: Shades
-    """[3, all cells]"""
-    start: NDArray[np.intp]
-    """[levels] first cell."""
+    colours: Shades  # [3, all cells]
+    start: NDArray[np.intp]  # [levels] first cell
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
-    per_metre: Shades
-    """[levels] cells per m."""
+    per_metre: Shades  # [levels] cells per m
 
 
 @lru_cache

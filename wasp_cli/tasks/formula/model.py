@@ -16,8 +16,7 @@ from wasp_cli.tasks.physics import STATIC_SENSOR, body_sensor
 
 BARREL_RADIUS, BARREL_RIM, BARREL_TOP_RADIUS, BARREL_HEIGHT = 0.162, 0.05, 0.09, 0.375
 """A barrel is as wide as its foot up to the rim's height, and narrows to its top; in m."""
-BARREL_MASS = 1.40e-5
-"""kg"""
+BARREL_MASS = 1.40e-5  # kg
 _BARREL_CORNERS = 16
 
 OUTER_THICKNESS, INNER_THICKNESS = 0.2, 0.06
@@ -26,8 +25,7 @@ OUTER_THICKNESS, INNER_THICKNESS = 0.2, 0.06
 
 SECTOR = 4.0
 """Side of the squares into which the map is cut, in m: near a barrier only the boxes around its square are in the model."""
-SECTOR_MARGIN = 3.5
-"""How far the boxes reach beyond the square, in m: as far as a moving barrel is followed, and half a metre."""
+SECTOR_MARGIN = 3.5  # how far the boxes reach beyond the square, in m: as far as a moving barrel is followed, and half a metre
 _COLUMNS = 32
 
 
@@ -77,8 +75,7 @@ def _barriers(walls: int) -> str:
     return "".join(box for fence in (outer, inner, pit) for box in _fence(*fence, walls)) or _NOWHERE
 
 
-_NOWHERE = '<geom type="sphere" size="0.01" pos="0 0 -10"/>'
-"""A square without barriers still has the body."""
+_NOWHERE = '<geom type="sphere" size="0.01" pos="0 0 -10"/>'  # A square without barriers still has the body
 
 
 def _around(sides: Floats, walls: int) -> NDArray[np.intp]:

@@ -26,8 +26,7 @@ from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
 from wasp_cli.tasks.physics import Surroundings, active_bodies
 
-BARRELS = {0: 0, 1: 200}
-"""By level."""
+BARRELS = {0: 0, 1: 200}  # by level
 BARREL_KEEPOUT, GOAL_KEEPOUT = 0.5, 0.305
 
 _DELTA = 1e-9
@@ -38,12 +37,10 @@ _BARREL_PLACES = ((-12.2, -32.5, 27.8, 7.5), (26.0, -11.0, 38.0, 1.0))
 
 _REACH = car.REACH + BARREL_RADIUS
 _APART = 2.0 * BARREL_RADIUS + 0.04
-_LYING = 0.25
-"""How much farther from its origin a tilted barrel reaches, in m."""
+_LYING = 0.25  # how much farther from its origin a tilted barrel reaches, in m
 _REST, _MAX_DISTANCE = 1e-3, 3.0
 
-WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
-"""Distances ahead, along the lap, of the way points that an expert sees, in m."""
+WAY_POINTS = (1.0, 2.0, 4.0, 8.0)  # distances ahead, along the lap, of the way points that an expert sees, in m
 _RAY_LIMIT = 4.0
 
 
@@ -74,8 +71,7 @@ class Formula(Navigation):
         self.cost_sources = ("vases_contact", "static_geoms_contact") if barrels else ()
         super().__init__(batch, build_model, barrels, action_repeat=action_repeat, observe=observe, threads=threads)
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
-        self._stage = np.zeros(batch, np.int64)
-        """[B] index of the goal in `track.STAGES`."""
+        self._stage = np.zeros(batch, np.int64)  # [B] index of the goal in `track.STAGES`
 
     def appearance(self) -> Appearance:
         return appearance(self.level)

@@ -13,8 +13,7 @@ from wasp_cli.tasks.outline import parse_outline, segments
 STAGES = np.array([(3.0, 9.0), (13.0, -1.7), (26.0, 0.05), (32.0, -7.0), (4.0, -17.5), (19.0, -20.7), (-0.85, -0.4)])
 """[7, 2] in driving order, cyclic: an episode starts at one of them and its first goal is the next."""
 
-LAP_SPACING = 2.0
-"""Distance along the lap between two points of `LAP`."""
+LAP_SPACING = 2.0  # distance along the lap between two points of `LAP`
 
 LAP = parse_outline(
     """
@@ -103,8 +102,7 @@ def _fine_lap() -> tuple[Floats, float]:
     return np.stack([np.interp(at, lengths, column) for column in (*corners.T, half_widths)], axis=1), total
 
 
-FINE_LAP, LAP_LENGTH = _fine_lap()
-"""[740, 3] x, y and half width every 0.25 m of the closed centre line; its length in m."""
+FINE_LAP, LAP_LENGTH = _fine_lap()  # [740, 3] x, y and half width every 0.25 m of the closed centre line; its length in m
 
 
 def progress(xy: Floats) -> NDArray[np.intp]:

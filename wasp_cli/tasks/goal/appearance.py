@@ -17,8 +17,7 @@ VASE_COLOUR, GOAL_COLOUR, HAZARD_COLOUR = (0.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0
 # More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64 and would vanish from the latent.
 GOAL_ALPHA = HAZARD_ALPHA = 0.7
 GOAL_RADIUS, GOAL_HALF_HEIGHT, HAZARD_HALF_HEIGHT = 0.3, 0.15, 0.01
-MAP_HALF_SIDES = (1.5, 2.0, 2.5)
-"""By level, in m: half a metre more than where things are placed."""
+MAP_HALF_SIDES = (1.5, 2.0, 2.5)  # by level, in m: half a metre more than where things are placed
 
 
 class Checker:

@@ -32,8 +32,7 @@ _AGENT = f"""
       <site name="agent"/>
     </body>"""
 
-AGENT_SENSORS = 12
-"""Numbers of accelerometer, velocimeter, gyro and magnetometer."""
+AGENT_SENSORS = 12  # numbers of accelerometer, velocimeter, gyro and magnetometer
 
 
 def build_model(bodies: int, walls: int = 0, integrate: bool = True) -> mujoco.MjModel:

@@ -79,8 +79,7 @@ def _nearest_first(points: Floats) -> tuple[Floats, Floats]:
 class Level(NamedTuple):
     """What distinguishes the levels."""
 
-    half_side: float
-    """Half the side of the square that holds everything at the start, in m."""
+    half_side: float  # half the side of the square that holds everything at the start, in m
     hazards: int
     vases: int
     vases_cost: bool
@@ -89,8 +88,7 @@ class Level(NamedTuple):
 LEVELS = {0: Level(1.0, 0, 0, False), 1: Level(1.5, 8, 1, False), 2: Level(2.0, 10, 10, True)}
 
 AGENT_KEEPOUT, GOAL_KEEPOUT, HAZARD_KEEPOUT, VASE_KEEPOUT = 0.4, 0.305, 0.18, 0.15
-VASE_SPEED = 1e-4
-"""Speed in m/s from which a moving vase costs, where vases cost."""
+VASE_SPEED = 1e-4  # speed in m/s from which a moving vase costs, where vases cost
 
 # The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at most 0.03 m are driven.
 _REACH = 0.4

@@ -1,7 +1,7 @@
 """Goal1 with a second goal of equal look: one of the two is the operator's, and no camera shows which.
 
-Reward, progress and `goals` are those of the operator's goal. Where it is reached both are drawn anew, so that nothing that was seen before
-tells the new ones apart. The other goal gives nothing, and stays where it is when it is reached: it tempts all the time.
+Where the operator's is reached both are drawn anew, so that nothing seen before tells the new ones apart. The other gives nothing
+and stays.
 """
 
 from __future__ import annotations

@@ -26,8 +26,7 @@ class Cobbles:
     """Rows of stones in two tints with dark joints; what is smaller than a pixel fades into its mean."""
 
     side = 0.35
-    _joint = 0.06
-    """Width of a joint as a share of a stone."""
+    _joint = 0.06  # width of a joint as a share of a stone
     _mean = np.array([[0.47], [0.44], [0.40]], np.float32)
     _amplitude = np.array([[0.05], [0.05], [0.055]], np.float32)
 

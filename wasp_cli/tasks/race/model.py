@@ -21,13 +21,10 @@ class Prism(NamedTuple):
     """An upright convex solid."""
 
     name: str
-    kind: str
-    """`fence`, `rock`, `door` or `stone`: how it looks."""
+    kind: str  # `fence`, `rock`, `door` or `stone`: how it looks
     bottom: float
-    top: float
-    """Heights in m."""
-    outline: Floats
-    """[V, 2] corners in order around."""
+    top: float  # heights in m
+    outline: Floats  # [V, 2] corners in order around
 
 
 SCENERY = (

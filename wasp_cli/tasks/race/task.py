@@ -1,7 +1,4 @@
-"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery.
-
-B = episodes side by side. The episode ends at the goal.
-"""
+"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery. B = episodes."""
 
 from __future__ import annotations
 
@@ -23,8 +20,7 @@ from wasp_cli.tasks.physics import Surroundings
 from wasp_cli.tasks.race.appearance import appearance
 from wasp_cli.tasks.race.model import SCENERY, build_model
 
-HAZARDS = {0: 0, 1: 7}
-"""Bushes by level."""
+HAZARDS = {0: 0, 1: 7}  # bushes by level
 HAZARD_RADIUS, HAZARD_KEEPOUT = 0.2625, 0.165
 GOAL_KEEPOUT = 0.305
 
@@ -52,10 +48,8 @@ GOAL = Thing(
 
 SIDES = segments(*(prism.outline for prism in SCENERY))
 
-LANE = np.array([(-2.275, 1.05), (-1.575, 1.05), (3.15, 1.05)])
-"""[3, 2] middle of the lane from the start pen to the goal."""
-WAY_POINTS = (0.5, 1.0, 2.0)
-"""Distances ahead, along the lane, of the way points that an expert sees, in m."""
+LANE = np.array([(-2.275, 1.05), (-1.575, 1.05), (3.15, 1.05)])  # [3, 2] middle of the lane from the start pen to the goal
+WAY_POINTS = (0.5, 1.0, 2.0)  # distances ahead, along the lane, of the way points that an expert sees, in m
 _RAY_LIMIT = 3.0
 
 
