@@ -23,12 +23,10 @@ from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
-COUNTERFACTUAL = "counterfactual"
-"""The stage that runs for every cell whose method may intervene."""
+COUNTERFACTUAL = "counterfactual"  # the stage that runs for every cell whose method may intervene
 CLONE, FITTING = "clone", "wasp_cli.learning.clone"
 """The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which is therefore in its key."""
-OPERATOR_CLONE = "operator_clone"
-"""The name under which a node reads the clone of the person who drives in it."""
+OPERATOR_CLONE = "operator_clone"  # the name under which a node reads the clone of the person who drives in it
 
 
 @dataclass(frozen=True)
@@ -36,21 +34,16 @@ class Grid:
     """What a spec asks for: its cells, each with its evaluation node, what else it trains, and every node behind them."""
 
     cells: tuple[tuple[Cell, Node], ...]
-    nodes: tuple[Node, ...]
-    """Each once, needed ones first."""
+    nodes: tuple[Node, ...]  # each once, needed ones first
     named: tuple[Node, ...]
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
-    recipes: Mapping[str, str] = field(default_factory=dict)
-    """By key, what a node is without the code that computes it: `keys.recipe_of`."""
-    reused: Mapping[str, Reused] = field(default_factory=dict)
-    """By key, the published results that stand in the place of nodes."""
-    notes: tuple[str, ...] = ()
-    """Published results that cannot be used, each with the reason."""
+    recipes: Mapping[str, str] = field(default_factory=dict)  # by key, what a node is without the code that computes it: `keys.recipe_of`
+    reused: Mapping[str, Reused] = field(default_factory=dict)  # by key, the published results that stand in the place of nodes
+    notes: tuple[str, ...] = ()  # published results that cannot be used, each with the reason
     branched: tuple[tuple[Cell, Node], ...] = ()
     """The cells whose interventions are to be judged, each with the node of its counterfactual branches."""
-    preset: str = "cpu"
-    """Of the spec: for estimates, and in no key."""
+    preset: str = "cpu"  # of the spec: for estimates, and in no key
 
     @property
     def targets(self) -> frozenset[str]:

@@ -15,8 +15,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-SCHEMA = 1
-"""Raised when the meaning of artifacts changes in a way that no other part of the key shows."""
+SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
 LENGTH = 20
 
@@ -65,12 +64,9 @@ class Cell:
 
     task: str
     method: str
-    assistant: str
-    """Ablation of the method; 'full' for the method itself."""
-    operator: str
-    """Operator variant; `UNIMPAIRED` for the reference row."""
-    severity: str | None
-    """Name of the severity in the spec; enters no key."""
+    assistant: str  # ablation of the method; 'full' for the method itself
+    operator: str  # operator variant; `UNIMPAIRED` for the reference row
+    severity: str | None  # name of the severity in the spec; enters no key
     value: float | None
     seed: int
 
@@ -100,8 +96,7 @@ class Part:
 
     task: str
     kind: str
-    seed: int
-    """The seed of the training chain."""
+    seed: int  # the seed of the training chain
 
     def __str__(self) -> str:
         return f"{self.task} s{self.seed} {self.kind}"
@@ -114,19 +109,14 @@ class Node:
     kind: str
     task: str
     seed: int
-    axes: Mapping[str, Any]
-    """What else identifies it: method, method_config, operator variant, value (evaluate, calibration)."""
+    axes: Mapping[str, Any]  # what else identifies it: method, method_config, operator variant, value (evaluate, calibration)
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    needs: Mapping[str, Node]
-    """The nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind."""
-    modules: tuple[str, ...]
-    """Where its code begins; its key covers what these import."""
+    needs: Mapping[str, Node]  # the nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind
+    modules: tuple[str, ...]  # where its code begins; its key covers what these import
     key: str
-    label: str
-    """For people: `goal1 s0 world_model`."""
-    sort: str
-    """Nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator."""
+    label: str  # for people: `goal1 s0 world_model`
+    sort: str  # nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator
 
     def __hash__(self) -> int:
         return hash(self.key)

@@ -49,8 +49,7 @@ class Plan:
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Median time of each sort of node, where the store has some, else an estimate."""
-    wanted: frozenset[str] | None = None
-    """Keys of the targets that were selected; None when all are wanted."""
+    wanted: frozenset[str] | None = None  # keys of the targets that were selected; None when all are wanted
     begun: Mapping[str, str] = field(default_factory=dict)
     """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
     guessed: frozenset[str] = frozenset()

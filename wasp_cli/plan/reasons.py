@@ -23,17 +23,12 @@ from wasp_cli.store.slim import precision_of
 class Facts:
     """What a plan wants to know of a stored artifact. Nothing of one whose manifest has another form."""
 
-    who: str = ""
-    """The same for all versions of one node."""
-    sort: str = ""
-    """As `Node.sort`."""
-    signature: str = ""
-    """The same for versions that differ from a node in the same way."""
-    seconds: float | None = None
-    """What it took; None of what took rows over, which says nothing of how long its like takes."""
+    who: str = ""  # the same for all versions of one node
+    sort: str = ""  # as `Node.sort`
+    signature: str = ""  # the same for versions that differ from a node in the same way
+    seconds: float | None = None  # what it took; None of what took rows over, which says nothing of how long its like takes
     at: str = ""
-    precision: str = ""
-    """What of it is not in full precision."""
+    precision: str = ""  # what of it is not in full precision
     episodes: int = 0
 
 
@@ -59,8 +54,7 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
 class Stored:
     """The artifacts of some kinds."""
 
-    whole: Mapping[str, Mapping[str, Facts]]
-    """By kind and key."""
+    whole: Mapping[str, Mapping[str, Facts]]  # by kind and key
     damaged: Mapping[str, str]
 
 
@@ -96,10 +90,8 @@ def measured(stored: Stored) -> dict[str, float]:
     return {sort: median(values) for sort, values in times.items()}
 
 
-NEWEST = 5
-"""Earlier versions that are looked at for the nearest one."""
-NAMED = 3
-"""Changes of one kind that a reason names."""
+NEWEST = 5  # earlier versions that are looked at for the nearest one
+NAMED = 3  # changes of one kind that a reason names
 _ABSENT = object()
 
 

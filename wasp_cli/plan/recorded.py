@@ -53,11 +53,9 @@ class PlannedRun:
     """A run and what it was to do."""
 
     run_id: str
-    spec: str
-    """Name of the spec; of a sweep with the setting that varies."""
+    spec: str  # name of the spec; of a sweep with the setting that varies
     nodes: Mapping[str, PlannedNode]
-    parts: tuple[str, ...] = ()
-    """The runs of a sweep's values, whose cells it computes."""
+    parts: tuple[str, ...] = ()  # the runs of a sweep's values, whose cells it computes
 
 
 def run_ids(layout: Layout) -> list[str]:

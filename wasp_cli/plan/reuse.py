@@ -34,8 +34,7 @@ from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used
 from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, precision_of, without_steps
 
-NONE, PUBLISHED = "none", "published"
-"""What may be reused; or the published folder of someone else."""
+NONE, PUBLISHED = "none", "published"  # what may be reused; or the published folder of someone else
 HELDOUT = "heldout"
 """The kind of which there may be two versions: too large to be published, it would keep everything trained beside it from being reused."""
 

@@ -79,8 +79,7 @@ class RunState:
     paused: bool
     deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
-    left_seconds: float | None
-    """What remains, by the estimates of the plan; None of a run that does not go on, or when unknown."""
+    left_seconds: float | None  # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
     unknown: int  # nodes to come without an estimate: what remains takes longer by them
     idle: bool  # nothing had to be computed; what counts as done was there before
 

@@ -18,8 +18,7 @@ from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import parse, printable, read_plain
 
-LONGEST_NAME = 1024
-"""Characters of a file's name in a manifest at most."""
+LONGEST_NAME = 1024  # characters of a file's name in a manifest at most
 
 
 def staging_folder(layout: Layout, key: str) -> Path:
@@ -134,11 +133,9 @@ def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str 
     return None
 
 
-WHY = "_why.txt"
-"""Lies in an artifact that was taken out of use."""
+WHY = "_why.txt"  # lies in an artifact that was taken out of use
 
-_verified: dict[str, tuple[int, int]] = {}
-"""Time and size of each file whose bytes this process has seen to be those of the manifest."""
+_verified: dict[str, tuple[int, int]] = {}  # time and size of each file whose bytes this process has seen to be those of the manifest
 
 
 def corruption(layout: Layout, kind: str, key: str) -> str | None:

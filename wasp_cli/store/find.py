@@ -25,18 +25,14 @@ from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import printable
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
-KIND = "evaluate"
-"""The kind of node whose artifact is a cell."""
+KIND = "evaluate"  # the kind of node whose artifact is a cell
 
-LEAST = 4
-"""Characters of a key that name it, where they are unique."""
+LEAST = 4  # characters of a key that name it, where they are unique
 
 _PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
-SHOWN = 12
-"""Candidates that an error lists at most."""
-DIFFERENCES = 3
-"""Settings by which it tells them apart."""
+SHOWN = 12  # candidates that an error lists at most
+DIFFERENCES = 3  # settings by which it tells them apart
 ONE_OF = "give the first characters of one of these keys, or the run with --run"
 
 
@@ -45,10 +41,8 @@ class Found:
     """Something on disk, and what its manifest says of it."""
 
     path: Path
-    key: str | None = None
-    """None of a file outside of a store"""
-    manifest: Mapping[str, Any] = field(default_factory=dict)
-    """empty where there is none"""
+    key: str | None = None  # none of a file outside of a store
+    manifest: Mapping[str, Any] = field(default_factory=dict)  # empty where there is none
 
     @property
     def label(self) -> str | None:
@@ -84,8 +78,7 @@ class FoundNode(Found):
     """A node of any kind; `path` is the folder of its artifact, or the record of its failure where it has none."""
 
     kind: str = ""
-    failure: Mapping[str, Any] = field(default_factory=dict)
-    """Of its last failure; empty when it succeeded since"""
+    failure: Mapping[str, Any] = field(default_factory=dict)  # of its last failure; empty when it succeeded since
 
     @property
     def label(self) -> str | None:

@@ -25,13 +25,10 @@ WORK, FAILURES, RUNS, TMP, LOCKS = "work of nodes", "records of failures", "runs
 class Rubbish:
     """Something that can go."""
 
-    what: str
-    """The kind of an artifact, or one of the above."""
+    what: str  # the kind of an artifact, or one of the above
     path: Path
-    size: int
-    """Bytes that its removal frees."""
-    key: str | None = None
-    """Of the node whose lock must be free; None where there is no such node."""
+    size: int  # bytes that its removal frees
+    key: str | None = None  # of the node whose lock must be free; None where there is no such node
 
 
 def stored(layout: Layout) -> dict[str, list[str]]:

@@ -23,10 +23,8 @@ from wasp_cli.errors import StoreError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
-MANIFEST = "_manifest.json"
-"""Begins as what readers of Parquet folders leave alone."""
-SESSION_FILE = "_session.json"
-"""What only the cell of a person has, finished or not; see `store.people`."""
+MANIFEST = "_manifest.json"  # begins as what readers of Parquet folders leave alone
+SESSION_FILE = "_session.json"  # what only the cell of a person has, finished or not; see `store.people`
 
 
 @dataclass(frozen=True)

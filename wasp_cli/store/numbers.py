@@ -29,8 +29,7 @@ class Numbers(NamedTuple):
 
     identity: CellIdentity
     thresholds: Thresholds
-    table: pa.Table
-    """the columns that were asked for"""
+    table: pa.Table  # the columns that were asked for
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:

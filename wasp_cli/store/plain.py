@@ -15,10 +15,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
-LARGEST = 256 * 2**20
-"""Bytes of a record or a journal at most; the plan of ten thousand nodes has four million."""
-DEEPEST = 40
-"""How deep a record may be nested; ours stay below ten."""
+LARGEST = 256 * 2**20  # bytes of a record or a journal at most; the plan of ten thousand nodes has four million
+DEEPEST = 40  # how deep a record may be nested; ours stay below ten
 
 _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""

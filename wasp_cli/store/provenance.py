@@ -15,8 +15,7 @@ from typing import Any
 import wasp_cli
 
 RECORDED = ("torch", "mujoco", "numpy", "gymnasium", "stable-baselines3", "joblib", "pyarrow", "safetensors")
-CHANGES_LENGTH = 16
-"""Hexadecimal digits of the hash of what was changed."""
+CHANGES_LENGTH = 16  # hexadecimal digits of the hash of what was changed
 
 
 @cache

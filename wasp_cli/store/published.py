@@ -31,28 +31,22 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.slim import first_episodes
 
-RECIPE, BEHIND = "recipe", "behind"
-"""What a published manifest has besides that of the store."""
-EARLIER = "earlier"
-"""In the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like."""
-FROM_PUBLISHED = "published"
-"""Set in the provenance of an artifact that was brought into the store from the published layer."""
+RECIPE, BEHIND = "recipe", "behind"  # what a published manifest has besides that of the store
+EARLIER = "earlier"  # in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like.
+FROM_PUBLISHED = "published"  # set in the provenance of an artifact that was brought into the store from the published layer
 
-SHA_LENGTH = 7
-"""Hexadecimal digits of a commit that people are shown."""
+SHA_LENGTH = 7  # hexadecimal digits of a commit that people are shown
 
 
 @dataclass(frozen=True)
 class Offer:
     """A published artifact."""
 
-    source: Layout
-    """The published layer."""
+    source: Layout  # the published layer
     kind: str
     key: str
     recipe: str
-    behind: Mapping[str, str]
-    """By recipe, the key of everything that it was computed from."""
+    behind: Mapping[str, str]  # by recipe, the key of everything that it was computed from
     manifest: Mapping[str, Any]
     episodes: int | None = None
     """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is then that of the cut one."""
@@ -73,10 +67,8 @@ class Reused:
     """A published artifact that stands in the place of a node."""
 
     offer: Offer
-    reason: str
-    """Which code computed it, for people."""
-    details: str = ""
-    """What has changed since."""
+    reason: str  # which code computed it, for people
+    details: str = ""  # what has changed since
 
 
 def commit_of(manifest: Mapping[str, Any]) -> str:

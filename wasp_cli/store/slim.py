@@ -13,29 +13,21 @@ from typing import Any, NamedTuple
 from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import file_digest
 
-STEPS_FILE = "_steps.pq"
-"""As in `store.tables`, which needs pyarrow."""
-SLIM = "slim"
-"""In a published manifest: by file, what was left out of it, and the digest of the whole."""
-IMAGES_FILE = "images.parquet"
-"""Of `diagnostics`: frames for pictures in reports; nothing is computed from them."""
-HALF = "weights in half precision"
-"""What was left out of a file with such weights."""
+STEPS_FILE = "_steps.pq"  # as in `store.tables`, which needs pyarrow
+SLIM = "slim"  # in a published manifest: by file, what was left out of it, and the digest of the whole
+IMAGES_FILE = "images.parquet"  # of `diagnostics`: frames for pictures in reports; nothing is computed from them
+HALF = "weights in half precision"  # what was left out of a file with such weights
 HALF_INPUTS = "half_precision"
 """In the provenance of what was computed: the names of its inputs that were in half precision, or computed from such."""
-DATA = frozenset({"dataset", "latents", "heldout"})
-"""Kinds whose tensors are recorded data, not weights."""
+DATA = frozenset({"dataset", "latents", "heldout"})  # kinds whose tensors are recorded data, not weights
 
 
 class Slimming(NamedTuple):
     """What to leave out of published copies."""
 
-    half: bool = False
-    """Weights as 16 bits a number instead of 32."""
-    steps: int | None = None
-    """Episodes of a cell whose steps stay; None for all."""
-    images: bool = True
-    """Whether the images of diagnostics stay."""
+    half: bool = False  # weights as 16 bits a number instead of 32
+    steps: int | None = None  # episodes of a cell whose steps stay; None for all
+    images: bool = True  # whether the images of diagnostics stay
 
 
 def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]:

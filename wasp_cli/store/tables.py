@@ -37,15 +37,12 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 from wasp_cli.store.parquet import opened_table, write_table
 
-EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
-"""Names of the tables inside the artifact of a cell."""
+EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"  # names of the tables inside the artifact of a cell
 
-VERSION = 5
-"""Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
+VERSION = 5  # grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused
 
 VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
-OLDEST = 3
-"""The first version that is read: rows and steps in files of their own."""
+OLDEST = 3  # the first version that is read: rows and steps in files of their own
 
 
 def _required(kind: pa.DataType, *names: str) -> list[pa.Field]:
@@ -100,20 +97,17 @@ METRICS = (
     *_required(pa.float64(), "safety_gate", "task_gate"),
     pa.field("case2", pa.float64()),
 )
-ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4
-"""Columns of METRICS, and the first version that has them."""
+ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4  # columns of METRICS, and the first version that has them
 RENAMED, RENAMED_IN = {"operator": "variant", "variant": "assistant_variant"}, 5
 """Columns of IDENTITY with their names before, and the first version that has today's."""
 THRESHOLDS = tuple(_optional(pa.float64(), "tau_c", "tau_r", "tau_q"))
 TIMES = tuple(_optional(pa.float32(), "decision_p50_ms", "decision_p95_ms"))
 STEP_TIME = pa.field("decision_ms", pa.float32(), nullable=False)
 
-SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})
-"""Of the episodes."""
+SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})  # of the episodes
 STEPS_SCHEMA = pa.schema([*IDENTITY, *STEP, STEP_TIME], {STEPS_KEY: str(VERSION).encode()})
 
-TIMING = (*(field.name for field in TIMES), STEP_TIME.name)
-"""Columns that differ between two computations of one cell."""
+TIMING = (*(field.name for field in TIMES), STEP_TIME.name)  # columns that differ between two computations of one cell
 
 
 @dataclass(frozen=True)
@@ -122,11 +116,9 @@ class CellIdentity:
 
     task: str
     method: str
-    variant: str
-    """of the method: `full`, or an ablation"""
+    variant: str  # of the method: `full`, or an ablation
     operator: str
-    value: float | None
-    """severity value of the operator; None for the unimpaired one"""
+    value: float | None  # severity value of the operator; None for the unimpaired one
     seed: int
 
 
@@ -142,10 +134,8 @@ class Thresholds:
 class Rows(NamedTuple):
     """The rows of a cell."""
 
-    episodes: pa.Table
-    """of SCHEMA"""
-    steps: pa.Table
-    """of STEPS_SCHEMA"""
+    episodes: pa.Table  # of SCHEMA
+    steps: pa.Table  # of STEPS_SCHEMA
 
 
 def write_cell(
