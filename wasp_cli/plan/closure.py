@@ -27,11 +27,7 @@ CONFIGURATION = frozenset({"config", "configs"})
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
-    """Return the project modules that `roots` import, transitively, and the roots themselves.
-
-    Raises:
-        WaspError: a root has no source.
-    """
+    """Return the project modules that `roots` import, transitively, and the roots themselves."""
     modules: set[str] = set()
     for root in roots:
         if _file(root) is None:

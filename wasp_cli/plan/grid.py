@@ -288,10 +288,6 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
     """Return the keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
 
     Without selectors it is None.
-
-    Raises:
-        UsageError: a selector has another form, or nothing of the grid is meant.
-        UnknownName: a value that nothing in the grid has.
     """
     if not texts:
         return None

@@ -179,17 +179,7 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
 
 
 def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
-    """Return the plan of a grid over the store of a results folder, which need not be there.
-
-    Args:
-        grid: what the spec asks for.
-        layout: the results folder.
-        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
-        failed_only: of these, only what failed before and what was blocked by it.
-
-    Raises:
-        StoreError: the results folder cannot be read.
-    """
+    """Return the plan of a grid over the store of a results folder, which need not be there."""
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}

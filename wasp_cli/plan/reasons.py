@@ -161,11 +161,7 @@ def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read.
-
-    Raises:
-        AttributeError, KeyError, TypeError: a manifest is not as wasp writes it.
-    """
+    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read."""
     fields = _named(_differing(before["config"], after["config"], f"{after['kind']}."))
     fields += _differing(before["settings"], after["settings"], "")
     old, new = ((manifest["axes"].get("method_config") or {}) for manifest in (before, after))

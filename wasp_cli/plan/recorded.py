@@ -59,11 +59,7 @@ class PlannedRun:
 
 
 def run_ids(layout: Layout) -> list[str]:
-    """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts.
-
-    Raises:
-        StoreError: there is no results folder, or it cannot be read.
-    """
+    """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts."""
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
             names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
@@ -99,11 +95,7 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
-    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep.
-
-    Raises:
-        StoreError: there is no results folder, or it cannot be read.
-    """
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep."""
     runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
     of_sweeps = {part for run in runs for part in run.parts}
     return [run for run in runs if run.run_id not in of_sweeps]
@@ -120,11 +112,7 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name.
-
-    Raises:
-        UnknownName: there is none.
-    """
+    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name."""
     named = [run for run in runs if run.run_id == text]
     named += [run for run in runs if text and run.run_id.endswith(text)]
     named += [run for run in runs if run.spec == text]
@@ -134,12 +122,7 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 
 
 def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
-    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is.
-
-    Raises:
-        StoreError: the folder cannot be read.
-        UnknownName: there is no such run.
-    """
+    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
     return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
 
 

@@ -54,17 +54,7 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there.
-
-    Args:
-        spec: what is asked for.
-        layout: the results folder.
-        reuse: what may be reused, instead of what the spec says.
-
-    Raises:
-        UsageError: `reuse` is a folder without published results.
-        StoreError: the published results cannot be read.
-    """
+    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)

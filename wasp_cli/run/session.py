@@ -90,17 +90,7 @@ def run_spec(
     failed: bool = False,
     aside: bool = False,
 ) -> Session:
-    """Compute what is missing of a spec.
-
-    Args:
-        loaded: the spec.
-        results: the results folder.
-        options: how it is carried out.
-        chosen: texts of `--select`.
-        reuse: what of published results may be used, instead of what the spec says.
-        failed: only what failed before, and what waits for it.
-        aside: whether reports show it only where it is named.
-    """
+    """Compute what is missing of a spec."""
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
     with planning(results, options) as layout:

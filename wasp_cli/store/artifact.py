@@ -104,11 +104,7 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Return the size of each file that an artifact was committed with, by relative name.
-
-    Raises:
-        ArtifactError: the manifest, read from `path`, has no such list, or names something else than files of the artifact.
-    """
+    """Return the size of each file that an artifact was committed with, by relative name."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -184,11 +180,7 @@ def is_file_name(name: str) -> bool:
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
-    """Return what is known of an artifact.
-
-    Raises:
-        ArtifactError: it is not there, is a link to somewhere else, or its manifest is damaged.
-    """
+    """Return what is known of an artifact."""
     try:
         path = layout.within(layout.manifest(kind, key))
     except StoreError as error:
@@ -217,11 +209,7 @@ def replace_file(path: Path, data: str | bytes) -> None:
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """Read a small JSON file; None when there is none.
-
-    Raises:
-        ArtifactError: the file is damaged.
-    """
+    """Read a small JSON file; None when there is none."""
     try:
         record = parse(read_plain(path))
     except FileNotFoundError:

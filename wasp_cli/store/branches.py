@@ -85,11 +85,7 @@ class Branches:
 
 
 def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) -> None:
-    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
+    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows."""
     write_table(branches_table(cell, rows), path)
 
 
@@ -105,11 +101,7 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
 
 
 def read_branches(path: Path) -> Branches:
-    """Read the branches of a cell.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, no table of branches, or its rows are no pairs.
-    """
+    """Read the branches of a cell."""
     table, cell = _read(path)
     try:
         return _paired(cell, table)

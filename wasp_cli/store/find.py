@@ -91,36 +91,14 @@ Target = TypeVar("Target", FoundCell, FoundNode)
 
 
 def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -> FoundCell:
-    """Return the one cell that `text` names: the beginning of a key, a label, or a path.
-
-    Args:
-        layout: the results folder.
-        text: what someone wrote.
-        within: the keys that may be meant, of a run for example; None: all.
-
-    Raises:
-        UsageError: it names several; the message lists them, newest first. Or it is a path without a cell.
-        UnknownName: it names none.
-        ArtifactError: the manifest of the cell is damaged.
-    """
+    """Return the one cell that `text` names: the beginning of a key, a label, or a path."""
     named, labels = _stored(layout, [KIND], text, within)
     cells = [FoundCell(layout.within(cell_file(node.path)), node.key, node.manifest) for node in named]
     return _only(cells, text, "evaluations") or _by_path(layout, text, labels)
 
 
 def find_node(layout: Layout, text: str, within: Container[str] | None = None) -> FoundNode:
-    """Return the one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed.
-
-    Args:
-        layout: the results folder.
-        text: what someone wrote.
-        within: the keys that may be meant, of a run for example; None: all.
-
-    Raises:
-        UsageError: it names several; the message lists them, newest first.
-        UnknownName: it names none.
-        ArtifactError: the manifest of the node is damaged.
-    """
+    """Return the one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed."""
     failures = {key: record for key, record in _failures(layout).items() if within is None or key in within}
     named, labels = _stored(layout, stored_kinds(layout), text, within)
     nodes = [replace(node, failure=failures.get(node.key or "", {})) for node in named]

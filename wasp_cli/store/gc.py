@@ -46,24 +46,12 @@ def locked(layout: Layout) -> set[str]:
 
 
 def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
-    """Return the keys and, as far as manifests say, everything that was read for them.
-
-    Args:
-        layout: the results folder.
-        keys: where to begin.
-        there: the kinds under which a key is in the store, from `stored`.
-    """
+    """Return the keys and, as far as manifests say, everything that was read for them."""
     return reached(keys, lambda key: [needed for kind in there.get(key, ()) for needed in _upstream(layout, kind, key)])
 
 
 def computed_from(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
-    """Return the keys of everything that, as far as manifests say, was computed from something: step by step.
-
-    Args:
-        layout: the results folder.
-        keys: where to begin; they are not returned.
-        there: the kinds under which a key is in the store, from `stored`.
-    """
+    """Return the keys of everything that, as far as manifests say, was computed from something: step by step."""
     readers: dict[str, list[str]] = {}
     for key, kinds in there.items():
         for needed in (needed for kind in kinds for needed in _upstream(layout, kind, key)):
@@ -85,14 +73,7 @@ def unfinished_sessions(layout: Layout) -> set[str]:
 
 
 def rubbish(layout: Layout, needed: set[str], there: Mapping[str, list[str]], before: float | None = None) -> list[Rubbish]:
-    """Return what can go, nothing of it written after `before`.
-
-    Args:
-        layout: the results folder.
-        needed: keys of which nothing goes but the work of finished ones. Sessions of people stay, whatever it says.
-        there: the kinds under which a key is in the store, from `stored`.
-        before: a time in seconds since the epoch; None for now.
-    """
+    """Return what can go, nothing of it written after `before`."""
     found = [_rubbish(kind, layout.artifact(kind, key), key) for key, kinds in there.items() if key not in needed for kind in kinds]
     sessions = unfinished_sessions(layout)
     works = [key for key in _keys(layout.works) if (key in there or key not in needed) and key not in sessions]

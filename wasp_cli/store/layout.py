@@ -149,20 +149,12 @@ class Layout:
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
-        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere.
-
-        Raises:
-            StoreError: one is. The results folder itself may be.
-        """
+        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere."""
         for folder in (*self.needed(), self.root / "reports"):
             self.within(folder)
 
     def within(self, path: Path) -> Path:
-        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else.
-
-        Raises:
-            StoreError: a part of it is a link.
-        """
+        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else."""
         reached = str(self.root)
         for part in path.parts[len(self.root.parts) :]:
             reached = f"{reached}/{part}"
@@ -171,11 +163,7 @@ class Layout:
         return path
 
     def prepare(self) -> None:
-        """Make the folders and see that they can be written.
-
-        Raises:
-            StoreError: the results folder is a file, cannot be written, or has links in it.
-        """
+        """Make the folders and see that they can be written."""
         self.require_own_folders()
         try:
             for folder in self.needed():

@@ -33,12 +33,7 @@ class Numbers(NamedTuple):
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
-    """Read some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look.
-
-    Args:
-        path: a file, no pipe.
-        columns: of `tables.SCHEMA`, each with one number per episode.
-    """
+    """Read some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look."""
     every = [*SHARED, *columns]
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:

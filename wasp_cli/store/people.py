@@ -39,11 +39,7 @@ BEAT = pa.schema(
 
 
 def read_timing(path: Path) -> pa.Table:
-    """Read the timing of a cell that a person drove.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, or another table.
-    """
+    """Read the timing of a cell that a person drove."""
     with opened_table(path, VERSION_KEY, VERSION, "the timing of a session") as file:
         return file.read()
 

@@ -80,11 +80,7 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
 
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
-    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at.
-
-    Raises:
-        StoreError: a folder of the layer cannot be read, or is a link.
-    """
+    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at."""
     found: dict[str, Offer] = {}
     notes: list[str] = []
     twice: set[str] = set()
@@ -137,18 +133,7 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
 
 
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
-    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there.
-
-    Args:
-        layout: the results folder.
-        offer: what to copy.
-        waiting: asked while another process has the node.
-
-    Raises:
-        ArtifactError: its files are not those of its manifest, or have not the episodes.
-        StoreError: a cell that is cut is damaged.
-        OSError: they cannot be read or written.
-    """
+    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there."""
     with held(layout.lock(offer.key), waiting):
         if exists(layout, offer.kind, offer.key):
             return False
@@ -166,12 +151,7 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
 
 
 def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
-    """Copy what a manifest lists, and nothing else that lies beside it.
-
-    Raises:
-        ArtifactError: the manifest names other things than files of the artifact, or a file has other bytes than it says.
-        StoreError: a part of the way to a file is a link.
-    """
+    """Copy what a manifest lists, and nothing else that lies beside it."""
     for name in listed_files(manifest, source.manifest(kind, key)):
         path, copy = source.within(source.artifact(kind, key) / name), folder / name
         copy.parent.mkdir(parents=True, exist_ok=True)

@@ -33,16 +33,8 @@ class Slimming(NamedTuple):
 def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]:
     """Rewrite the files of a copied artifact smaller.
 
-    Args:
-        folder: the copy; its files are replaced.
-        kind: of the artifact.
-        wanted: what to leave out.
-
     Returns:
         By name of each file that changed: `left_out`, and `sha256` of the whole file.
-
-    Raises:
-        ArtifactError: a weight is too large for half precision.
     """
     changed: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
@@ -98,16 +90,7 @@ def _halve(path: Path) -> bool:
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
-    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it.
-
-    Args:
-        folder: the copy; its files are replaced.
-        episodes: that stay.
-
-    Raises:
-        ArtifactError: the cell does not have these episodes.
-        StoreError: a file cannot be written.
-    """
+    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it."""
     import numpy as np
     import pyarrow.compute as pc
     import pyarrow.parquet as pq

@@ -161,9 +161,6 @@ def write_cell(
         decision_ms: per episode [T], wall time of each decision in milliseconds.
         episode_seeds: the seed of each episode's world; operator and method have streams of their own.
         earlier: rows of the cell that come before these (`first_rows`).
-
-    Raises:
-        StoreError: a file cannot be written.
     """
     first = 0 if earlier is None else len(earlier.episodes)
     new = cell_tables(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds, first)
@@ -175,11 +172,7 @@ def write_cell(
 
 
 def write_episodes(episodes: pa.Table, path: Path) -> None:
-    """Write the first table of `cell_tables`.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
+    """Write the first table of `cell_tables`."""
     # Reports open thousands of these: pages without dictionaries that unpack fast take half the time and no more space.
     write_table(episodes, path, compression="snappy", use_dictionary=False)
 
@@ -261,22 +254,14 @@ def cell_file(folder: Path) -> Path:
 
 
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
-    """Read the episode columns of many cells, one below the other in the order of `paths`.
-
-    Raises:
-        StoreError: a file is missing, damaged, of a newer version, or no cell table.
-    """
+    """Read the episode columns of many cells, one below the other in the order of `paths`."""
     schema = SCHEMA.remove_metadata()
     tables = [_read(path, SCHEMA.names).cast(schema) for path in paths]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
 
 
 def first_rows(folder: Path, batch: int) -> Rows:
-    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have.
-
-    Raises:
-        StoreError: as `read_episodes`, also of the file of the steps.
-    """
+    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have."""
     episodes = _read(folder / EPISODES_FILE, SCHEMA.names).cast(SCHEMA)
     whole = len(episodes) // batch * batch
     steps = _read_steps(folder / EPISODES_FILE, STEPS_SCHEMA.names).cast(STEPS_SCHEMA)
@@ -284,33 +269,21 @@ def first_rows(folder: Path, batch: int) -> Rows:
 
 
 def read_steps(path: Path) -> pa.Table:
-    """Read the steps of a cell: `episode`, then the fields of STEP.
-
-    Raises:
-        StoreError: as `read_episodes`, also of the file of the steps.
-    """
+    """Read the steps of a cell: `episode`, then the fields of STEP."""
     names = ["episode", *(field.name for field in STEP)]
     table = _read_steps(path, names)
     return pa.table([table[name] for name in names], names=names)
 
 
 def read_times(path: Path) -> list[NDArray[np.float64]]:
-    """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
-
-    Raises:
-        StoreError: as `read_steps`.
-    """
+    """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side."""
     table = _read_steps(path, ("episode", "decision_ms"))
     episode, times = np.asarray(table["episode"]), np.asarray(table["decision_ms"], np.float64)
     return [times[episode == number] for number in _read(path, ("episode",))["episode"].to_pylist()]
 
 
 def read_version(path: Path) -> int:
-    """Read the table version that a cell was written with: what later versions added is null in its rows.
-
-    Raises:
-        StoreError: as `read_episodes`.
-    """
+    """Read the table version that a cell was written with: what later versions added is null in its rows."""
     with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
         return int(file.schema_arrow.metadata[VERSION_KEY])
 
