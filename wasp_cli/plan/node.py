@@ -12,8 +12,9 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+
+from wasp_cli.store.provenance import installed
 
 SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
@@ -37,20 +38,13 @@ def key_of(identity: Mapping[str, Any]) -> str:
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
     """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
-    return digest({**{name: value for name, value in identity.items() if name != "code"}, "schema": SCHEMA})
+    return digest({**identity, "schema": SCHEMA})
 
 
 @cache
 def libraries() -> dict[str, str]:
     """Return the major and minor version of each library whose numerics enter the results."""
-    return {name: minor(_installed(name)) for name in LIBRARIES}
-
-
-def _installed(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
+    return {name: minor(installed(name)) for name in LIBRARIES}
 
 
 def minor(version: object) -> str:
@@ -75,7 +69,6 @@ class Cell:
 
     @property
     def who(self) -> str:
-        """Say who assists whom, as `cell_label` does."""
         return cell_label(self.method, self.assistant, self.operator, self.value)
 
 
@@ -117,6 +110,8 @@ class Node:
     key: str
     label: str  # for people: `goal1 s0 world_model`
     sort: str  # nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator
+
+    recipe: str = ""  # what it is, whatever code computes it
 
     def __hash__(self) -> int:
         return hash(self.key)

@@ -21,10 +21,11 @@ from rich.text import Text
 import wasp_cli
 from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, first
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import commit, corruption, damage, discard, dumps, invalidate, listed_files, read_manifest
 from wasp_cli.store.layout import Layout, is_name
@@ -85,7 +86,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
             manifest = read_manifest(source, node.kind, node.key)
             size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
             provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
-            manifest = {**manifest, "provenance": provenance, RECIPE: grid.recipes[node.key], BEHIND: behind[node.key]}
+            manifest = {**manifest, "provenance": provenance, RECIPE: node.recipe, BEHIND: behind[node.key]}
             item = Item(node, size, manifest)
             if item.size > largest:
                 large.append(item)
@@ -115,7 +116,7 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
         else:
             behind[node.key] = {}
             for needed in node.needs.values():
-                behind[node.key] |= behind[needed.key] | {grid.recipes[needed.key]: needed.key}
+                behind[node.key] |= behind[needed.key] | {needed.recipe: needed.key}
     return behind
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, select, together
+from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.plan.select import select
 from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
