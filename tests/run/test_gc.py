@@ -16,8 +16,8 @@ from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
+from wasp_cli.run import reach
 from wasp_cli.run.reach import remove_unreached, unreached
-from wasp_cli.store import gc
 from wasp_cli.store.artifact import staging_folder, sweep, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, is_held
@@ -245,7 +245,7 @@ def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_s
 
     whole = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
     with monkeypatch.context() as patch:
-        patch.setattr(gc, "discard", killed)
+        patch.setattr(reach, "discard", killed)
         with pytest.raises(KeyboardInterrupt):
             remove_unreached(layout, set(), unreached(layout, set(), runs=False, before=None), runs=False, before=None)
     left = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
