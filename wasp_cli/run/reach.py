@@ -1,6 +1,6 @@
 """`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
 
-Wanted is what the newest run of each spec reaches, what the runs reach that are not over, and whatever a person did: that nobody can compute.
+What the newest run of each spec reaches is wanted, what the runs reach that are not over, and whatever a person did: nobody can compute that.
 """
 
 from __future__ import annotations

@@ -23,12 +23,12 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import duration, err, plain
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
 from wasp_cli.run.watch import desertion
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.find import SHOWN, find_node, matching, same_label
+from wasp_cli.store.find import find_node, matching, only, same_label
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
@@ -295,11 +295,8 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
         # A label may have had another key in an older run; there it is another node's.
         matches = [log for log in matches if log.run_id == matches[0].run_id]
     newest = {log.key: log for log in reversed(matches)}
-    if len(newest) > 1:
-        lines = [f"'{name}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
-        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
-    if newest:
-        return next(iter(newest.values()))
+    if (log := only(list(newest.values()), name, "nodes")) is not None:
+        return log
     try:
         node = find_node(layout, name)
     except WaspError:

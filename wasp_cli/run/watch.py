@@ -21,11 +21,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, first
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs, upstream_first
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.find import SHOWN, matching
+from wasp_cli.store.find import matching, only
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.reached import reached
@@ -307,14 +307,11 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
     """Take a node back from every run that has it yet to compute, or computes it now."""
     planned = [node for run in runs for node in run.nodes.values() if node.runs]
     named = {node.key: node for node in matching(planned, text)}
-    if not named:
+    node = only(list(named.values()), text, "nodes")
+    if node is None:
         labels = {node.label for node in planned}
         raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
-    if len(named) > 1:
-        lines = [f"'{text}' names several nodes:", *first([f"  {node.key}  {node.label}" for node in named.values()], SHOWN)]
-        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
-    ((key, node),) = named.items()
-    taken_back = []
+    key, taken_back = node.key, []
     for run in runs:
         ended = {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
         if key in run.nodes and run.nodes[key].runs and key not in ended:
