@@ -60,8 +60,8 @@ def test_a_full_disk_ends_a_node_not_the_run(fakes, small_spec, tmp_path):
     node = plan.to_run()[0]
     layout.log(run_id, node.label, node.key).symlink_to("/dev/full")
     summary = Runner(layout, run_id, InlinePool()).run(plan)
-    assert [failure.node.key for failure in summary.failed] == [node.key]
-    assert "No space left" in summary.failed[0].result.message
+    assert [node.key for node, _ in summary.failed] == [node.key]
+    assert "No space left" in summary.failed[0][1].message
 
 
 def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):

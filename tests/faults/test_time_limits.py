@@ -43,7 +43,7 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fak
     fakes.set(behave={NODE: "sleep"})
     summary = limited_run(small_spec, tmp_path / "results", pool(), limit=8.0)
     (failure,) = summary.failed
-    assert failure.node.label == LABEL
+    assert node.label == LABEL
     assert failure.result.message == "it took longer than the limit of 8.0 s"
     assert not summary.blocked
     fakes.set()
@@ -56,7 +56,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, 
     fakes.set(behave={NODE: "hang"})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
     (failure,) = summary.failed
-    assert failure.node.label == LABEL
+    assert node.label == LABEL
     assert failure.result.message == "it exceeded its time limit and did not stop, so its process was ended"
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
@@ -99,7 +99,7 @@ def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(f
 def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "raise once", "goal1 s0 ida_q": "refuse"})
     summary = limited_run(small_spec, tmp_path / "results", InlinePool(), limit=None, retries=2)
-    assert [failure.node.label for failure in summary.failed] == ["goal1 s0 ida_q"]
+    assert [node.label for node, _ in summary.failed] == ["goal1 s0 ida_q"]
     assert sum(NODE in line for line in fakes.executions()) == 2
     assert sum("s0 ida_q" in line for line in fakes.executions()) == 1
 
@@ -107,7 +107,7 @@ def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, s
 def test_attempts_end(fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "raise"})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(2), limit=None, retries=2)
-    assert [failure.node.label for failure in summary.failed] == [LABEL]
+    assert [node.label for node, _ in summary.failed] == [LABEL]
     assert sum(NODE in line for line in fakes.executions()) == 3
 
 

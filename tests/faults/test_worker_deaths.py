@@ -15,8 +15,8 @@ def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(j
         summary = run(small_spec, tmp_path / "results", pool)
     finally:
         pool.close(kill=True)
-    assert [failure.node.label for failure in summary.failed] == ["goal1 s0 human noisy=0.2"]
-    assert summary.failed[0].result.message.startswith(f"{KILLED}; it last held ")
+    assert [node.label for node, _ in summary.failed] == ["goal1 s0 human noisy=0.2"]
+    assert summary.failed[0][1].message.startswith(f"{KILLED}; it last held ")
     assert not summary.blocked
     ran = fakes.executions()
     # In flight at a death: the victim and at most one other. Nothing else runs twice.

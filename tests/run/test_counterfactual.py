@@ -26,7 +26,7 @@ def branches(results: Path) -> set[str]:
 
 
 def words(summary: Summary) -> tuple[set[str], set[str]]:
-    return {failure.node.label for failure in summary.failed}, {node.label for node, _ in summary.blocked}
+    return {node.label for node, _ in summary.failed}, {node.label for node, _ in summary.blocked}
 
 
 def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes, judged_spec, tmp_path):

@@ -56,7 +56,7 @@ def test_what_must_be_trained_for_each_value_is_told(fakes, small_spec, tmp_path
 def test_a_value_that_fails_leaves_the_others(fakes, small_spec, tmp_path):
     fakes.set(behave={"'ratio': 0.4": "refuse"})
     done, grids = run_sweep(read_sweep(small_spec, VARY), tmp_path / "results", RunOptions(jobs=0))
-    assert {failure.node.axes["method_config"]["ratio"] for failure in done.summary.failed} == {0.4}
+    assert {node.axes["method_config"]["ratio"] for node, _ in done.summary.failed} == {0.4}
     assert len(done.summary.failed) == 4
     layout = done.layout
     stored = [all(layout.artifact("evaluate", node.key).is_dir() for _, node in grid.cells) for grid in grids]

@@ -55,7 +55,7 @@ def test_numbers_of_numpy_and_nested_ones_become_plain():
     import numpy as np
 
     summary = {"a": np.float32(0.5), "b": [np.int64(2), float("inf")], "c": {"d": True}}
-    assert worker._finite(summary) == {"a": 0.5, "b": [2, None], "c": {"d": True}}
+    assert worker.finite(summary) == {"a": 0.5, "b": [2, None], "c": {"d": True}}
 
 
 def test_an_order_that_cannot_even_start_fails_without_raising(job, tmp_path):

@@ -193,7 +193,6 @@ def _is_text(item: object) -> bool:
 
 @cache
 def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
-    """The syntax of a module; a namespace package has no source of its own."""
     file = _file(module)
     return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
 

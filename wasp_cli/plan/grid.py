@@ -235,7 +235,6 @@ def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
 
 @cache
 def stage_class(kind: str) -> type[Stage]:
-    """Return the class of a stage (light: heavy imports are inside its `run`)."""
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage
 

@@ -22,17 +22,14 @@ LENGTH = 20
 
 
 def canonical(value: Any) -> str:
-    """Return JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def digest(value: Any, length: int = LENGTH) -> str:
-    """Return the first hexadecimal digits of a hash over some content."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()[:length]
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """Return the key of what `identity` describes."""
     return digest({**identity, "schema": SCHEMA, "libraries": libraries()})
 
 
@@ -48,7 +45,6 @@ def libraries() -> dict[str, str]:
 
 
 def minor(version: object) -> str:
-    """Return the major and the minor part of a version; `absent` where there is none."""
     return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
@@ -85,8 +81,6 @@ def driver_label(operator: str, value: float | None) -> str:
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
-    """What one training stage leaves for a task and a seed."""
-
     task: str
     kind: str
     seed: int  # the seed of the training chain

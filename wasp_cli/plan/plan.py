@@ -29,22 +29,17 @@ IDLE = ("cached", "published", "unneeded")
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A node and what becomes of it."""
-
     node: Node
     state: State
     reason: str
 
     @property
     def runs(self) -> bool:
-        """Whether a run would compute it."""
         return self.state not in IDLE
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Every node of a grid with its state."""
-
     grid: Grid
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -64,7 +59,6 @@ class Plan:
         return [node for node in self.to_run() if node.axes.get("operator") == PERSON]
 
     def count(self, state: State, kind: str | None = None) -> int:
-        """Return the number of nodes in a state."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:

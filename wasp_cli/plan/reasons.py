@@ -33,7 +33,6 @@ class Facts:
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
-    """Return the facts of a manifest."""
     try:
         provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
         differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
@@ -52,8 +51,6 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
 
 @dataclass(frozen=True)
 class Stored:
-    """The artifacts of some kinds."""
-
     whole: Mapping[str, Mapping[str, Facts]]  # by kind and key
     damaged: Mapping[str, str]
 
@@ -81,7 +78,6 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
 
 
 def measured(stored: Stored) -> dict[str, float]:
-    """Return the median seconds by sort of node."""
     times: dict[str, list[float]] = {}
     for artifacts in stored.whole.values():
         for facts in artifacts.values():

@@ -30,8 +30,6 @@ Key = Annotated[str, AfterValidator(_key)]
 
 @dataclass(frozen=True)
 class PlannedNode:
-    """A node as the plan of a run has it."""
-
     key: Key
     kind: str
     label: str
@@ -41,7 +39,6 @@ class PlannedNode:
 
     @property
     def runs(self) -> bool:
-        """Whether the run was to compute it."""
         return self.state not in IDLE
 
 
@@ -50,8 +47,6 @@ NODES = TypeAdapter(list[PlannedNode])
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run and what it was to do."""
-
     run_id: str
     spec: str  # name of the spec; of a sweep with the setting that varies
     nodes: Mapping[str, PlannedNode]

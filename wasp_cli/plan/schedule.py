@@ -50,7 +50,6 @@ class Schedule:
                 self.put(node)
 
     def __len__(self) -> int:
-        """Return the number of nodes that can begin."""
         return len(self._ready)
 
     def pop(self) -> Node:

@@ -43,8 +43,6 @@ class WorkersDied(Exception):
 
 
 class Pool(ABC):
-    """Computes nodes side by side."""
-
     jobs = 1  # nodes at once
     name = ""
     gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
@@ -130,7 +128,7 @@ class LokyPool(Pool):
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._workers: Any = None
-        self._single: list[Any] = []  # executors of nodes alone  # executors of nodes alone
+        self._single: list[Any] = []  # executors of nodes alone
         # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
 
@@ -295,8 +293,6 @@ def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
 
 
 class RayPool(Pool):
-    """The workers of a ray cluster."""
-
     name = "ray"
 
     def __init__(self, scheduler: str | None) -> None:

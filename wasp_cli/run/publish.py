@@ -62,8 +62,6 @@ NAMED = 12  # nodes that a refusal names
 
 @dataclass(frozen=True)
 class Item:
-    """An artifact to publish."""
-
     node: Node
     source: Layout  # where it lies
     size: int
@@ -72,8 +70,6 @@ class Item:
 
 @dataclass(frozen=True)
 class Publication:
-    """What is to be published."""
-
     new: tuple[Item, ...]
     there: tuple[Item, ...]  # those that the published layer has already, byte for byte
     large: tuple[Item, ...]
@@ -216,7 +212,6 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
-    """Print how much of each kind is published, how much was published before, and what is left out."""
     table = count_table("kind", "new", "size", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]

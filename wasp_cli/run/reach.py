@@ -1,6 +1,6 @@
 """`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
 
-What the newest run of each spec reaches is wanted, what the runs reach that are not over, and whatever a person did: nobody can compute that.
+That is what the newest run of each spec reaches, what the runs reach that are not over, and what a person did: nobody can compute it.
 """
 
 from __future__ import annotations
@@ -37,8 +37,6 @@ Kinds = Mapping[str, list[str]]  # by key the kinds under which it has a folder 
 
 @dataclass(frozen=True)
 class Rubbish:
-    """Something that can go."""
-
     what: str  # the kind of an artifact, or one of the above
     path: Path
     size: int  # bytes that its removal frees
@@ -172,7 +170,6 @@ def _leavings(layout: Layout, kinds: Kinds, needed: set[str], sessions: set[str]
 
 
 def _keys(folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = "") -> Iterator[str]:
-    """The names in a folder that are keys."""
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
@@ -243,7 +240,6 @@ def _remove(layout: Layout, path: Path) -> bool:
 
 
 def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
-    """Print how much of each kind can go."""
     if not rubbish:
         console.print("there is nothing to remove")
         return
@@ -258,5 +254,4 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
 
 
 def removed_line(count: int, freed: int) -> str:
-    """Return what a removal came to."""
     return f"{count} removed, {size(freed)} freed"

@@ -37,8 +37,6 @@ CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a run was asked for."""
-
     run_id: str
     spec: Spec
     cells: list[tuple[Cell, str]]  # each cell with the key of its artifact
@@ -65,7 +63,6 @@ def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False
 
 
 def reported(layout: Layout, run_id: str) -> None:
-    """Note that nothing more of a run is read for its report."""
     layout.reporting(run_id).unlink(missing_ok=True)
 
 
@@ -156,7 +153,6 @@ UNKNOWN_MOST = 200
 
 
 def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:
-    """Cells or parts of a plan, each with its key."""
     return [(adapter.validate_python(entry), str(entry["key"])) for entry in entries]
 
 
@@ -198,7 +194,6 @@ class Journal:
             self.failure = self.failure or StoreError(what, "results are kept; make room, and run the same command again")
 
     def close(self) -> None:
-        """Close the file; what is written afterwards goes nowhere."""
         file, self._file = self._file, -1
         os.close(file)
 
@@ -210,7 +205,6 @@ class Tail:
         self._path, self._position = path, 0
 
     def new(self) -> Iterator[dict[str, Any]]:
-        """Yield whole new lines; the beginning of one is left for later."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._position)

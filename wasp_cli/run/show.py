@@ -160,7 +160,6 @@ def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> 
 
 
 def numbers(summary: Mapping[str, Any]) -> str:
-    """Return the first numbers of a summary on one line."""
     values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
     return ", ".join(f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}" for name, value in values[:6])
 
@@ -171,7 +170,6 @@ LISTED = 12
 
 
 def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
-    """Print each run as a block."""
     now = now or datetime.now(UTC)
     for index, state in enumerate(states):
         if index:
@@ -187,7 +185,6 @@ def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None 
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
-    """Return this as plain values; times are ISO texts."""
     counts = ("finished", "running", "waiting")
     return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
 
@@ -278,8 +275,6 @@ _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
 
 @dataclass(frozen=True)
 class Log:
-    """What a node printed in one run."""
-
     run_id: str
     key: str
     label: str

@@ -36,8 +36,6 @@ ENDS = ("done", "shared", "failed", "blocked", "cancelled")  # events after whic
 
 @dataclass(frozen=True)
 class Active:
-    """A node that runs now, as it last said."""
-
     key: str
     label: str
     kind: str
@@ -51,8 +49,6 @@ class Active:
 
 @dataclass(frozen=True)
 class Failed:
-    """A node that failed."""
-
     key: str
     label: str
     message: str
@@ -61,8 +57,6 @@ class Failed:
 
 @dataclass(frozen=True)
 class RunState:
-    """How far a run is."""
-
     run_id: str
     spec: str
     state: State
@@ -98,7 +92,6 @@ class RunState:
 
 
 def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
-    """Return how far a run is, or was at some time."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
     by_event: dict[str, list[dict[str, Any]]] = {}
@@ -184,7 +177,6 @@ def moment(text: object) -> datetime | None:
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
-    """Return the journal of a run; nothing where it cannot be read."""
     try:
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     except (OSError, StoreError):
@@ -326,7 +318,6 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
 
 
 def _with_dependents(run: PlannedRun, key: str) -> set[str]:
-    """The keys of a node and of what needs it, through others too."""
     return reached([key], lambda needed: [node.key for node in run.nodes.values() if node.runs and needed in node.needs])
 
 

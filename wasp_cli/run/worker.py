@@ -43,6 +43,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
+from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
 from wasp_cli.store.tables import cell_file
@@ -65,7 +66,6 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
 
 
 def execute_here(job: NodeJob) -> NodeResult:
-    """Compute a node in a process that belongs to somebody else."""
     return execute(job, own_process=False)
 
 
@@ -127,7 +127,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             keep_memory()
             set_threads(getattr(stage, "torch_threads", 1))
             with placed(_clone_of(job, layout)):
-                summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
+                summary = finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
         if (changed := _change_of_source(job)) is not None:
             raise changed
         seconds = time.monotonic() - began
@@ -196,29 +196,14 @@ def _change_of_source(job: NodeJob) -> SourceChanged | None:
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
     work = layout.work(job.key)
     work.mkdir(exist_ok=True)
-    return Job(
-        kind=job.kind,
-        task=job.task,
-        seed=job.seed,
-        config=stage.config.model_validate(job.config),
-        settings=settings_of(job.settings),
-        axes=job.axes,
-        inputs={name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()},
-        out_dir=staging,
-        work_dir=work,
-        progress=progress,
-        earlier=_earlier(job, layout),
-        threads=job.threads,
-    )
-
-
-def _earlier(job: NodeJob, layout: Layout) -> Path | None:
-    """Where the first episodes of a cell are; nowhere where they are not whole, or have been removed or damaged since the plan."""
-    if job.earlier is None or corruption(layout, job.kind, job.earlier) is not None:
-        return None
-    if without_steps(read_manifest(layout, job.kind, job.earlier)):
-        return None
-    return layout.artifact(job.kind, job.earlier)
+    inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
+    config, settings = stage.config.model_validate(job.config), settings_of(job.settings)
+    earlier = None
+    # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
+    if job.earlier is not None and corruption(layout, job.kind, job.earlier) is None:
+        whole = not without_steps(read_manifest(layout, job.kind, job.earlier))
+        earlier = layout.artifact(job.kind, job.earlier) if whole else None
+    return Job(job.kind, job.task, job.seed, config, settings, job.axes, inputs, staging, work, progress, earlier, job.threads)
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -233,6 +218,7 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
     """Return what is stored of a node beside its files: what it is, what it was computed from, and how."""
+    further = {"cuda": cuda_devices(), EARLIER: job.earlier, HALF_INPUTS: _half_inputs(job)}
     return {
         "kind": job.kind,
         "key": job.key,
@@ -248,10 +234,8 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
         "summary": summary,
         "provenance": {
             **job.provenance,
-            **({"cuda": devices} if (devices := cuda_devices()) else {}),
+            **{name: value for name, value in further.items() if value},
             "run": job.run_id,
-            **({"earlier": job.earlier} if job.earlier else {}),
-            **({HALF_INPUTS: half} if (half := _half_inputs(job)) else {}),
             "attempt": job.attempt,
             "threads": job.threads,
             "started_at": started_at,
@@ -262,12 +246,8 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
 
 def _half_inputs(job: NodeJob) -> list[str]:
     """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
-    layout, names = Layout(Path(job.root)), []
-    for name, (kind, key) in sorted(job.inputs.items()):
-        with suppress(ArtifactError):
-            if precision_of(read_manifest(layout, kind, key)):
-                names.append(name)
-    return names
+    layout = Layout(Path(job.root))
+    return [name for name, (kind, key) in sorted(job.inputs.items()) if precision_of(read_manifest(layout, kind, key))]
 
 
 def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:
@@ -287,14 +267,12 @@ def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, e
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
-    """Keep why a node failed, so that the next plan can say so."""
     record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
     with suppress(OSError):  # a full disk, a folder that was moved: the result and the journal of a living run tell it
         replace_file(layout.failure(job.key), dumps({**record, "attempt": job.attempt, "run": job.run_id}))
 
 
 def attempts(layout: Layout, key: str) -> int:
-    """Return how often a node has failed since it last succeeded."""
     try:
         record = read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost
@@ -307,16 +285,12 @@ def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | N
     return NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
 
 
-def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Summary numbers as JSON values: numpy's become Python's, and what is not finite becomes null."""
-    return {str(name): _plain(value, str(name)) for name, value in summary.items()}
-
-
-def _plain(value: Any, name: str) -> Any:
+def finite(value: Any, name: str = "summary") -> Any:
+    """Return a summary as JSON values: numpy's numbers become Python's, and what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return _finite(value)
+        return {str(part): finite(item, str(part)) for part, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item, name) for item in value]
+        return [finite(item, name) for item in value]
     if hasattr(value, "item"):  # a scalar of numpy or torch
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

@@ -104,7 +104,6 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Return the size of each file that an artifact was committed with, by relative name."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -180,7 +179,6 @@ def is_file_name(name: str) -> bool:
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
-    """Return what is known of an artifact."""
     try:
         path = layout.within(layout.manifest(kind, key))
     except StoreError as error:
@@ -192,13 +190,11 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
 
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a small JSON file; readers see the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, dumps(record))
 
 
 def replace_file(path: Path, data: str | bytes) -> None:
-    """Write a text or bytes; readers see the old file or the new one."""
     partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
     try:
         partial.write_bytes(data.encode() if isinstance(data, str) else data)
@@ -262,7 +258,6 @@ def _files(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -90,7 +90,6 @@ def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) ->
 
 
 def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
-    """Build the table in memory; see `write_branches`."""
     rows = sorted(rows, key=lambda row: row[:3])
     common = asdict(cell.identity) | {"tau_R": cell.tau_R, "window": cell.window}
     columns: dict[str, Any] = {name: [value] * len(rows) for name, value in common.items()}
@@ -101,7 +100,6 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
 
 
 def read_branches(path: Path) -> Branches:
-    """Read the branches of a cell."""
     table, cell = _read(path)
     try:
         return _paired(cell, table)

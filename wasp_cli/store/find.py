@@ -32,8 +32,6 @@ _REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
 
 
 class Named(Protocol):
-    """What a key or a label names."""
-
     @property
     def key(self) -> str | None: ...
 
@@ -62,7 +60,6 @@ class FoundNode:
 
     @property
     def date(self) -> str:
-        """When it was computed: day and minute, UTC; empty when unknown."""
         return self.started_at[:16].replace("T", " ")
 
     @property

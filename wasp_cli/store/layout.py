@@ -137,7 +137,6 @@ class Layout:
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
 
     def needed(self) -> tuple[Path, ...]:
-        """Return the folders that every run writes to."""
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
@@ -169,17 +168,14 @@ class Layout:
 
 
 def slug(text: str) -> str:
-    """Return a label as a file name."""
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
 
 
 def is_key(text: str) -> bool:
-    """Return whether a text has the form of a key."""
     return bool(_KEY.fullmatch(text))
 
 
 def is_name(text: str) -> bool:
-    """Return whether a text can name a folder of the results: a kind, a run, a spec."""
     return bool(_NAME.fullmatch(text))
 
 

@@ -39,7 +39,6 @@ BEAT = pa.schema(
 
 
 def read_timing(path: Path) -> pa.Table:
-    """Read the timing of a cell that a person drove."""
     with opened_table(path, VERSION_KEY, VERSION, "the timing of a session") as file:
         return file.read()
 

@@ -36,7 +36,6 @@ def provenance() -> dict[str, Any]:
 
 
 def installed(name: str) -> str | None:
-    """Return the version of an installed distribution."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -101,7 +100,6 @@ def cuda_devices() -> list[str]:
 
 
 def processor() -> str:
-    """Return the name of the processor."""
     details = Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
         for line in details.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -111,7 +109,6 @@ def processor() -> str:
 
 
 def memory_gb() -> float | None:
-    """Return the main memory in GB."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
     except (ValueError, OSError, AttributeError):

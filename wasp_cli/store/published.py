@@ -40,8 +40,6 @@ SHA_LENGTH = 7  # hexadecimal digits of a commit that people are shown
 
 @dataclass(frozen=True)
 class Offer:
-    """A published artifact."""
-
     source: Layout  # the published layer
     kind: str
     key: str
@@ -53,12 +51,10 @@ class Offer:
 
     @property
     def source_key(self) -> str:
-        """Return the key of what is copied."""
         return str(self.manifest["provenance"][EARLIER]) if self.episodes is not None else self.key
 
     @property
     def started_at(self) -> str:
-        """When it was computed, so that it sorts."""
         return str(self.manifest["provenance"].get("started_at", ""))
 
 

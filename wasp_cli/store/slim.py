@@ -23,8 +23,6 @@ DATA = frozenset({"dataset", "latents", "heldout"})  # kinds whose tensors are r
 
 
 class Slimming(NamedTuple):
-    """What to leave out of published copies."""
-
     half: bool = False  # weights as 16 bits a number instead of 32
     steps: int | None = None  # episodes of a cell whose steps stay; None for all
     images: bool = True  # whether the images of diagnostics stay

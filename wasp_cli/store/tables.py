@@ -132,8 +132,6 @@ class Thresholds:
 
 
 class Rows(NamedTuple):
-    """The rows of a cell."""
-
     episodes: pa.Table  # of SCHEMA
     steps: pa.Table  # of STEPS_SCHEMA
 
@@ -172,7 +170,6 @@ def write_cell(
 
 
 def write_episodes(episodes: pa.Table, path: Path) -> None:
-    """Write the first table of `cell_tables`."""
     # Reports open thousands of these: pages without dictionaries that unpack fast take half the time and no more space.
     write_table(episodes, path, compression="snappy", use_dictionary=False)
 
@@ -339,7 +336,6 @@ def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of the cell at `path`."""
     return [path, _steps_file(path)]
 
 
