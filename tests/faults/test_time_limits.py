@@ -42,9 +42,9 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
 def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "sleep"})
     summary = limited_run(small_spec, tmp_path / "results", pool(), limit=8.0)
-    (failure,) = summary.failed
+    ((node, result),) = summary.failed
     assert node.label == LABEL
-    assert failure.result.message == "it took longer than the limit of 8.0 s"
+    assert result.message == "it took longer than the limit of 8.0 s"
     assert not summary.blocked
     fakes.set()
     assert run(small_spec, tmp_path / "results").complete
@@ -55,9 +55,9 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fak
 def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "hang"})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
-    (failure,) = summary.failed
+    ((node, result),) = summary.failed
     assert node.label == LABEL
-    assert failure.result.message == "it exceeded its time limit and did not stop, so its process was ended"
+    assert result.message == "it exceeded its time limit and did not stop, so its process was ended"
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
     fakes.set()
