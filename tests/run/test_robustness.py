@@ -13,9 +13,8 @@ from tests.run.harness import ROOT, prepared
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run, results_of
-from wasp_cli.run.runner import Runner
+from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import useful_jobs
 from wasp_cli.run.worker import execute
 
@@ -63,7 +62,7 @@ def test_no_more_workers_than_nodes_side_by_side(fakes, small_spec, tmp_path):
 def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    job = Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
+    job = job_of(layout, new_run(layout, loaded, plan), plan.to_run()[0])
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")

@@ -8,9 +8,8 @@ from tests.run.fake_stages import Fake
 from tests.run.harness import prepared
 from wasp_cli.run import worker
 from wasp_cli.run.job import NodeJob, forget
-from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
-from wasp_cli.run.runner import Runner
+from wasp_cli.run.runner import job_of
 from wasp_cli.run.worker import execute
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
@@ -19,7 +18,7 @@ from wasp_cli.store.layout import Layout
 @pytest.fixture
 def job(fakes, small_spec, tmp_path) -> NodeJob:
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    return Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
+    return job_of(layout, new_run(layout, loaded, plan), plan.to_run()[0])
 
 
 def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):
