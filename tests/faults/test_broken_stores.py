@@ -109,20 +109,6 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert as_undisturbed(small_spec, results)
 
 
-def test_a_cut_file_is_seen_by_the_plan(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    fakes.set(weights=True)
-    run(small_spec, results)
-    _, layout, plan = prepared(small_spec, results)
-    node = plan.steps[2].node
-    path = layout.artifact(node.kind, node.key) / "weights.safetensors"
-    path.write_bytes(path.read_bytes()[:-7])
-    done = run_here("plan", small_spec, "--results", results, columns=400)
-    assert f"{node.label}: damaged, to be computed again: '{path}' has" in done.stdout
-    again = run(small_spec, results)
-    assert (again.done, again.complete) == (1, True)
-
-
 def test_a_wall_clock_that_jumps_back_changes_nothing(fakes, small_spec, tmp_path, monkeypatch):
     """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
     results = tmp_path / "results"

@@ -4,17 +4,13 @@ import json
 import os
 import platform
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
-from tests.faults.test_random_kills import payload
-from tests.run.harness import ROOT, as_undisturbed, data_of, run, start, wait_until, wasp
-from wasp_cli.store.tables import same_rows
+from tests.run.harness import as_undisturbed, data_of, run, start, wait_until, wasp
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -125,23 +121,3 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, smal
 def test_a_backend_that_is_not_there_is_a_usage_error(arguments, message, small_spec, tmp_path):
     done = run_here("run", small_spec, "--results", tmp_path / "results", *arguments, columns=400)
     assert (done.exit_code, message in done.stderr) == (2, True), done.stderr
-
-
-@pytest.mark.slow
-def test_the_smoke_grid_through_dask(tmp_path):
-    """The real stages on two dask workers, and on two of ours: the same bytes."""
-
-    def run_smoke(*arguments: str | Path) -> None:
-        command = [sys.executable, "-m", "wasp_cli", "run", ROOT / "specs" / "smoke.yaml", *arguments]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False)
-        assert done.returncode == 0, done.stderr
-
-    there, here = tmp_path / "there", tmp_path / "here"
-    with dask_cluster(tmp_path / "dask") as cluster:
-        run_smoke("--results", there, *through(cluster))
-    run_smoke("--results", here, "-j", "2")
-    assert payload(there) == payload(here)
-    cells = sorted((here / "store" / "evaluate").glob("*/episodes.parquet"))
-    assert cells
-    assert all(same_rows(cell, there / cell.relative_to(here)) for cell in cells)

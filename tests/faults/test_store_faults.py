@@ -1,35 +1,15 @@
 """Results folders that cannot be used, or hold rubbish."""
 
 import json
-import os
-from pathlib import Path
 
 import pytest
 
 from tests.run.harness import prepared, run
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_results_without_permission_are_refused(tmp_path):
-    (tmp_path / "results").mkdir(mode=0o500)
-    with pytest.raises(StoreError, match="permission denied"):
-        Layout(tmp_path / "results").prepare()
-
-
-def test_an_emptied_artifact_place_is_filled_again(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    _, layout, plan = prepared(small_spec, results)
-    node = plan.steps[0].node
-    for path in layout.artifact(node.kind, node.key).iterdir():
-        path.unlink()
-    assert run(small_spec, results).done == 1
-    assert layout.manifest(node.kind, node.key).is_file()
 
 
 def test_damaged_records_are_named_not_obeyed(fakes, small_spec, tmp_path):
@@ -47,21 +27,6 @@ def test_damaged_records_are_named_not_obeyed(fakes, small_spec, tmp_path):
     (layout.run(run_id) / "spec.json").write_text('{"name": "../../x"}')
     with pytest.raises(ArtifactError, match="cannot read the spec of run"):
         read_run(layout, run_id)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_ends_a_node_not_the_run(fakes, small_spec, tmp_path):
-    from tests.run.harness import new_run
-    from wasp_cli.run.pool import InlinePool
-    from wasp_cli.run.runner import Runner
-
-    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    run_id = new_run(layout, loaded, plan)
-    node = plan.to_run()[0]
-    layout.log(run_id, node.label, node.key).symlink_to("/dev/full")
-    summary = Runner(layout, run_id, InlinePool()).run(plan)
-    assert [node.key for node, _ in summary.failed] == [node.key]
-    assert "No space left" in summary.failed[0][1].message
 
 
 def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):

@@ -104,13 +104,6 @@ def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, s
     assert sum("s0 ida_q" in line for line in fakes.executions()) == 1
 
 
-def test_attempts_end(fakes, small_spec, tmp_path):
-    fakes.set(behave={NODE: "raise"})
-    summary = limited_run(small_spec, tmp_path / "results", LokyPool(2), limit=None, retries=2)
-    assert [node.label for node, _ in summary.failed] == [LABEL]
-    assert sum(NODE in line for line in fakes.executions()) == 3
-
-
 def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
     """As in a dask worker, where no signal arrives."""
     caught: list[BaseException] = []

@@ -39,12 +39,6 @@ def test_every_cell_whose_method_may_intervene_is_branched_once():
     assert {node.key for _, node in laid_out.branched} <= laid_out.targets
 
 
-def test_a_spec_that_does_not_ask_has_none_and_asking_moves_no_other_key():
-    assert branch_labels(grid()) == []
-    assert grid().branched == ()
-    assert moved(grid(), judged()) == set()
-
-
 def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models():
     laid_out = judged(training_seed=9, seeds=[0, 1])
     nodes = by_label(laid_out)

@@ -37,17 +37,9 @@ def test_same_content_if_and_only_if_same_key(one, other):
     assert (canonical(one) == canonical(other)) == (key_of(one) == key_of(other))
 
 
-def test_the_order_of_lists_counts():
-    assert key_of({"hidden": [64, 32]}) != key_of({"hidden": [32, 64]})
-
-
 def test_what_is_no_number_has_no_key():
     with pytest.raises(ValueError, match="JSON"):
         key_of({"tau": float("nan")})
-
-
-def test_library_versions_are_major_and_minor():
-    assert all(version.count(".") == 1 for version in libraries().values())
 
 
 def test_every_library_that_computes_is_in_the_key():

@@ -3,7 +3,6 @@
 from typing import Any
 
 from tests.plan.test_grid import grid
-from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
@@ -85,13 +84,6 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
     found = reasons_of(plan_against(grid(), layout))
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
-
-
-def test_many_changes_are_counted(layout):
-    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7, "feasible": 2, "iterations": 3}))
-    found = reasons_of(plan_against(grid(), layout))["goal1 s0 wasp noisy=0.2"]
-    assert found.count(" -> ") == reasons.NAMED
-    assert found.endswith("and 2 more")
 
 
 def test_a_manifest_of_another_form_gives_no_reason(layout):

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.schedule import Schedule, durations, simulated
-from wasp_cli.stages.registry import STAGES
+from wasp_cli.plan.schedule import Schedule, simulated
 
 NUMBER = count()
 
@@ -80,11 +79,3 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed)
     assert most <= workers
     assert simulated(nodes, lasting, None)[0] == pytest.approx(longest)
     assert simulated(nodes, lasting, 1)[0] == pytest.approx(work)
-
-
-def test_a_stage_without_a_measured_time_is_compared_by_its_weight():
-    known, unknown = node(kind="world_model", sort="known"), node(kind="expert")
-    found = durations([known, unknown], {"known": 100.0})
-    assert found[known.key] == 100.0
-    assert found[unknown.key] == pytest.approx(100.0 * STAGES["expert"].weight / STAGES["world_model"].weight)
-    assert durations([unknown], {})[unknown.key] > 0.0

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from tests.benchmarks.times import figures_of
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against, show
@@ -92,14 +91,3 @@ def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path, monkeypatch):
     assert of("world_model", "world_model.updates=3000") == pytest.approx(2 * before["world_model"])
     monkeypatch.setattr(times, "speed", lambda: 2 * times.shipped()["speed"])
     assert of("policies") == pytest.approx(before["policies"] / 2)
-
-
-def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do():
-    full, ablated = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "no-case2"))
-    cells = [manifest("evaluate", seconds, full, episodes=10) for seconds in (100.0, 120.0, 900.0)]
-    part = manifest("evaluate", 1.0, full, episodes=30)
-    part["provenance"]["earlier"] = "a" * 20
-    cells += [part, manifest("evaluate", 50.0, ablated, episodes=10), manifest("world_model", 30.0, {}, updates=10)]
-    found = figures_of([("cpu", each) for each in cells])
-    assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/no-case2": 5.0, "world_model goal1": 3.0}}
-    assert found["speed"] == times.shipped()["speed"]

@@ -114,11 +114,3 @@ def test_a_detached_run_says_where_it_is_and_goes_on(fakes, small_spec, tmp_path
     wait_until(lambda: "run ended" in events(results))
     assert len(finished(results)) == NODES
     wait_until(lambda: f"{NODES} computed" in Path(said["log"]).read_text(encoding="utf-8"))
-
-
-def test_a_detached_run_that_cannot_begin_says_why(fakes, small_spec, tmp_path):
-    (tmp_path / "file").write_text("")
-    refused = wasp("run", small_spec, "--results", tmp_path / "file" / "below", "--detach")
-    assert refused.returncode == 1
-    assert "cannot write" in refused.stderr
-    assert refused.stdout == ""

@@ -6,10 +6,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import run
-from wasp_cli.plan.recorded import run_ids
-from wasp_cli.run.record import read_run
 from wasp_cli.run.runner import Summary
-from wasp_cli.store.layout import Layout
 
 KIND = "counterfactual"
 
@@ -42,32 +39,11 @@ def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fake
     assert len(fakes.executions()) == len(executed)
 
 
-def test_what_failed_is_named_runs_again_and_blocks_nothing(fakes, judged_spec, tmp_path):
-    fakes.set(behave={"s0 counterfactual ida": "refuse"})
-    failed, blocked = words(run(judged_spec, tmp_path / "results"))
-    assert failed == {f"goal1 s0 counterfactual ida {operator}" for operator in ("noisy=0.2", "laggy=0.7")}
-    assert blocked == set()
-    shown = run_here("show", "goal1 s0 counterfactual ida laggy=0.7", "--results", tmp_path / "results", columns=120)
-    assert "the loss is not finite" in shown.output
-    fakes.set()
-    assert run(judged_spec, tmp_path / "results").done == 2
-
-
 def test_a_cell_that_failed_blocks_its_branches(fakes, judged_spec, tmp_path):
     fakes.set(behave={"evaluate wasp": "refuse"})
     failed, blocked = words(run(judged_spec, tmp_path / "results"))
     assert failed == {"goal1 s0 wasp noisy=0.2", "goal1 s0 wasp laggy=0.7"}
     assert blocked == {"goal1 s0 counterfactual wasp noisy=0.2", "goal1 s0 counterfactual wasp laggy=0.7"}
-
-
-def test_a_run_says_later_what_it_was_to_branch(fakes, judged_spec, tmp_path):
-    run(judged_spec, tmp_path / "results")
-    layout = Layout(tmp_path / "results")
-    recorded = read_run(layout, run_ids(layout)[0])
-    assert {key for _, key in recorded.branched} == branches(tmp_path / "results")
-    assert {(cell.method, cell.operator) for cell, _ in recorded.branched} == {
-        (method, operator) for method in ("ida", "wasp") for operator in ("noisy", "laggy")
-    }
 
 
 def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_path):
@@ -77,10 +53,3 @@ def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_pa
     options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
     assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
     assert len(branches(tmp_path / "results")) == 1
-
-
-def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes, judged_spec, tmp_path):
-    vary = ("--vary", "ida.vote=0.1,0.2", "-j", "0", "--results", tmp_path / "results")
-    told = run_here("sweep", judged_spec, *vary, columns=200).output
-    assert "nodes are the same for all of them" in told
-    assert "trained for each" not in told

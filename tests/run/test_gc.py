@@ -83,17 +83,6 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_sp
     assert run(small_spec, results).done == len(old - new)
 
 
-def test_specs_of_other_names_and_specs_to_keep(small_spec, other_spec, named_spec, results, tmp_path):
-    everything = finished(results)
-    collect(results, "--yes", "--keep", small_spec)
-    assert finished(results) == everything
-    run(named_spec, results)
-    run(other_spec, results)
-    collect(results, "--yes")
-    assert finished(results) == everything
-    assert run_here("gc", results, "--keep", tmp_path / "absent.yaml", columns=80).exit_code == 3
-
-
 def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_spec, tmp_path):
     """As after an update: the plan's keys changed, but a kept artifact was computed from one of before."""
     results = tmp_path / "results"

@@ -60,15 +60,6 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
     assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), "a part of a cell was taken for its time"
 
 
-def test_a_cell_goes_on_from_the_longest_beginning(fakes, small_spec, tmp_path):
-    layout = Layout(tmp_path / "results")
-    carried_out(loaded_with(small_spec, 20), layout)
-    longest = carried_out(loaded_with(small_spec, 25), layout)
-    carried_out(loaded_with(small_spec, 10), layout)
-    whole = carried_out(loaded_with(small_spec, None), layout)
-    assert all(manifest["provenance"]["earlier"] == longest[label]["key"] for label, manifest in whole.items())
-
-
 @pytest.mark.parametrize(
     ("setting", "methods"),
     [

@@ -68,15 +68,3 @@ def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_sp
     assert process.returncode == 0, output
     run_here("gc", results, "--yes", columns=80)
     assert finished(results) == keys_of(later, results)
-
-
-def test_an_idle_rerun_counts_what_was_there(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    nodes = [{"key": key, "kind": "expert", "label": key, "state": "cached", "needs": {}} for key in finished(results)]
-    not_asked = {**planned(1, "not asked for", "unneeded")}
-    write_run(Layout(results), "20300101-000000-small-0002", [*nodes, not_asked])
-    Layout(results).order("20300101-000000-small-0002").write_text("2\n")
-    shown = run_here("status", results, columns=120)
-    assert "nothing had to be computed" in shown.output
-    assert f"{len(nodes)} of {len(nodes)} done" in shown.output

@@ -129,17 +129,6 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     assert not (results / "published").exists()
 
 
-def test_what_is_large_is_left_out_and_named(results, small_spec):
-    large = sorted(results.glob("store/world_model/*"))[0]
-    manifest = json.loads((large / "_manifest.json").read_text())
-    smallest = sum(known["size"] for known in manifest["files"].values())
-    told = publish(small_spec, results, "--largest", str((smallest - 1) / 1e6))
-    assert "left out: goal1 s0 world_model has" in told
-    assert not (results / "published/store").exists()
-    publish(small_spec, results, "--largest", str(smallest / 1e6))
-    assert keys(results / "published") == keys(results)
-
-
 def test_a_part_of_the_spec(results, small_spec, tmp_path):
     other = tmp_path / "elsewhere"
     publish(small_spec, results, "--to", other, "--select", "method=human,seed=0", "--select", "stage=policies")
@@ -200,14 +189,6 @@ def test_what_a_killed_publication_left_goes_with_the_next_one(results, small_sp
     layer.publishing.write_text("")
     publish(small_spec, results)
     assert {path.name for path in layer.root.iterdir()} == {"store", "reports"}
-
-
-def test_links_of_the_layer_are_not_followed(results, small_spec, tmp_path):
-    (results / "published").mkdir()
-    (tmp_path / "away").mkdir()
-    (results / "published/store").symlink_to(tmp_path / "away")
-    assert "is a link" in publish(small_spec, results, code=1)
-    assert not list((tmp_path / "away").iterdir())
 
 
 def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes, tmp_path):

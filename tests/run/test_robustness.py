@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import run_here
 from tests.run.harness import ROOT, prepared
-from wasp_cli.cli import doctor
-from wasp_cli.errors import StoreError, WaspError
+from wasp_cli.errors import StoreError
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.run.record import new_run, results_of
 from wasp_cli.run.runner import job_of
@@ -29,24 +27,6 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("wasp_cli.run.record.os.scandir", forbid)
     with pytest.raises(StoreError, match="permission denied"):
         results_of(tmp_path)
-
-
-def test_doctor_looks_and_creates_nothing(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "link").symlink_to(tmp_path / "absent" / "far")
-    (tmp_path / "old").mkdir()
-    for place in ("absent", "old"):
-        assert doctor._writable(tmp_path / place / "results").state == "ok"
-        assert doctor._writable(tmp_path / place).state == "ok"
-    for place in ("file", "file/below", "link"):
-        assert doctor._writable(tmp_path / place).state == "missing"
-    monkeypatch.setattr("wasp_cli.cli.doctor.os.access", lambda path, mode: False)
-    finding = doctor._writable(tmp_path / "absent")
-    assert (finding.state, finding.found) == ("missing", f"cannot write to '{tmp_path}'")
-    with pytest.raises(WaspError, match="wasp cannot run here: results"):
-        doctor.require([finding])
-    assert not list((tmp_path / "old").iterdir())
-    assert not (tmp_path / "absent").exists()
 
 
 def test_no_more_workers_than_nodes_side_by_side(fakes, small_spec, tmp_path):
@@ -103,9 +83,3 @@ def test_output_to_a_full_disk_is_one_message():
     assert done.returncode == 1
     assert done.stderr.startswith("error: no space left on device")
     assert "Exception" not in done.stderr
-
-
-@pytest.mark.parametrize("arguments", [("plan", "specs/smoke.yaml", "--results", ""), ("report", ""), ("doctor", "--results", " ")])
-def test_an_empty_name_is_no_results_folder(arguments):
-    done = run_here(*arguments, columns=200)
-    assert (done.exit_code, "the name of the folder is empty" in done.stderr) == (2, True)

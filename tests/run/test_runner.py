@@ -29,15 +29,6 @@ def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec,
     assert run(small_spec, results).done == 0
 
 
-def test_a_renamed_and_reordered_spec_finds_everything_computed(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    run(small_spec, results)
-    text = small_spec.read_text(encoding="utf-8")
-    text = text.replace("name: small", "name: other").replace("mild: 0.2", "weak: 0.2").replace("[0, 1]", "[1, 0]")
-    small_spec.write_text(text.replace("[human, ida, wasp, expert]", "[wasp, expert, human, ida]"), encoding="utf-8")
-    assert run(small_spec, results).done == 0
-
-
 def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "raise"})

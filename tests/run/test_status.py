@@ -11,8 +11,7 @@ from pathlib import Path
 
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
-from tests.run.recorded import at, dead_pid, key, planned, process, write_run
-from wasp_cli.run.show import LISTED
+from tests.run.recorded import dead_pid, key, planned, process, write_run
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
@@ -35,21 +34,6 @@ def test_a_run_that_died(layout):
     assert lines[2] == "[" + "=" * 13 + " " * 27 + "] 1 of 3 done, 1 failed, 1 not computed"
     assert re.fullmatch(r"  c +50% +gone +step 7 *", lines[3])
     assert lines[4:] == ["FAILED b: no [memory]", "       log: /x/b.log"]
-
-
-def test_failures_are_counted_where_they_are_many(layout):
-    failed = [(float(n), "failed", {"key": key(n), "label": f"n{n}", "message": "x"}) for n in range(20)]
-    write_run(layout, RUN, [planned(n, f"n{n}") for n in range(20)], [(0.0, "run started", process(dead_pid())), *failed])
-    shown = status(layout)
-    assert shown.count("FAILED") == LISTED
-    assert f"and {20 - LISTED} more" in shown
-    assert len(json.loads(status(layout, "--json"))[0]["failed"]) == 20
-
-
-def test_silence_is_told(layout):
-    running = {1: {"label": "a", "started": at(0), "at": at(0), **process(os.getpid())}}
-    write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", process(os.getpid()))], running)
-    assert "silent for" in status(layout)
 
 
 def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, small_spec, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.run.harness import group_is_gone, start, wait_until
 from tests.run.layered import fresh_console
-from wasp_cli.errors import CellsFailed, UnknownName, UsageError
+from wasp_cli.errors import CellsFailed, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
@@ -42,15 +42,6 @@ def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, cap
     assert "done    goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]" in told
     assert "done    goal1 s0 human noisy=0.2  " in told
     assert swept(small_spec, tmp_path / "results").summary.done == 0
-
-
-def test_what_must_be_trained_for_each_value_is_told(fakes, small_spec, tmp_path, capsys):
-    swept(small_spec, tmp_path / "results", "critics.updates=10,20", ("human", "wasp"))
-    told = capsys.readouterr().err
-    assert "; trained for each: critics\n" in told
-    executions = fakes.executions()
-    assert sum(" critics" in line for line in executions) == 4
-    assert sum(" world_model" in line for line in executions) == 2
 
 
 def test_a_value_that_fails_leaves_the_others(fakes, small_spec, tmp_path):
@@ -104,14 +95,6 @@ def test_a_sweep_without_effect_is_refused_before_anything_is_written(vary, meth
     assert message in caught.value.message
     assert caught.value.hint
     assert not (tmp_path / "results").exists()
-
-
-def test_one_task_of_several(fakes, small_spec):
-    two = ("tasks=[goal1, race1]",)
-    assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two).points} == {("goal1", "race1")}
-    assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two, tasks=["race1"]).points} == {("race1",)}
-    with pytest.raises(UnknownName, match="unknown task of this spec 'goal2'"):
-        read_sweep(small_spec, VARY, settings=two, tasks=["goal2"])
 
 
 def test_an_interrupted_sweep_keeps_what_is_finished(fakes, small_spec, tmp_path):

@@ -65,22 +65,11 @@ def test_a_run_that_goes_on(layout):
     assert state.unknown == 0
 
 
-def test_workers_share_what_does_not_wait(layout):
-    nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
-    write_run(layout, RUN, nodes, [started(jobs=2)])
-    assert only(layout).left_seconds == pytest.approx(180)
-
-
 @pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
 def test_a_running_node_has_less_left(share, left, layout):
     running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
     write_run(layout, RUN, [planned(1, "b", seconds=100.0)], [started()], running)
     assert only(layout).left_seconds == pytest.approx(left)
-
-
-def test_nodes_without_an_estimate_are_counted(layout):
-    write_run(layout, RUN, [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
-    assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
 
 
 @pytest.mark.parametrize(
@@ -100,33 +89,12 @@ def test_the_death_of_a_run_shows(facts, state, layout):
     assert (found.left_seconds is None) == (state == "died")
 
 
-@pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
-def test_a_run_that_is_over_says_so(event, state, layout):
-    write_run(layout, RUN, NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
-    found = only(layout)
-    assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
-
-
 def test_a_node_whose_process_is_gone(layout):
     running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
     write_run(layout, RUN, NODES, [started()], running)
     state = only(layout)
     assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
     assert (state.running, state.waiting) == (1, 4)
-
-
-def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout):
-    write_run(layout, RUN, NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
-    state = only(layout)
-    assert (state.done, state.failed, state.finished) == (1, (), 1)
-
-
-def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout):
-    write_run(layout, RUN, [planned(1, "a", "cached")])
-    write_run(layout, "20260501-130000-small-0002", NODES)
-    later, earlier = (state_of(layout, run) for run in planned_runs(layout))
-    assert (earlier.state, earlier.total, earlier.done, earlier.idle) == ("ended", 1, 1, True)
-    assert (later.state, later.total) == ("not started", 5)
 
 
 def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):

@@ -32,22 +32,11 @@ def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):
     assert capfd.readouterr() == ("restored", "")
 
 
-def test_a_node_that_is_there_already_is_not_computed_again(job, fakes):
-    execute(job)
-    assert execute(job).state == "shared"
-    assert len(fakes.executions()) == 1
-
-
 def test_a_result_of_changed_source_is_not_published(job):
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}))
     assert result.state == "failed"
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert not exists(Layout(Path(job.root)), job.kind, job.key)
-
-
-def test_a_stage_that_returns_what_json_lacks_fails(job, monkeypatch):
-    monkeypatch.setattr(Fake, "run", lambda self, job: {"model": object()})
-    assert execute(job).message == "the stage returned object as 'model'; only JSON values can be stored"
 
 
 def test_numbers_of_numpy_and_nested_ones_become_plain():

@@ -59,13 +59,6 @@ def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path, change):
     assert read_numbers(path, COLUMNS) is None
 
 
-def test_in_parts(tmp_path):
-    path = cell(tmp_path)
-    table = pq.read_table(path)
-    pq.write_table(table, path, row_group_size=2)
-    assert read_numbers(path, COLUMNS) is None
-
-
 def test_damage_is_left_to_who_names_it(tmp_path):
     path = cell(tmp_path)
     assert read_numbers(tmp_path / "nothing", COLUMNS) is None

@@ -45,11 +45,6 @@ def test_a_weight_that_half_precision_cannot_hold_is_refused(tmp_path):
         slim(tmp_path, "critics", Slimming(half=True))
 
 
-def test_recorded_data_keeps_its_precision(tmp_path):
-    save_file({"h": torch.rand(9)}, tmp_path / "heldout.safetensors")
-    assert slim(tmp_path, "heldout", Slimming(half=True)) == {}
-
-
 def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touched(tmp_path):
     assert STEPS_FILE == TABLES_STEPS_FILE
     path = cell(tmp_path / "cell")

@@ -8,22 +8,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.commands import run_here
-from tests.store.attacks import ATTACKS
-from tests.store.attacks_on_pictures import SCRIPT
+from tests.store.attacks import ATTACKS, SCRIPT
 from tests.store.untrusted import LABEL, UntrustedStore
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
 
 SECRET = "the-secret-of-the-reader"
-COMMANDS: tuple[tuple[str, ...], ...] = (
-    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--json"), ("status", "{results}", "--run", "0000"),
-    ("logs", "{label}", "--results", "{results}"), ("logs", "{key}", "--path", "--results", "{results}"),
-    ("show", "{label}", "--results", "{results}"), ("show", "{key}", "--json", "--results", "{results}"),
-    ("explain", "{key}", "-e", "0", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
-    ("compare", "{results}", "{results}"), ("compare", "{results}", "{results}", "--json"),
-    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
-    ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"),
-    ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
-)  # fmt: skip
 ONCE: tuple[tuple[str, ...], ...] = (
     ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--run", "0000"),
     ("logs", "{label}", "--results", "{results}"), ("show", "{label}", "--results", "{results}"),
@@ -31,6 +20,12 @@ ONCE: tuple[tuple[str, ...], ...] = (
     ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
 """Every command in the form that reads and shows the most."""
+COMMANDS: tuple[tuple[str, ...], ...] = (
+    ("status", "{results}", "--json"), ("logs", "{key}", "--path", "--results", "{results}"),
+    ("show", "{key}", "--json", "--results", "{results}"), ("explain", "{key}", "-e", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}", "--json"), ("gc", "{results}", "--dry-run"),
+    ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"), *ONCE,
+)  # fmt: skip
 ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal", "rows_that_command_the_terminal", "cells_that_are_markup")
 """Attacks on what is printed: every form prints in its own way."""
 
