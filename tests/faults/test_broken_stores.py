@@ -19,9 +19,6 @@ from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
 from wasp_cli.report.stats import read_frame
 from wasp_cli.report.summarize import wanted_cells
-from wasp_cli.run.pool import InlinePool
-from wasp_cli.run.record import new_run
-from wasp_cli.run.runner import Runner
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
@@ -107,32 +104,6 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert run(small_spec, results).complete
     assert np.array_equal(load_file(weights)["w"], before)
     assert as_undisturbed(small_spec, results)
-
-
-def test_a_wall_clock_that_jumps_back_changes_nothing(fakes, small_spec, tmp_path, monkeypatch):
-    """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
-    results = tmp_path / "results"
-    fakes.set(behave={"s0 ida_q": "refuse"})
-    run(small_spec, results)
-    for path in results.rglob("*"):
-        os.utime(path, (4e9, 4e9))
-    _, layout, plan = prepared(small_spec, results)
-    assert plan.count("missing") == 3
-    assert plan.count("failed") == 1
-    fakes.set()
-    loaded, layout, plan = prepared(small_spec, results)
-    run_id = new_run(layout, loaded, plan)
-    real = Runner._ended
-
-    def jump(self: Runner, node: object, result: object) -> None:
-        layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
-        real(self, node, result)
-
-    monkeypatch.setattr(Runner, "_ended", jump)
-    assert Runner(layout, run_id, InlinePool()).run(plan).complete
-    assert run_here("status", results, "--json", columns=80).exit_code == 0
-    _, _, again = prepared(small_spec, results)
-    assert not again.to_run()
 
 
 def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeypatch):

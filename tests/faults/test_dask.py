@@ -65,6 +65,7 @@ def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spe
     assert not list(here.glob("results/store/*/*"))
 
 
+@pytest.mark.slow
 def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)

@@ -14,9 +14,7 @@ from wasp_cli.store.plain import read_json_lines
     ("number", "whole_group", "jobs"),
     [
         pytest.param(signal.SIGINT, True, 2, id="ctrl-c"),
-        pytest.param(signal.SIGTERM, False, 2, id="sigterm"),
-        pytest.param(signal.SIGINT, False, 1, id="sigint to the parent, one worker", marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, True, 2, id="sigterm to the whole group", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, 2, id="sigterm", marks=pytest.mark.slow),
         pytest.param(signal.SIGINT, True, 0, id="ctrl-c without workers", marks=pytest.mark.slow),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import as_undisturbed, prepared, run, start
 from wasp_cli.errors import TimeLimitExceeded
-from wasp_cli.run.job import interruptible, memory_mb, was_ended
+from wasp_cli.run.job import interruptible, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
@@ -124,14 +124,6 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
     thread.join(300)
     assert [type(error) for error in caught] == [TimeLimitExceeded, StopIteration]
     assert not was_ended(tmp_path / "marker")
-
-
-def test_what_is_in_time_leaves_no_alarm_behind(tmp_path):
-    with interruptible(0.05, tmp_path / "cancel", tmp_path / "marker", own_process=False):
-        pass
-    time.sleep(0.1)
-    assert "node-watch" not in {thread.name for thread in threading.enumerate()}
-    assert memory_mb() > 1
 
 
 def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monkeypatch):

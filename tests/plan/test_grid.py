@@ -77,12 +77,6 @@ def test_names_and_orders_enter_no_key():
     assert keys(grid(**shuffled)) == keys(grid())
 
 
-def test_a_severity_named_twice_is_one_node():
-    double = grid(operators={"noisy": {"mild": 0.2, "weak": 0.2}})
-    assert len({node.key for cell, node in double.cells if cell.method == "human"}) == 2
-    assert len([cell for cell, _ in double.cells if cell.method == "human"]) == 4
-
-
 def test_ablations_share_training_and_the_calibration_of_the_whole():
     ablation = grid(methods=["wasp"], variants=["full", "no-case2"])
     assert keys(grid(methods=["wasp"])) < keys(ablation)
@@ -118,11 +112,6 @@ def test_what_a_task_has_of_its_own_moves_that_task_alone():
     assert after["goal1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 8
     same = {"formula1": {"world_model": {"updates": 20}}, "race1": {"wasp": {"candidates": 9}}}
     assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))  # and a task that does not run is no mistake
-
-
-def test_more_episodes_move_evaluations_only():
-    moved = changed(episodes=3)
-    assert moved == {node.label for node in grid().nodes if node.kind == "evaluate"}
 
 
 def test_shared_settings_move_the_stages_that_named_them():

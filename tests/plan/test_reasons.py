@@ -42,13 +42,6 @@ def test_a_changed_field_is_named_with_both_values(layout):
     assert all(" wasp" in label for label in found)
 
 
-def test_fields_of_stages_and_shared_settings_have_the_names_of_the_spec(layout):
-    fill(layout, grid())
-    found = reasons_of(plan_against(grid(returns={"gamma_c": 0.9}, episodes=3), layout))
-    assert found["goal1 s0 critics"] == "spec changed: returns.gamma_c 0.95 -> 0.9"
-    assert found["goal1 s0 human noisy=0.2"] == "spec changed: episodes 2 -> 3, returns.gamma_c 0.95 -> 0.9"
-
-
 def test_what_only_reads_something_new_says_what(layout):
     fill(layout, grid())
     found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))

@@ -46,11 +46,6 @@ def test_a_stage_selects_nodes_that_others_need():
     assert {step.reason for step in plan.steps if not step.runs} == {"not selected"}
 
 
-def test_without_selectors_everything_is_meant():
-    assert select(grid(), ()) is None
-    assert len(make_plan(grid(), {}, {}).to_run()) == len(grid().nodes)
-
-
 def test_what_nobody_needs_any_more_is_left_alone():
     laid_out = grid(stages=[], methods=["human"])
     cells = {node.key for _, node in laid_out.cells}

@@ -39,13 +39,6 @@ def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fake
     assert len(fakes.executions()) == len(executed)
 
 
-def test_a_cell_that_failed_blocks_its_branches(fakes, judged_spec, tmp_path):
-    fakes.set(behave={"evaluate wasp": "refuse"})
-    failed, blocked = words(run(judged_spec, tmp_path / "results"))
-    assert failed == {"goal1 s0 wasp noisy=0.2", "goal1 s0 wasp laggy=0.7"}
-    assert blocked == {"goal1 s0 counterfactual wasp noisy=0.2", "goal1 s0 counterfactual wasp laggy=0.7"}
-
-
 def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_path):
     shown = run_here("plan", judged_spec, "--results", tmp_path / "results", columns=200)
     assert "the interventions of 4 of them are judged by counterfactual branches" in shown.output

@@ -14,7 +14,6 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import process
-from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.run import reach
 from wasp_cli.run.reach import remove_unreached, unreached
@@ -242,19 +241,3 @@ def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_s
     assert left.items() <= whole.items()
     assert sweep(layout) == 1
     assert not list(layout.tmp.iterdir())
-
-
-def test_results_that_are_not_there(tmp_path):
-    assert run_here("gc", tmp_path / "absent", columns=80).exit_code == 1
-    (tmp_path / "results" / "runs").mkdir(parents=True)
-    (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).mkdir(parents=True)
-    (tmp_path / "results" / "store").symlink_to(tmp_path / "elsewhere")
-    done = run_here("gc", tmp_path / "results", "--yes", columns=80)
-    assert done.exit_code == 1
-    assert "is a link" in done.stderr
-    assert (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).is_dir()
-    (tmp_path / "results" / "store").unlink()
-    assert "there is nothing to remove" in collect(tmp_path / "results")
-    with pytest.raises(StoreError):
-        unreached(Layout(tmp_path / "absent"), set(), runs=False, before=None)
-    shutil.rmtree(tmp_path / "results")

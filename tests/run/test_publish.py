@@ -129,15 +129,6 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     assert not (results / "published").exists()
 
 
-def test_a_part_of_the_spec(results, small_spec, tmp_path):
-    other = tmp_path / "elsewhere"
-    publish(small_spec, results, "--to", other, "--select", "method=human,seed=0", "--select", "stage=policies")
-    assert {path.parent.name for path in other.glob("store/*/*")} == {"evaluate", "policies"}
-    assert len(keys(other)) == 2 + 2
-    assert not (results / "published").exists()
-    publish(small_spec, results, "--to", other, "--task", "race1", code=2)
-
-
 @pytest.mark.parametrize("private", ["host", "results"])
 @pytest.mark.parametrize("place", ["report", "file"])
 def test_what_names_this_machine_is_refused(private, place, results, small_spec):
@@ -206,18 +197,3 @@ def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes,
     publish(small_spec, fresh, "--reuse", "published", "--to", tmp_path / "third")
     for path in (tmp_path / "third").glob("store/*/*/_manifest.json"):
         assert path.read_bytes() == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
-
-
-def test_gc_leaves_the_layer_and_what_was_taken_from_it(results, small_spec, tmp_path):
-    publish(small_spec, results)
-    fresh = tmp_path / "fresh"
-    shutil.copytree(results / "published", fresh / "published")
-    run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
-    before, taken = tree(fresh / "published"), keys(fresh)
-    assert run_here("gc", fresh, "--yes", "--runs", columns=80).exit_code == 0
-    assert tree(fresh / "published") == before
-    assert keys(fresh) == taken
-    shutil.rmtree(fresh / "runs")
-    (fresh / "runs").mkdir()
-    assert run_here("gc", fresh, "--yes", "--keep", small_spec, columns=80).exit_code == 0
-    assert tree(fresh / "published") == before

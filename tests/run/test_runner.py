@@ -3,9 +3,7 @@ import random
 import threading
 from pathlib import Path
 
-import pytest
-
-from tests.run.harness import data_of, prepared, run, start, wait_until
+from tests.run.harness import data_of, prepared, run
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.pool import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run
@@ -50,13 +48,6 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     assert repaired.done == 1 + len(summary.blocked)
     assert read_manifest(layout, "ida_q", summary.failed[0][0].key)["provenance"]["attempt"] == 2
     assert not list(layout.failures.iterdir())
-
-
-def test_a_stage_that_exits_fails_and_nothing_else(fakes, small_spec, tmp_path):
-    fakes.set(behave={"evaluate human {} noisy": "exit"})
-    summary = run(small_spec, tmp_path / "results")
-    assert len(summary.failed) == 2
-    assert not summary.blocked
 
 
 def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path):
@@ -141,22 +132,3 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     ran = [line.split()[:3] for line in fakes.executions()]
     assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
-
-
-@pytest.mark.parametrize("behaviour", ["sleep", pytest.param("hang", marks=pytest.mark.slow)])
-def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour, fakes, small_spec, tmp_path):
-    fakes.set(behave={"goal1 s0 world_model": behaviour})
-    results = tmp_path / "results"
-    _, _, plan = prepared(small_spec, results)
-    needing: set[str] = set()
-    for node in plan.to_run():  # needed ones first
-        if node.label == "goal1 s0 world_model" or any(needed.key in needing for needed in node.needs.values()):
-            needing.add(node.key)
-    others = {node.key for node in plan.to_run()} - needing
-    assert {node.kind for node in plan.to_run() if node.key in others} > {"world_model", "evaluate"}
-    process = start("run", small_spec, "--results", results, "-j", "2")
-    try:
-        wait_until(lambda: {path.parent.name for path in results.glob("store/*/*/_manifest.json")} == others)
-    finally:
-        process.kill()
-        process.communicate(timeout=600)

@@ -1,12 +1,9 @@
 """A sweep over fake stages: what its values share is computed once, and what fails takes no other value along."""
 
-import os
-import signal
 from pathlib import Path
 
 import pytest
 
-from tests.run.harness import group_is_gone, start, wait_until
 from tests.run.layered import fresh_console
 from wasp_cli.errors import CellsFailed, UsageError
 from wasp_cli.report.provenance import last_runs
@@ -95,24 +92,3 @@ def test_a_sweep_without_effect_is_refused_before_anything_is_written(vary, meth
     assert message in caught.value.message
     assert caught.value.hint
     assert not (tmp_path / "results").exists()
-
-
-def test_an_interrupted_sweep_keeps_what_is_finished(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    fakes.set(free=6)
-    process = start("sweep", small_spec, "--vary", VARY, "--results", results, "-j", "0")
-    wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 5)
-    for _ in range(2):  # the first would wait for what runs
-        os.killpg(process.pid, signal.SIGINT)
-        wait_until(lambda: any(results.glob("runs/*/stop")))
-    shown, errors = process.communicate(timeout=600)
-    assert (process.returncode, shown) == (130, "")
-    assert errors.count("\ninterrupted: ") == 1
-    assert "nodes were finished and are kept" in errors
-    assert "Traceback" not in errors
-    wait_until(lambda: group_is_gone(process.pid))
-    kept = len(list(results.glob("store/*/*/_manifest.json")))
-    fakes.set()
-    done = swept(small_spec, results)
-    assert done.summary.complete
-    assert done.summary.done == len(done.plan.steps) - kept

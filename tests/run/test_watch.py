@@ -1,17 +1,15 @@
 """How far a run is, from its folder alone."""
 
 import os
-import platform
 from datetime import timedelta
 from typing import Any
 
 import pytest
 
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
-from wasp_cli.errors import UnknownName
-from wasp_cli.plan.recorded import named_run, planned_runs, upstream_first
+from wasp_cli.plan.recorded import planned_runs, upstream_first
 from wasp_cli.run.job import boot_id
-from wasp_cli.run.watch import RunState, is_gone, moment, shown_runs, state_of
+from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 
@@ -141,25 +139,6 @@ def test_a_circle_ends(layout):
     assert only(layout).left_seconds is not None
     (run,) = planned_runs(layout)
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
-
-
-def test_runs_are_found_by_the_end_of_their_name(layout):
-    write_run(layout, "20260501-120000-small-00aa", NODES)
-    write_run(layout, "20260501-130000-small-00bb", NODES)
-    runs = planned_runs(layout)
-    assert named_run(runs, "00aa").run_id == "20260501-120000-small-00aa"
-    assert named_run(runs, "20260501-130000-small-00bb").run_id.endswith("bb")
-    for unknown in ("../x", "", "00ab"):
-        with pytest.raises(UnknownName):
-            named_run(runs, unknown)
-
-
-def test_processes(layout):
-    assert not is_gone(HERE)
-    assert not is_gone({**process(1)})  # somebody else's, perhaps
-    assert is_gone(process(dead_pid()))
-    for odd in ({}, {"pid": -1}, {"pid": "7"}, {"pid": 2**40}, {"pid": None}):
-        assert not is_gone({"host": platform.node(), **odd})
 
 
 def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):

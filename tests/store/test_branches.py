@@ -85,18 +85,6 @@ def test_what_is_no_table_of_branches_is_refused(tmp_path, change, what):
         read_branches(path)
 
 
-def test_a_file_that_is_not_there_or_cut_off_is_refused(tmp_path):
-    path = tmp_path / "b.parquet"
-    with pytest.raises(StoreError, match="does not exist"):
-        read_branches(path)
-    write_branches(path, CELL, ROWS)
-    data = path.read_bytes()
-    for kept in (0, 3, len(data) // 2, len(data) - 1):
-        path.write_bytes(data[:kept])
-        with pytest.raises(StoreError, match="is damaged"):
-            read_branches(path)
-
-
 def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path):
     path = tmp_path / "b.parquet"
     write_branches(path, CELL, ROWS)

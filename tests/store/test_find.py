@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
+from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
@@ -108,24 +108,9 @@ def test_suggestions(layout):
         find_cell(layout, "012")
 
 
-def test_nothing_there(tmp_path):
-    with pytest.raises(UsageError, match="holds none"):
-        find_cell(Layout(tmp_path / "results"), "goal1 s0 wasp laggy=0.7")
-    (tmp_path / "results").write_text("")
-    with pytest.raises((UsageError, StoreError)):
-        find_cell(Layout(tmp_path / "results"), "0123")
-
-
 def test_a_cell_that_failed_says_why(layout):
     write_record(layout.failure("ffff0000000000000000"), {"kind": "evaluate", "label": "goal1 s2 ida noisy=0.4", "message": "out of disk"})
     layout.failure("ffff0000000000000001").write_text("{", encoding="utf-8")
     for text in ("goal1 s2 ida noisy=0.4", "ffff0000000000000000"):
         with pytest.raises(UsageError, match="it failed with: out of disk"):
             find_cell(layout, text)
-
-
-def test_a_damaged_manifest_hides_no_other_cell(layout):
-    layout.manifest("evaluate", "bbbb0000000000000000").write_text("{", encoding="utf-8")
-    assert find_cell(layout, "goal1 s1 wasp laggy=0.7").key == "aaaa0000000000000000"
-    with pytest.raises(ArtifactError, match="damaged"):
-        find_cell(layout, "bbbb")

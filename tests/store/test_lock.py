@@ -46,14 +46,6 @@ def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):
     waiter.join()
 
 
-def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
-    (tmp_path / "precious").write_text("text")
-    (tmp_path / "key").symlink_to(tmp_path / "precious")
-    with pytest.raises(OSError, match="key"), held(tmp_path / "key", nothing):
-        pass
-    assert (tmp_path / "precious").read_text() == "text"
-
-
 def count_up(lock: str, counter: str, times: int) -> None:
     for _ in range(times):
         with held(Path(lock), nothing):

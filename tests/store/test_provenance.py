@@ -58,12 +58,6 @@ def test_each_change_of_the_package_has_a_hash_of_its_own(checkout):
     assert all(text is not None and len(text) == 16 for text in found)
 
 
-def test_the_same_change_has_the_same_hash_whether_staged_or_not(checkout):
-    first = changes("x = 2\n", checkout / "wasp_cli" / "one.py")
-    git(checkout, "add", ".")
-    assert changes("x = 2\n", checkout / "wasp_cli" / "one.py") == first
-
-
 def test_what_is_not_the_package_is_dirty_and_no_change_of_it(checkout):
     assert changes("other\n", checkout / "README.md") is None
 

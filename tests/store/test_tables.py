@@ -1,6 +1,5 @@
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -136,16 +135,6 @@ def test_same_rows_leaves_timing_out(write):
     assert not same_rows(first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
 
 
-def test_other_steps_are_other_rows(write):
-    first, second = write("a"), write("b")
-    path = second.with_name(STEPS_FILE)
-    steps = pq.read_table(path)
-    place = steps.schema.get_field_index("reward")
-    pq.write_table(steps.set_column(place, steps.schema.field("reward"), pa.array(np.zeros(15, np.float32))), path)
-    assert first.read_bytes() == second.read_bytes()
-    assert not same_rows(first, second)
-
-
 def test_every_column_is_written_from_its_own_field():
     """The schema and the dataclasses name the same things, so that a new metric cannot be forgotten in one of them."""
     metrics = {"return" if name == "return_" else name for name in tables.EpisodeMetrics.__dataclass_fields__}
@@ -203,16 +192,6 @@ def test_newer_version_is_refused(write, monkeypatch):
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
-
-
-def test_no_partial_file(write, tmp_path, monkeypatch):
-    def fail(*args: Any, **kwargs: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("wasp_cli.store.parquet.pq.write_table", fail)
-    with pytest.raises(StoreError, match="No space left on device"):
-        write()
-    assert not list((tmp_path / "cell").iterdir())
 
 
 def test_former_names_of_columns_are_read(write, tmp_path):
