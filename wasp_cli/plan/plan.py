@@ -7,7 +7,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
@@ -54,10 +54,6 @@ class Plan:
         """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
-    def by_people(self) -> list[Node]:
-        """Return those of them that no run can compute: people have to drive."""
-        return [node for node in self.to_run() if node.axes.get("operator") == PERSON]
-
     def count(self, state: State, kind: str | None = None) -> int:
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
@@ -74,9 +70,8 @@ class Plan:
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
-        known = {node.key: self.seconds.get(node.sort) for node in nodes}
-        total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
-        return total, sum(seconds is None for seconds in known.values())
+        total, _ = simulated(nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers)
+        return total, sum(node.sort not in self.seconds for node in nodes)
 
     def critical_path(self) -> tuple[float, list[Node]]:
         """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
@@ -239,15 +234,7 @@ def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
     return [(thing, node.key) for thing, node in pairs]
 
 
-COLUMNS: dict[State, str] = {
-    "cached": "cached",
-    "published": "published",
-    "missing": "missing",
-    "changed": "changed",
-    "failed": "failed before",
-    "damaged": "damaged",
-    "unneeded": "not needed",
-}
+COLUMNS: dict[State, str] = {state: state for state in get_args(State)} | {"failed": "failed before", "unneeded": "not needed"}
 SHOWN = 12
 
 
@@ -306,7 +293,8 @@ def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
         return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
-    people, lines = plan.by_people(), []
+    people = [node for node in plan.to_run() if node.axes.get("operator") == PERSON]
+    lines: list[str] = []
     if people:
         lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
         if len(people) == len(plan.to_run()):

@@ -10,22 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, FiniteFloat, TypeAdapter
+from pydantic import BeforeValidator, FiniteFloat, StringConstraints, TypeAdapter
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.plain import read_plain
 
-
-def _key(text: str) -> str:
-    if not is_key(text):
-        raise ValueError("not a key")
-    return text
-
-
-Key = Annotated[str, AfterValidator(_key)]
+Key = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8,64}$")]  # as `layout.is_key`
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
+REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _known_part(document: Any) -> tuple[Spec, list[str]]:
             # One at a time: taking an entry out of a list moves those behind it.
             names = (_taken_out(document, problem["loc"]) for problem in error.errors(include_url=False))
             name = next((name for name in names if name is not None), None)
-            if name is None or len(unknown) > UNKNOWN_MOST:
+            if name is None or len(unknown) > 200:  # a folder may be hostile
                 raise
             unknown.append(f"The spec has `{name}`, which is not known here: an absent plugin's, or another version's.")
 
@@ -146,10 +147,6 @@ def _taken_out(document: Any, loc: Sequence[str | int]) -> str | None:
     if isinstance(parent, list):
         return f"{shown}: {value}"
     return f"{shown}.{name}" if shown else str(name)
-
-
-REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report
-UNKNOWN_MOST = 200
 
 
 def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live as RichLive
@@ -26,18 +26,20 @@ from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
-from wasp_cli.run.watch import desertion
+from wasp_cli.run.watch import RunState, desertion, state_of
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import find_node, matching, only, same_label
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
-if TYPE_CHECKING:
-    from wasp_cli.run.watch import RunState
-
-
 POLL_SECONDS = 0.25
+NOTES = {
+    "paused": "paused: running nodes finish, nothing new begins; wasp control resume goes on",
+    "resumed": "resumed",
+    "workers back": "workers are back; the run goes on",
+    "draining": "finishing running nodes; Ctrl-C again stops now",
+}
 SHARE = 0.05  # of one core, that drawing the board may take: a long journal is read less often
 
 
@@ -86,8 +88,6 @@ class Lines:
         elif kind == "cancelled":
             self._shown.add(key)
             plain(f"{self._counter()} cancelled {name}")
-        elif kind in ("paused", "resumed"):
-            self._note("paused: running nodes finish, nothing new begins; wasp control resume goes on" if kind == "paused" else "resumed")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
@@ -96,10 +96,8 @@ class Lines:
             self._note(f"a worker process was killed{after}")
         elif kind == "workers gone":
             self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
-        elif kind == "workers back":
-            self._note("workers are back; the run goes on")
-        elif kind == "draining":
-            self._note("finishing running nodes; Ctrl-C again stops now")
+        elif kind in NOTES:
+            self._note(NOTES[kind])
 
     def _started(self) -> None:
         for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):
@@ -143,8 +141,6 @@ class Live(Lines):
         super().__exit__(kind, error, trace)
 
     def _draw(self) -> RenderableType:
-        from wasp_cli.run.watch import state_of
-
         now = time.monotonic()
         if now >= self._next and self._run is not None:
             self._drawn = progress_of(state_of(self._layout, self._run), self._names)

@@ -104,6 +104,7 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
+    """Return the size of each file that an artifact was committed with, by relative name; `path` is that of its manifest."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -145,9 +146,7 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
         path = layout.artifact(kind, key) / name
         state = path.stat()
         stamp = state.st_mtime_ns, state.st_size
-        if _verified.get(str(path)) == stamp:
-            continue
-        if file_digest(path) != known.get("sha256"):
+        if _verified.get(str(path)) != stamp and file_digest(path) != known.get("sha256"):
             return f"'{path}' has other bytes than were stored"
         _verified[str(path)] = stamp
     return None
@@ -247,14 +246,14 @@ def discard(folder: Path) -> None:
 
 def _files(folder: Path) -> dict[str, dict[str, Any]]:
     """Size and SHA-256 of every file below a folder, by relative name; its manifest left out."""
-    found: dict[str, dict[str, Any]] = {}
+    files: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
             raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name != MANIFEST:
-            found[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
-    return found
+            files[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
+    return files
 
 
 def file_digest(path: Path) -> str:
@@ -263,8 +262,6 @@ def file_digest(path: Path) -> str:
 
 
 def _sync(path: Path) -> None:
-    if path.is_symlink():
-        raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

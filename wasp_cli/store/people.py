@@ -49,11 +49,8 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
     The age of a key counts where the command was new: before that it is the time for which a key was held.
     """
     late = np.asarray(beats["late"], bool)
-    found: dict[str, Any] = {
-        "decisions": len(late),
-        "late": int(late.sum()),
-        "late_share": round(float(late.mean()), 4) if len(late) else None,
-    }
+    share = round(float(late.mean()), 4) if len(late) else None
+    summary: dict[str, Any] = {"decisions": len(late), "late": int(late.sum()), "late_share": share}
     inputs, episodes = np.asarray(beats["input"]), np.asarray(beats["episode"])
     fresh = np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])]) if len(late) else late
     for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
@@ -61,8 +58,8 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
         if name == "input_age_ms":
             values = values[fresh]
         for label, value in zip(("p50", "p99"), percentiles(values.tolist()), strict=True):
-            found[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
-    return found
+            summary[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
+    return summary
 
 
 def percentiles(values: Sequence[float]) -> tuple[float, float]:

@@ -54,8 +54,8 @@ def git_state() -> dict[str, Any] | None:
         return None
     try:
         sha = _git(root, "rev-parse", "HEAD").strip()
-        changed = _names(_git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD"))
-        added = _names(_git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py"))
+        changed = _git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD").split("\0")[:-1]
+        added = _git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py").split("\0")[:-1]
     except (OSError, ValueError, subprocess.SubprocessError):  # no git on this machine, or a damaged checkout
         return None
     own = [name for name in changed if name.startswith(f"{package.name}/")]
@@ -68,10 +68,6 @@ def _git(root: Path, *arguments: str) -> str:
     command = ["git", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, errors="surrogateescape", timeout=10, check=True, env=environment)
     return done.stdout
-
-
-def _names(listed: str) -> list[str]:
-    return [name for name in listed.split("\0") if name]
 
 
 def _hash_of_files(root: Path, names: list[str]) -> str | None:

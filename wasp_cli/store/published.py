@@ -77,22 +77,17 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
     """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at."""
-    found: dict[str, Offer] = {}
+    by_key: dict[str, list[Offer]] = {}
     notes: list[str] = []
-    twice: set[str] = set()
     for kind in stored_kinds(source):
         for key in sorted(stored_keys(source, kind)):
             try:
-                offer = _offer(source, kind, key)
+                by_key.setdefault(key, []).append(_offer(source, kind, key))
             except ArtifactError as error:
                 notes.append(not_used(kind, key, error.message))
-                continue
-            if key in found:
-                twice.add(key)
-            found[key] = offer
     # A key is one node; two of one name would take each other's place.
-    notes += [not_used(found[key].kind, key, "two kinds have this key") for key in sorted(twice)]
-    return [offer for key, offer in found.items() if key not in twice], notes
+    notes += [not_used(same[-1].kind, key, "two kinds have this key") for key, same in sorted(by_key.items()) if len(same) > 1]
+    return [same[0] for same in by_key.values() if len(same) == 1], notes
 
 
 def not_used(kind: str, key: str, why: str) -> str:

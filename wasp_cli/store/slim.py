@@ -67,7 +67,7 @@ def precision_of(manifest: Mapping[str, Any]) -> str:
     """Return what is not in full precision about an artifact, for people; empty where everything is, as far as its manifest says."""
     changed = manifest.get(SLIM)
     files = changed.values() if isinstance(changed, Mapping) else ()
-    if any(isinstance(each, Mapping) and each.get("left_out") == HALF for each in files):
+    if any(isinstance(file, Mapping) and file.get("left_out") == HALF for file in files):
         return "in half precision"
     return "computed from parts in half precision" if half_inputs(manifest) else ""
 
