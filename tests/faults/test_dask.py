@@ -35,21 +35,6 @@ def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named
 
 
 @pytest.mark.slow
-def test_a_dask_run_drains(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    fakes.set(seconds=0.5)
-    with dask_cluster(tmp_path / "dask") as cluster:
-        process = start("run", small_spec, "--results", results, *through(cluster))
-        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 2)
-        os.kill(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert "finishing running nodes" in errors
-    ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/_manifest.json")))
-    assert ran == there < 18
-
-
-@pytest.mark.slow
 def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spec, tmp_path):
     """By a path that leads every process to another folder: that of its own working directory."""
     here, there, results = tmp_path / "here", tmp_path / "there", Path("/proc/self/cwd/results")

@@ -2,31 +2,11 @@
 
 import json
 
-import pytest
-
-from tests.run.harness import prepared, run
-from wasp_cli.errors import ArtifactError
+from tests.run.harness import run
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
-
-
-def test_damaged_records_are_named_not_obeyed(fakes, small_spec, tmp_path):
-    fakes.set(behave={"s0 ida_q": "refuse"})
-    results = tmp_path / "results"
-    run(small_spec, results)
-    layout = Layout(results)
-    (record,) = layout.failures.iterdir()
-    record.write_text("{")
-    _, _, plan = prepared(small_spec, results)
-    assert [step.reason for step in plan.steps if step.state == "failed"] == ["failed before: its record is damaged"]
-    fakes.set()
-    assert run(small_spec, results).complete
-    (run_id,) = last_runs(layout)[0].values()
-    (layout.run(run_id) / "spec.json").write_text('{"name": "../../x"}')
-    with pytest.raises(ArtifactError, match="cannot read the spec of run"):
-        read_run(layout, run_id)
 
 
 def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):

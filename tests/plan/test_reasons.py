@@ -79,13 +79,6 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
 
 
-def test_a_manifest_of_another_form_gives_no_reason(layout):
-    laid_out = grid()
-    earlier = Node(**{name: getattr(laid_out.nodes[0], name) for name in Node.__slots__} | {"key": "a" * 20})
-    store(layout, earlier, sources=None)
-    assert plan_against(laid_out, layout).count("missing") == len(laid_out.nodes)
-
-
 def test_an_artifact_that_changes_after_a_plan_is_seen(layout):
     laid_out = grid()
     fill(layout, laid_out)

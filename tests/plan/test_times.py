@@ -1,6 +1,5 @@
 """Times of what was never measured here: from the shipped figures, the size of a node, and the speed of this machine."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +45,6 @@ def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_
     assert f"for {len(plan.to_run())} nodes an estimate, from times of nodes like them or of another machine" in text
     work = sum(plan.seconds[node.sort] for node in plan.to_run())
     assert max(work / 2, plan.critical_path()[0]) <= seconds < work
-
-
-def test_what_nobody_measured_is_taken_for_its_method_and_a_plugin_for_wasp(tmp_path: Path) -> None:
-    plan = planned("selftest.yaml", tmp_path, "methods=[human, wasp]", "variants=[full, no-case2]")
-    assert plan.estimate(1)[1] == 0
-    whole, variant = (seconds_of(plan, f"wasp{variant} noisy") for variant in ("", "/no-case2"))
-    assert variant == pytest.approx(whole)
-    plugin = next(node for node in plan.to_run() if node.kind == "evaluate" and node.axes["method"] == "wasp")
-    plugin = replace(plugin, axes={**plugin.axes, "method": "held", "method_config": {}}, sort="held")
-    assert times.estimated([plugin], "quick") == {"held": pytest.approx(whole)}
 
 
 def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):

@@ -149,17 +149,6 @@ def test_what_is_being_computed_stays(fakes, small_spec, other_spec, results, tm
     assert evaluation.name not in finished(results)
 
 
-def test_only_what_is_old(fakes, small_spec, other_spec, results, tmp_path):
-    unwanted = sorted(finished(results) - keys_of(other_spec, results))
-    (old,) = results.glob(f"store/*/{unwanted[0]}")
-    before = time.time() - 10 * 86400
-    os.utime(old, (before, before))
-    collect(results, "--yes", "--older-than", "20")
-    assert unwanted[0] in finished(results)
-    collect(results, "--yes", "--older-than", "9")
-    assert set(unwanted) - finished(results) == {unwanted[0]}
-
-
 def test_runs_go_only_when_asked(named_spec, results):
     run(named_spec, results)
     layout = Layout(results)

@@ -76,4 +76,3 @@ def test_the_report_and_the_comparison_say_it(tmp_path):
     assert "half precision" in (tmp_path / "half/reports/tiny/report.html").read_text(encoding="utf-8")
     compared = run_here("compare", tmp_path / "whole", tmp_path / "half", columns=200)
     assert "inputs in half precision none -> policies, world_model" in compared.output
-    assert "half" not in run_here("report", tmp_path / "whole", "--no-films", "--no-trained", "--paper", "none", columns=200).output

@@ -89,17 +89,6 @@ def test_manifests_say_where_results_came_from_and_name_nobody(results, finished
         assert not any(name in text for name in (HOST, str(results), str(finished)))
 
 
-def test_publishing_again_replaces_nothing_that_is_equal_and_removes_nothing(results, small_spec):
-    publish(small_spec, results)
-    own = results / "published/store/expert" / ("f" * 20)
-    own.mkdir()
-    (own / "_manifest.json").write_text("{}")
-    before = tree(results / "published")
-    told = publish(small_spec, results)
-    assert tree(results / "published") == before
-    assert next(line for line in told.splitlines() if "total" in line).split()[1:] == ["0", "0", "bytes", str(len(keys(results)))]
-
-
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
     publish(small_spec, results)
     first, second, third = sorted((results / "published/store").glob("evaluate/*"))[:3]

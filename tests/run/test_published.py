@@ -9,8 +9,7 @@ from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.session import RunOptions, run_spec, run_sweep
-from wasp_cli.spec.derived import read_sweep
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -34,15 +33,6 @@ def test_a_fresh_folder_computes_nothing_that_is_published(here, computed, fakes
     assert f"nothing to compute: a run copies {len(taken)} published results" in text_of(before)
     # The code is the same, so the keys are those that they would have been anyway.
     assert {node.key for node in lay_out(load(small_spec).spec).nodes} == {step.node.key for step in before.steps}
-
-
-def test_what_was_computed_under_todays_code_comes_first(here, fakes, small_spec, moved):
-    moved(SPECIFIC)
-    run(small_spec, here, choice="none")
-    found = plan(small_spec, here)
-    assert found.count("cached") == len(found.steps)
-    assert {step.reason for step in found.steps} == {"computed before", "published with this code"}
-    assert {node.key for node in found.grid.nodes} == {node.key for node in lay_out(load(small_spec).spec).nodes}
 
 
 def test_the_spec_says_what_is_reused_and_the_option_wins(here, fakes, small_spec):
@@ -101,15 +91,6 @@ def test_what_is_computed_from_published_results_has_keys_that_say_so(here, fake
     assert plan(small_spec, here, MORE, "none").count("cached") == 0
 
 
-def test_a_part_that_was_not_published_is_no_reason_to_train_what_was(here, fakes, small_spec, moved):
-    for kind in ("expert", "dataset", "heldout"):
-        shutil.rmtree(here / "published/store" / kind)
-    moved(COMMON)
-    run(small_spec, here, (*MORE, "methods=[human, ida, wasp]"))
-    assert kinds(fakes.executions())["world_model"] == 0
-    assert kinds(fakes.executions())["critics"] == 0
-
-
 def test_results_of_two_codes_are_never_mixed_behind_one_node(here, fakes, small_spec, moved):
     shutil.rmtree(here / "published/store/world_model")
     moved(COMMON)
@@ -124,16 +105,6 @@ def test_results_of_two_codes_are_never_mixed_behind_one_node(here, fakes, small
     # The cells that are published are still those.
     assert ran["evaluate"] == 2 * 3
     assert done.plan.count("published", "evaluate") == len({node.key for _, node in done.plan.grid.cells}) - 2 * 3
-
-
-def test_a_sweep_follows_its_spec(here, fakes, small_spec, moved):
-    moved(COMMON)
-    swept = read_sweep(small_spec, "wasp.tau_c=0.3,1.0", ("human", "wasp"), ("reuse=published",))
-    done, _ = run_sweep(swept, here, RunOptions(jobs=0))
-    assert done.summary.complete
-    # Nothing is trained, Human-only is there, and so is WASP under one of the values.
-    assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}
-    assert done.plan.count("published", "evaluate") == 2 * 2 * 2
 
 
 JUDGED = ("stages=[counterfactual]",)

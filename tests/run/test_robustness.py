@@ -10,10 +10,8 @@ import pytest
 
 from tests.run.harness import ROOT, prepared
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.run.record import new_run, results_of
 from wasp_cli.run.runner import job_of
-from wasp_cli.run.session import useful_jobs
 from wasp_cli.run.worker import execute
 
 
@@ -27,16 +25,6 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("wasp_cli.run.record.os.scandir", forbid)
     with pytest.raises(StoreError, match="permission denied"):
         results_of(tmp_path)
-
-
-def test_no_more_workers_than_nodes_side_by_side(fakes, small_spec, tmp_path):
-    _, _, plan = prepared(small_spec, tmp_path / "results")
-    nodes = plan.to_run()
-    lasting = durations(nodes, plan.seconds)
-    most = useful_jobs(plan, 64)
-    assert 2 < most < len(nodes) < 64
-    assert [useful_jobs(plan, jobs) for jobs in (0, 2, most)] == [0, 2, most]
-    assert simulated(nodes, lasting, most) == simulated(nodes, lasting, 64)
 
 
 def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
@@ -70,8 +58,3 @@ def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spe
     assert "1 failed:" in done.stderr
     assert "Traceback" not in done.stderr
     assert "BrokenPipe" not in done.stderr
-
-
-def test_a_reader_that_goes_away_ends_other_output_quietly():
-    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=closed_pipe())
-    assert (done.returncode, done.stderr) == (141, "")

@@ -74,16 +74,6 @@ def executed(fakes: Fakes, label: str) -> str:
     return next(line for line in fakes.executions() if line.startswith(f"{task} {seed} {kind}"))
 
 
-def test_results_without_runs_are_refused(layout, tmp_path):
-    for folder in (tmp_path / "absent", layout.root):
-        done = run_here("status", folder, columns=80)
-        assert done.exit_code == 1
-        assert "no results in" in done.stderr
-    write_run(layout, RUN, [])
-    assert run_here("status", layout.root, "--run", "0001", columns=80).exit_code == 0
-    assert run_here("status", layout.root, "--run", "0002", columns=80).exit_code == 2
-
-
 def test_the_log_of_any_node(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={"s0 ida_q": "refuse"})

@@ -63,13 +63,6 @@ def test_a_run_that_goes_on(layout):
     assert state.unknown == 0
 
 
-@pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
-def test_a_running_node_has_less_left(share, left, layout):
-    running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
-    write_run(layout, RUN, [planned(1, "b", seconds=100.0)], [started()], running)
-    assert only(layout).left_seconds == pytest.approx(left)
-
-
 @pytest.mark.parametrize(
     ("facts", "state"),
     [
@@ -85,14 +78,6 @@ def test_the_death_of_a_run_shows(facts, state, layout):
     assert found.state == state
     assert (found.ended == moment(at(60))) == (state == "died")
     assert (found.left_seconds is None) == (state == "died")
-
-
-def test_a_node_whose_process_is_gone(layout):
-    running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
-    write_run(layout, RUN, NODES, [started()], running)
-    state = only(layout)
-    assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
-    assert (state.running, state.waiting) == (1, 4)
 
 
 def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.store.artifact import commit, staging_folder, write_record
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 
@@ -106,11 +106,3 @@ def test_suggestions(layout):
     assert "give a key" in str(caught.value.hint)
     with pytest.raises(UsageError, match="too short for a key"):
         find_cell(layout, "012")
-
-
-def test_a_cell_that_failed_says_why(layout):
-    write_record(layout.failure("ffff0000000000000000"), {"kind": "evaluate", "label": "goal1 s2 ida noisy=0.4", "message": "out of disk"})
-    layout.failure("ffff0000000000000001").write_text("{", encoding="utf-8")
-    for text in ("goal1 s2 ida noisy=0.4", "ffff0000000000000000"):
-        with pytest.raises(UsageError, match="it failed with: out of disk"):
-            find_cell(layout, text)

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import (
     commit,
     damage,
@@ -108,19 +108,6 @@ def test_a_part_of_an_artifact_that_became_a_link_is_damage(part, layout, tmp_pa
     (place / part).rename(tmp_path / "elsewhere")
     (place / part).symlink_to(tmp_path / "elsewhere")
     assert damage(layout, "expert", KEY) is not None
-
-
-@pytest.mark.parametrize("folder", ["store", "runs", "reports", "locks", "tmp"])
-def test_links_in_the_place_of_folders_are_refused(folder, tmp_path):
-    layout = Layout(tmp_path / "results")
-    layout.root.mkdir()
-    (tmp_path / "elsewhere").mkdir()
-    (layout.root / folder).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(StoreError, match="is a link"):
-        layout.prepare()
-    link = tmp_path / "whole"
-    link.symlink_to(tmp_path / "elsewhere")
-    Layout(link).prepare()  # the results themselves may lie on another disk
 
 
 def test_what_a_link_leads_to_is_not_discarded(tmp_path):

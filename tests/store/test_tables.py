@@ -122,12 +122,6 @@ def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path):
     assert read_episodes([path])["case2"].to_pylist() == [None]
 
 
-def test_same_input_same_bytes(write):
-    first, second = write("a"), write("b")
-    assert first.read_bytes() == second.read_bytes()
-    assert first.with_name(STEPS_FILE).read_bytes() == second.with_name(STEPS_FILE).read_bytes()
-
-
 def test_same_rows_leaves_timing_out(write):
     first = write("a")
     assert same_rows(first, write("b", slowness=2.0))
