@@ -30,7 +30,9 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
 def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    job = job_of(layout, new_run(layout, loaded, plan), plan.to_run()[0])
+    run_id = new_run(layout, loaded, plan)
+    layout.journal(run_id).touch()
+    job = job_of(layout, run_id, plan.to_run()[0])
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")

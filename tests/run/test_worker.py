@@ -18,7 +18,9 @@ from wasp_cli.store.layout import Layout
 @pytest.fixture
 def job(fakes, small_spec, tmp_path) -> NodeJob:
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    return job_of(layout, new_run(layout, loaded, plan), plan.to_run()[0])
+    run_id = new_run(layout, loaded, plan)
+    layout.journal(run_id).touch()  # by which a worker sees that it is in the right folder
+    return job_of(layout, run_id, plan.to_run()[0])
 
 
 def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):

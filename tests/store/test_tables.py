@@ -170,13 +170,13 @@ def test_a_flipped_bit_never_becomes_a_number(write, file):
     content = path.read_bytes()
     footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")  # has no checksum; the pages before it have
     noticed = 0
-    for place in range(0, footer, 13):
+    for place in range(0, footer, 37):
         path.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
         try:
             assert same_rows(hit, whole)
         except StoreError:
             noticed += 1
-    assert noticed > 100
+    assert noticed > 30
 
 
 def test_newer_version_is_refused(write, monkeypatch):

@@ -26,7 +26,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("compare", "{results}", "{results}", "--json"), ("gc", "{results}", "--dry-run"),
     ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"), *ONCE,
 )  # fmt: skip
-ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal", "rows_that_command_the_terminal", "cells_that_are_markup")
+ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal")
 """Attacks on what is printed: every form prints in its own way."""
 
 

@@ -109,8 +109,10 @@ def _imports(module: str) -> frozenset[str]:
         else:
             continue
         imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
-    # Importing a.b.c runs a.b as well.
-    return frozenset(imported | {parent for name in imported for parent in _parents(name) if _counts(parent)})
+    # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
+    parts = [name.split(".") for name in imported]
+    parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
+    return frozenset(imported | {parent for parent in parents if _counts(parent)})
 
 
 def _counts(module: str) -> bool:
@@ -120,12 +122,6 @@ def _counts(module: str) -> bool:
         return True
     # The package's own __init__ holds its version.
     return len(parts) > 1 and parts[1] not in ORCHESTRATION and parts[-1] != "registry"
-
-
-def _parents(module: str) -> Iterator[str]:
-    parts = module.split(".")
-    for length in range(2, len(parts)):
-        yield ".".join(parts[:length])
 
 
 def _running(tree: ast.AST) -> Iterator[ast.AST]:

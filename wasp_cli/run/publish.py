@@ -95,7 +95,8 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     small = [item for item in items if item.size <= largest]
     there = [item for item in small if corruption(target, item.node.kind, item.node.key) is None]
     new = [item for item in small if item not in there]
-    reports = [path for path in _reports(spec, layout) if not _is_there(path, target.reports(spec.name) / path.name)]
+    published = target.reports(spec.name)
+    reports = [path for path in _reports(spec, layout) if not same_bytes(path, published / path.name)]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
@@ -127,8 +128,8 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
     return behind
 
 
-def _is_there(path: Path, published: Path) -> bool:
-    return published.is_file() and published.read_bytes() == path.read_bytes()
+def same_bytes(path: Path, other: Path) -> bool:
+    return other.is_file() and other.read_bytes() == path.read_bytes()
 
 
 def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
@@ -267,7 +268,8 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
     paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
-    members |= {"README.md": _card(target, name).encode(), "LICENSE": _licence()}
+    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
+    members |= {"README.md": card.encode(), "LICENSE": _licence()}
     sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
     members["SHA256SUMS"] = sums.encode()
     root = file.name.removesuffix(".tar.gz")
@@ -277,10 +279,6 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
             entry.size, entry.mode = len(data), 0o644
             archive.addfile(entry, io.BytesIO(data))
     return len(members)
-
-
-def _card(target: Layout, name: str) -> str:
-    return CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
 
 
 def _rows(target: Layout) -> Iterator[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,6 @@ from wasp_cli.store.reached import reached
 BEGINS_SECONDS = 3600.0  # how long a run may take from making its folder to the first line of its journal
 WORK, FAILURES, RUNS, TMP, LOCKS = LAST = ("work of nodes", "records of failures", "runs", "left in tmp", "locks")
 """What can go besides artifacts, as people read it."""
-Kinds = Mapping[str, list[str]]  # by key the kinds under which it has a folder in the store
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
 
     `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
     """
-    kinds: dict[str, list[str]] = {}
+    kinds: dict[str, list[str]] = {}  # by key those under which it has a folder in the store
     for kind in stored_kinds(layout):
         for key in artifact_keys(layout, kind):
             kinds.setdefault(key, []).append(kind)
@@ -65,7 +64,8 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
     keys, other_runs = reach_of_runs(layout, driven | sessions)
     wanted = {*keys, *keep, *computing, *driven, *_computed_from(driven, upstream)}
     needed = reached(wanted, lambda key: upstream.get(key, ()))
-    items = [*_artifacts(layout, kinds, needed), *_leavings(layout, kinds, needed, sessions)]
+    items = [_rubbish(kind, layout.artifact(kind, key), key) for key in kinds if key not in needed for kind in kinds[key]]
+    items += _leavings(layout, kinds, needed, sessions)
     items = [item for item in items if item.key is None or not is_held(layout.lock(item.key))]
     items += [_rubbish(RUNS, layout.run(run_id), None) for run_id in other_runs if runs]
     return [item for item in items if before is None or _written(item.path) < before]
@@ -151,14 +151,10 @@ def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
     return isinstance(axes, dict) and axes.get("operator") == PERSON
 
 
-def _artifacts(layout: Layout, kinds: Kinds, needed: set[str]) -> list[Rubbish]:
-    return [_rubbish(kind, layout.artifact(kind, key), key) for key in kinds if key not in needed for kind in kinds[key]]
-
-
-def _leavings(layout: Layout, kinds: Kinds, needed: set[str], sessions: set[str]) -> Iterator[Rubbish]:
+def _leavings(layout: Layout, stored: Container[str], needed: set[str], sessions: set[str]) -> Iterator[Rubbish]:
     """What nodes have left beside artifacts. The work of a finished node goes too, unless a person does it."""
     for key in _keys(layout.works):
-        if (key in kinds or key not in needed) and key not in sessions:
+        if (key in stored or key not in needed) and key not in sessions:
             yield _rubbish(WORK, layout.work(key), key)
     for key in _keys(layout.failures, lambda entry: entry.is_file(follow_symlinks=False), ".json"):
         if key not in needed:

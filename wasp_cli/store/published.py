@@ -101,16 +101,13 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
     if MANIFEST in listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
     recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
-    own = manifest.get("kind") == kind and manifest.get("key") == key
-    if not own or not isinstance(recipe, str) or not is_key(recipe) or not _are_keys(behind):
+    texts = [recipe, *behind.keys(), *behind.values()] if isinstance(behind, dict) else []
+    named = manifest.get("kind") == kind and manifest.get("key") == key
+    if not named or not texts or not all(isinstance(text, str) and is_key(text) for text in texts):
         raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
     if not isinstance(manifest.get("provenance"), dict) or not isinstance(manifest.get("sources"), dict):
         raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
-    return Offer(source, kind, key, recipe, dict(behind or {}), manifest)
-
-
-def _are_keys(value: object) -> bool:
-    return isinstance(value, dict) and all(is_key(str(recipe)) and isinstance(key, str) and is_key(key) for recipe, key in value.items())
+    return Offer(source, kind, key, str(recipe), dict(behind or {}), manifest)
 
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
