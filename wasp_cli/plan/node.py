@@ -12,9 +12,8 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
-
-from wasp_cli.store.provenance import installed
 
 SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
@@ -41,7 +40,14 @@ def recipe_of(identity: Mapping[str, Any]) -> str:
 @cache
 def libraries() -> dict[str, str]:
     """Return the major and minor version of each library whose numerics enter the results."""
-    return {name: minor(installed(name)) for name in LIBRARIES}
+    return {name: minor(_installed(name)) for name in LIBRARIES}
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
 
 
 def minor(version: object) -> str:
