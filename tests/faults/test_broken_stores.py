@@ -1,9 +1,11 @@
-"""Disks that are full or read-only, files that are cut or flipped, clocks that jump: a clear state, which the next run repairs."""
+"""Disks that are full or read-only, files that are cut or flipped, records of other versions: a clear state, which the next run repairs."""
 
 import json
 import os
+import resource
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,13 +15,20 @@ import pytest
 from safetensors.numpy import load_file
 
 from tests.commands import run_here
+from tests.report.golden_store import STORE
 from tests.report.invented import invent, write_rows
-from tests.run.harness import SMALL, as_undisturbed, prepared, run, wasp
+from tests.run.harness import ROOT, SMALL, as_undisturbed, prepared, run, wasp
 from wasp_cli.cli.run import require_cells
-from wasp_cli.errors import CellsFailed
+from wasp_cli.errors import CellsFailed, StoreError
+from wasp_cli.report.notes import FILE, invalid, notes_of
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats import read_frame
-from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.summarize import report_run, wanted_cells
+from wasp_cli.run.record import Journal, read_run
+from wasp_cli.run.session import Session
 from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
 
@@ -128,3 +137,85 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeyp
     (step,) = [step for step in plan.steps if step.node == node]
     assert step.state == "damaged"
     assert "is damaged or was cut off" in step.reason
+
+
+KEY = sorted(path.name for path in (STORE / "store" / "evaluate").iterdir())[0]
+
+
+@pytest.mark.parametrize("cut", [1, 30, 0])
+def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path, cut):
+    layout = Layout(shutil.copytree(STORE, tmp_path / "results"))
+    path, note = layout.root / FILE, ("note", KEY, "--results", layout.root)
+    assert run_here(*note, "it is as it should be", columns=80).exit_code == 0
+    room = path.stat().st_size + cut
+    refused = subprocess.run(
+        [sys.executable, "-B", "-m", "wasp_cli", *note, "-e", "0", "--invalid", "x"], cwd=ROOT, capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
+    )  # fmt: skip
+    assert refused.returncode == 1, refused.stdout + refused.stderr
+    assert f"the note cannot be written to '{path}'" in refused.stderr
+    assert "file too large" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert path.stat().st_size == room
+    assert run_here(*note, "-e", "1", "--invalid", "y", columns=80).exit_code == 0
+    assert [each.text for each in notes_of(layout)] == ["it is as it should be", "y"]
+    assert list(invalid(notes_of(layout))) == [(KEY, 1)]
+
+
+def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    child = os.fork()
+    if not child:
+        try:
+            journal = Journal(path)
+            journal.write("first")
+            room = path.stat().st_size + 20
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+            journal.write("second")
+            cut = journal.failure is not None and "is not whole: file too large" in journal.failure.message
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            journal.write("third")
+            os._exit(0 if cut and path.stat().st_size > room else 1)
+        finally:
+            os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert [event["event"] for event in read_json_lines(path)] == ["first", "third"]
+
+
+def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(fakes, small_spec, tmp_path, monkeypatch):
+    monkeypatch.setattr(Layout, "journal", lambda self, run_id: Path("/dev/full"))
+    results = tmp_path / "results"
+    summary = run(small_spec, results)
+    assert summary.complete
+    _, layout, plan = prepared(small_spec, results)
+    assert not plan.to_run()
+    with pytest.raises(StoreError, match="'/dev/full' is not whole: no space left on device"):
+        Session(layout, "", plan, summary, {}).require_complete()
+
+
+def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = last_runs(layout)[0].values()
+    before = read_run(layout, run_id)
+    spec, plan = (layout.run(run_id) / name for name in ("spec.json", "plan.json"))
+    document, planned = json.loads(spec.read_text()), json.loads(plan.read_text())
+    document["blend"] = {"share": 0.5}  # the section of a plugin
+    document["wasp"]["braveness"] = 2  # a field of another version
+    document["wasp"]["operator_model"] = "oracle"  # a value of another version
+    document["methods"] += ["blend", "mix"]
+    document["operators"]["sleepy"] = {"mild": 1.0}
+    spec.write_text(json.dumps(document))
+    cell = next(cell for cell in planned["cells"] if cell["method"] == "human")
+    planned["cells"] += [{**cell, "method": "blend", "key": "0" * 20}, {**cell, "operator": "sleepy", "key": "1" * 20}]
+    plan.write_text(json.dumps(planned))
+    after = read_run(layout, run_id)
+    assert (after.cells, after.parts) == (before.cells, before.parts)
+    assert after.spec == before.spec
+    told = "\n".join(after.unknown)
+    for name in ("`blend`", "`wasp.braveness`", "`wasp.operator_model`", "`methods: blend`", "`methods: mix`", "`operators.sleepy`"):
+        assert name in told
+    assert after.absent == ("blend: not installed here; its cell is left out.", "sleepy: not installed here; its cell is left out.")
+    report = report_run(results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent)
+    assert {*after.unknown, *after.absent} <= set(report.facts)

@@ -1,13 +1,18 @@
+"""A plan carried out over fake stages: order, failure, repetition, records, counterfactual branches."""
+
 import json
 import random
 import threading
 from pathlib import Path
 
+import pytest
+
+from tests.commands import run_here
 from tests.run.harness import data_of, prepared, run
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.pool import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run
-from wasp_cli.run.runner import Runner
+from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
@@ -132,3 +137,43 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     ran = [line.split()[:3] for line in fakes.executions()]
     assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
+
+
+KIND = "counterfactual"
+
+
+@pytest.fixture
+def judged_spec(small_spec) -> Path:
+    text = small_spec.read_text(encoding="utf-8").replace("seeds: [0, 1]", "seeds: [0]")
+    small_spec.write_text(text + "stages: [diagnostics, counterfactual]\n", encoding="utf-8")
+    return small_spec
+
+
+def branches(results: Path) -> set[str]:
+    return {path.name for path in results.glob(f"store/{KIND}/*")}
+
+
+def words(summary: Summary) -> tuple[set[str], set[str]]:
+    return {node.label for node, _ in summary.failed}, {node.label for node, _ in summary.blocked}
+
+
+def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes, judged_spec, tmp_path):
+    assert run(judged_spec, tmp_path / "results").complete
+    executed = fakes.executions()
+    judged = [line for line in executed if f" {KIND} " in line]
+    assert len(judged) == 2 * 2  # ida and wasp under two operators
+    for line in judged:
+        cell = line.replace(KIND, "evaluate")
+        assert executed.index(cell) < executed.index(line)
+    assert not any(" human " in line or " expert " in line for line in judged)
+    assert run(judged_spec, tmp_path / "results").done == 0
+    assert len(fakes.executions()) == len(executed)
+
+
+def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_path):
+    shown = run_here("plan", judged_spec, "--results", tmp_path / "results", columns=200)
+    assert "the interventions of 4 of them are judged by counterfactual branches" in shown.output
+    assert any(line.split()[:2] == [KIND, "4"] for line in shown.output.splitlines())
+    options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
+    assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
+    assert len(branches(tmp_path / "results")) == 1

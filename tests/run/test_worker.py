@@ -1,4 +1,9 @@
+"""One node in a worker, and worker processes under the signals that a terminal sends to the whole group."""
+
 import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +12,8 @@ import pytest
 from tests.run.fake_stages import Fake
 from tests.run.harness import prepared
 from wasp_cli.run import worker
-from wasp_cli.run.job import NodeJob, forget
+from wasp_cli.run.job import SIGNALS, NodeJob, forget
+from wasp_cli.run.pool import _signals_wait
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.worker import execute
@@ -66,3 +72,23 @@ def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
     forget(ours)
     forget(ours)
     assert sorted(tmp_path.iterdir()) == [other]
+
+
+MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
+
+
+def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
+    with _signals_wait():
+        process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    process.send_signal(signal.SIGINT)
+    out, errors = process.communicate(timeout=600)
+    assert (process.returncode, errors) == (0, "")
+    assert all(number.name in out for number in SIGNALS)
+
+
+def test_a_worker_that_is_ready_has_no_signals_waiting():
+    code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
+    with _signals_wait():
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
+    assert done.stdout.strip() == "[]"
