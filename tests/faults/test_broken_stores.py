@@ -46,7 +46,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@pytest.mark.parametrize("jobs", [2, pytest.param(0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jobs", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(jobs, fakes, small_spec, small_disk, tmp_path):
     results = small_disk / "results"
     fakes.set(bytes=150_000)

@@ -51,7 +51,8 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fak
     assert as_undisturbed(small_spec, tmp_path / "results")
 
 
-@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "hang"})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)

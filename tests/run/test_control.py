@@ -21,7 +21,7 @@ NODES = 36
 
 
 @contextmanager
-def going(spec: Path, results: Path, jobs: int = 2) -> Iterator[subprocess.Popen[str]]:
+def going(spec: Path, results: Path, jobs: int = 1) -> Iterator[subprocess.Popen[str]]:
     process = start("run", spec, "--results", results, "-j", str(jobs))
     try:
         yield process

@@ -101,7 +101,7 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_
 def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.1)
-    process = start("run", small_spec, "--results", results, "-j", "2")
+    process = start("run", small_spec, "--results", results, "-j", "0")
     wait_until(lambda: len(finished(results)) >= 5)
     (journal,) = results.glob("runs/*/journal.jsonl")
     process.send_signal(signal.SIGSTOP)  # or it could end before gc looks, and what it computed could go
