@@ -65,6 +65,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, 
     assert run(small_spec, tmp_path / "results").complete
 
 
+@pytest.mark.slow
 def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(behave={NODE: "eat"})
