@@ -13,14 +13,12 @@ import torch  # noqa: F401  (imported before the forks)
 
 import wasp_cli.cli.app
 import wasp_cli.cli.run
-import wasp_cli.drive.clone
 import wasp_cli.drive.command
 import wasp_cli.report.summarize
 import wasp_cli.run.publish
 from tests.faults.test_random_kills import artifacts, payload, require_whole
 from tests.run import fake_stages
 from tests.run.harness import SMALL, data_of
-from wasp_cli.report.notes import FILE, Note, add_note, notes_of
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import SESSION_FILE, Layout
@@ -39,7 +37,6 @@ side_by_side: 1
 stages: []
 reuse: published
 """
-CLONE = ("--participant", "7", "--set", "clone.updates=20")
 EPISODES = 4
 BEFORE = "before.json"
 """Digests of what must stay, beside the results."""
@@ -61,73 +58,44 @@ def ends_well(*arguments: object) -> None:
 
 
 def prepare(base: Path) -> None:
-    """Fill a results folder: a session of one person, and its clone."""
+    """Fill a results folder: a session of one person."""
     base.mkdir()
     (base / "people.yaml").write_text(PEOPLE)
     (base / "small.yaml").write_text(SMALL.replace("[0, 1]", "[0]"))
     ends_well("drive", base / "people.yaml", "--participant", 7, "--simulate", "--speed", 4, "--results", base / "results")
-    layout = Layout(base / "results")
-    (cell,) = (layout.store / "evaluate").iterdir()
-    for number in range(3):
-        add_note(layout, Note(cell.name, "p7", number, f"note {number}"))
 
 
 def digests(results: Path) -> dict[str, str]:
-    """Of every file of the store and of notes."""
     files = [path for path in results.glob("store/*/*/**/*") if path.is_file()]
     return {str(path.relative_to(results)): file_digest(path) for path in files}
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command that is killed. Each method is called in a process of its own."""
+    """A command that is killed. Each function is called in a process of its own, with the folder."""
 
     name: str
     weight: int
-    start: Callable[[Path, int], None]
-    """With the folder, and how many were killed there before."""
+    start: Callable[[Path], None]
+    compare: Callable[[Path, Path], None]  # what the command has left with what it leaves undisturbed
     begin: Callable[[Path], None] = lambda folder: None
-    check: Callable[[Path], None] = lambda folder: None
-    """After a kill, beside what holds for all."""
-    compare: Callable[[Path, Path], None] = lambda folder, calm: None
+    check: Callable[[Path], None] = lambda folder: None  # after a kill, beside what holds for all
 
     def arrange(self, folder: Path) -> None:
         """Make what the command needs, and write down what must stay."""
         self.begin(folder)
-        layout = Layout(folder / "results")
-        notes = (layout.root / FILE).read_text().splitlines()
-        (folder / BEFORE).write_text(json.dumps({"files": self.kept(layout.root), "notes": notes}))
-
-    def kept(self, results: Path) -> dict[str, str]:
-        return {name: digest for name, digest in digests(results).items() if not is_rubbish(name)}
-
-    def run(self, folder: Path, number: int) -> None:
-        """Be the command."""
-        self.start(folder, number)
+        stay = {name: digest for name, digest in digests(folder / "results").items() if not name.split("/")[2].startswith(RUBBISH)}
+        (folder / BEFORE).write_text(json.dumps(stay))
 
     def look(self, folder: Path) -> None:
         """See that nothing that was there is lost, and nothing half is seen."""
         results = folder / "results"
-        before = json.loads((folder / BEFORE).read_text())
         now = digests(results)
-        lost = {name for name, digest in before["files"].items() if now.get(name) != digest}
+        lost = {name for name, digest in json.loads((folder / BEFORE).read_text()).items() if now.get(name) != digest}
         assert not lost, f"lost or changed: {sorted(lost)}"
         require_whole(results)
         assert not last_runs(Layout(results))[1]
-        lines = (results / FILE).read_text().splitlines()
-        assert lines[: len(before["notes"])] == before["notes"]
-        assert [note.text for note in notes_of(Layout(results))][:3] == ["note 0", "note 1", "note 2"]
         self.check(folder)
-
-    def judge(self, folder: Path, calm: Path) -> None:
-        """Compare what the command has left with what it leaves undisturbed."""
-        self.compare(folder, calm)
-        assert not [path for path in (folder / "results" / "tmp").glob("*") if self.name in ("run", "gc")]
-
-
-def is_rubbish(name: str) -> bool:
-    """Whether a file of a store is of those that gc is to remove."""
-    return name.split("/")[2].startswith(RUBBISH)
 
 
 RUBBISH = "0ddba11"
@@ -136,7 +104,7 @@ RUBBISH = "0ddba11"
 # run: fake stages, real workers
 
 
-def start_run(folder: Path, number: int) -> None:
+def start_run(folder: Path) -> None:
     """`wasp run` over stages that compute nothing, and without a report."""
     fake_stages.install()
     os.environ[fake_stages.OPTIONS] = json.dumps({"log": str(folder / "log"), "seconds": 0.1})
@@ -152,12 +120,13 @@ def compare_run(folder: Path, calm: Path) -> None:
     found = data_of(folder / "results")
     assert found
     assert found == data_of(calm / "results")
+    assert not list((folder / "results" / "tmp").glob("*"))
 
 
 # report and publish: of the session
 
 
-def start_report(folder: Path, number: int) -> None:
+def start_report(folder: Path) -> None:
     wasp("report", folder / "results", "--no-films", "--no-trained")
 
 
@@ -176,7 +145,7 @@ def compare_report(folder: Path, calm: Path) -> None:
             assert found[name].read_bytes() == wanted[name].read_bytes(), name
 
 
-def start_publish(folder: Path, number: int) -> None:
+def start_publish(folder: Path) -> None:
     wasp("publish", folder / "people.yaml", "--results", folder / "results", "--to", folder / "published", "--reuse", "published",
          "--select", "stage=world_model|policies")  # fmt: skip
 
@@ -205,7 +174,7 @@ def begin_gc(folder: Path) -> None:
     shutil.copy(next((layout.store / "evaluate").glob(f"*/{EPISODES_FILE}")), session)
 
 
-def start_gc(folder: Path, number: int) -> None:
+def start_gc(folder: Path) -> None:
     wasp("gc", folder / "results", "--yes", "--runs")
 
 
@@ -217,34 +186,13 @@ def check_gc(folder: Path) -> None:
 def compare_gc(folder: Path, calm: Path) -> None:
     assert artifacts(folder / "results").keys() == artifacts(calm / "results").keys()
     assert not [name for name in artifacts(folder / "results") if name.startswith(RUBBISH)]
+    assert not list((folder / "results" / "tmp").glob("*"))
 
 
-# clone, note, drive
+# drive
 
 
-def start_clone(folder: Path, number: int) -> None:
-    wasp("clone", folder / "results", "-j", 0, *CLONE)
-
-
-def compare_clone(folder: Path, calm: Path) -> None:
-    found, wanted = ({path.name: file_digest(path) for path in each.glob("results/store/clone/*/[a-z]*")} for each in (folder, calm))
-    assert found
-    assert found == wanted
-
-
-def start_note(folder: Path, number: int) -> None:
-    (cell,) = (folder / "results" / "store" / "evaluate").iterdir()
-    wasp("note", cell.name, f"killed {number} " + "x" * 1500, "--episode", number % EPISODES, "--invalid", "--results", folder / "results")
-
-
-def compare_note(folder: Path, calm: Path) -> None:
-    texts = [note.text.partition(" x")[0] for note in notes_of(Layout(folder / "results"))]
-    assert texts[:3] == ["note 0", "note 1", "note 2"]
-    assert folder == calm or texts[-1] == "killed 4"
-    assert len(set(texts)) == len(texts)
-
-
-def start_drive(folder: Path, number: int) -> None:
+def start_drive(folder: Path) -> None:
     wasp("drive", folder / "people.yaml", "--participant", 8, "--simulate", "--speed", 4, "--results", folder / "results")
 
 
@@ -274,11 +222,9 @@ def compare_drive(folder: Path, calm: Path) -> None:
 
 
 COMMANDS = (
-    Command("run", 90, start_run, compare=compare_run),
-    Command("report", 60, start_report, compare=compare_report),
-    Command("publish", 50, start_publish, check=check_publish, compare=compare_publish),
-    Command("gc", 45, start_gc, begin_gc, check_gc, compare_gc),
-    Command("note", 25, start_note, compare=compare_note),
-    Command("clone", 10, start_clone, compare=compare_clone),
-    Command("drive", 20, start_drive, check=check_drive, compare=compare_drive),
+    Command("run", 90, start_run, compare_run),
+    Command("report", 60, start_report, compare_report),
+    Command("publish", 50, start_publish, compare_publish, check=check_publish),
+    Command("gc", 45, start_gc, compare_gc, begin_gc, check_gc),
+    Command("drive", 20, start_drive, compare_drive, check=check_drive),
 )

@@ -1,9 +1,11 @@
-"""Disks that are full or read-only, files that are cut or flipped, clocks that jump: a clear state, which the next run repairs."""
+"""Disks that are full or read-only, files that are cut or flipped, records of other versions: a clear state, which the next run repairs."""
 
 import json
 import os
+import resource
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,16 +15,20 @@ import pytest
 from safetensors.numpy import load_file
 
 from tests.commands import run_here
+from tests.report.golden_store import STORE
 from tests.report.invented import invent, write_rows
-from tests.run.harness import SMALL, as_undisturbed, prepared, run, wasp
+from tests.run.harness import ROOT, SMALL, as_undisturbed, prepared, run, wasp
 from wasp_cli.cli.run import require_cells
-from wasp_cli.errors import CellsFailed
+from wasp_cli.errors import CellsFailed, StoreError
+from wasp_cli.report.notes import FILE, invalid, notes_of
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats import read_frame
-from wasp_cli.report.summarize import wanted_cells
-from wasp_cli.run.pool import InlinePool
-from wasp_cli.run.record import new_run
-from wasp_cli.run.runner import Runner
+from wasp_cli.report.summarize import report_run, wanted_cells
+from wasp_cli.run.record import Journal, read_run
+from wasp_cli.run.session import Session
 from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
 
@@ -40,7 +46,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@pytest.mark.parametrize("jobs", [2, pytest.param(0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jobs", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(jobs, fakes, small_spec, small_disk, tmp_path):
     results = small_disk / "results"
     fakes.set(bytes=150_000)
@@ -109,46 +115,6 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert as_undisturbed(small_spec, results)
 
 
-def test_a_cut_file_is_seen_by_the_plan(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    fakes.set(weights=True)
-    run(small_spec, results)
-    _, layout, plan = prepared(small_spec, results)
-    node = plan.steps[2].node
-    path = layout.artifact(node.kind, node.key) / "weights.safetensors"
-    path.write_bytes(path.read_bytes()[:-7])
-    done = run_here("plan", small_spec, "--results", results, columns=400)
-    assert f"{node.label}: damaged, to be computed again: '{path}' has" in done.stdout
-    again = run(small_spec, results)
-    assert (again.done, again.complete) == (1, True)
-
-
-def test_a_wall_clock_that_jumps_back_changes_nothing(fakes, small_spec, tmp_path, monkeypatch):
-    """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
-    results = tmp_path / "results"
-    fakes.set(behave={"s0 ida_q": "refuse"})
-    run(small_spec, results)
-    for path in results.rglob("*"):
-        os.utime(path, (4e9, 4e9))
-    _, layout, plan = prepared(small_spec, results)
-    assert plan.count("missing") == 3
-    assert plan.count("failed") == 1
-    fakes.set()
-    loaded, layout, plan = prepared(small_spec, results)
-    run_id = new_run(layout, loaded, plan)
-    real = Runner._ended
-
-    def jump(self: Runner, node: object, result: object) -> None:
-        layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
-        real(self, node, result)
-
-    monkeypatch.setattr(Runner, "_ended", jump)
-    assert Runner(layout, run_id, InlinePool()).run(plan).complete
-    assert run_here("status", results, "--json", columns=80).exit_code == 0
-    _, _, again = prepared(small_spec, results)
-    assert not again.to_run()
-
-
 def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeypatch):
     """A flipped bit in a cell keeps its size, so only who reads the numbers can see it."""
     spec = tmp_path / "small.yaml"
@@ -171,3 +137,85 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeyp
     (step,) = [step for step in plan.steps if step.node == node]
     assert step.state == "damaged"
     assert "is damaged or was cut off" in step.reason
+
+
+KEY = sorted(path.name for path in (STORE / "store" / "evaluate").iterdir())[0]
+
+
+@pytest.mark.parametrize("cut", [1, 30, 0])
+def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path, cut):
+    layout = Layout(shutil.copytree(STORE, tmp_path / "results"))
+    path, note = layout.root / FILE, ("note", KEY, "--results", layout.root)
+    assert run_here(*note, "it is as it should be", columns=80).exit_code == 0
+    room = path.stat().st_size + cut
+    refused = subprocess.run(
+        [sys.executable, "-B", "-m", "wasp_cli", *note, "-e", "0", "--invalid", "x"], cwd=ROOT, capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
+    )  # fmt: skip
+    assert refused.returncode == 1, refused.stdout + refused.stderr
+    assert f"the note cannot be written to '{path}'" in refused.stderr
+    assert "file too large" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert path.stat().st_size == room
+    assert run_here(*note, "-e", "1", "--invalid", "y", columns=80).exit_code == 0
+    assert [each.text for each in notes_of(layout)] == ["it is as it should be", "y"]
+    assert list(invalid(notes_of(layout))) == [(KEY, 1)]
+
+
+def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    child = os.fork()
+    if not child:
+        try:
+            journal = Journal(path)
+            journal.write("first")
+            room = path.stat().st_size + 20
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+            journal.write("second")
+            cut = journal.failure is not None and "is not whole: file too large" in journal.failure.message
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            journal.write("third")
+            os._exit(0 if cut and path.stat().st_size > room else 1)
+        finally:
+            os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert [event["event"] for event in read_json_lines(path)] == ["first", "third"]
+
+
+def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(fakes, small_spec, tmp_path, monkeypatch):
+    monkeypatch.setattr(Layout, "journal", lambda self, run_id: Path("/dev/full"))
+    results = tmp_path / "results"
+    summary = run(small_spec, results)
+    assert summary.complete
+    _, layout, plan = prepared(small_spec, results)
+    assert not plan.to_run()
+    with pytest.raises(StoreError, match="'/dev/full' is not whole: no space left on device"):
+        Session(layout, "", plan, summary, {}).require_complete()
+
+
+def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, tmp_path):
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = last_runs(layout)[0].values()
+    before = read_run(layout, run_id)
+    spec, plan = (layout.run(run_id) / name for name in ("spec.json", "plan.json"))
+    document, planned = json.loads(spec.read_text()), json.loads(plan.read_text())
+    document["blend"] = {"share": 0.5}  # the section of a plugin
+    document["wasp"]["braveness"] = 2  # a field of another version
+    document["wasp"]["operator_model"] = "oracle"  # a value of another version
+    document["methods"] += ["blend", "mix"]
+    document["operators"]["sleepy"] = {"mild": 1.0}
+    spec.write_text(json.dumps(document))
+    cell = next(cell for cell in planned["cells"] if cell["method"] == "human")
+    planned["cells"] += [{**cell, "method": "blend", "key": "0" * 20}, {**cell, "operator": "sleepy", "key": "1" * 20}]
+    plan.write_text(json.dumps(planned))
+    after = read_run(layout, run_id)
+    assert (after.cells, after.parts) == (before.cells, before.parts)
+    assert after.spec == before.spec
+    told = "\n".join(after.unknown)
+    for name in ("`blend`", "`wasp.braveness`", "`wasp.operator_model`", "`methods: blend`", "`methods: mix`", "`operators.sleepy`"):
+        assert name in told
+    assert after.absent == ("blend: not installed here; its cell is left out.", "sleepy: not installed here; its cell is left out.")
+    report = report_run(results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent)
+    assert {*after.unknown, *after.absent} <= set(report.facts)

@@ -4,17 +4,13 @@ import json
 import os
 import platform
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
-from tests.faults.test_random_kills import payload
-from tests.run.harness import ROOT, as_undisturbed, data_of, run, start, wait_until, wasp
-from wasp_cli.store.tables import same_rows
+from tests.run.harness import as_undisturbed, data_of, run, start, wait_until, wasp
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -39,21 +35,6 @@ def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named
 
 
 @pytest.mark.slow
-def test_a_dask_run_drains(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
-    fakes.set(seconds=0.5)
-    with dask_cluster(tmp_path / "dask") as cluster:
-        process = start("run", small_spec, "--results", results, *through(cluster))
-        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 2)
-        os.kill(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert "finishing running nodes" in errors
-    ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/_manifest.json")))
-    assert ran == there < 18
-
-
-@pytest.mark.slow
 def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spec, tmp_path):
     """By a path that leads every process to another folder: that of its own working directory."""
     here, there, results = tmp_path / "here", tmp_path / "there", Path("/proc/self/cwd/results")
@@ -69,6 +50,7 @@ def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spe
     assert not list(here.glob("results/store/*/*"))
 
 
+@pytest.mark.slow
 def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
@@ -125,23 +107,3 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, smal
 def test_a_backend_that_is_not_there_is_a_usage_error(arguments, message, small_spec, tmp_path):
     done = run_here("run", small_spec, "--results", tmp_path / "results", *arguments, columns=400)
     assert (done.exit_code, message in done.stderr) == (2, True), done.stderr
-
-
-@pytest.mark.slow
-def test_the_smoke_grid_through_dask(tmp_path):
-    """The real stages on two dask workers, and on two of ours: the same bytes."""
-
-    def run_smoke(*arguments: str | Path) -> None:
-        command = [sys.executable, "-m", "wasp_cli", "run", ROOT / "specs" / "smoke.yaml", *arguments]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False)
-        assert done.returncode == 0, done.stderr
-
-    there, here = tmp_path / "there", tmp_path / "here"
-    with dask_cluster(tmp_path / "dask") as cluster:
-        run_smoke("--results", there, *through(cluster))
-    run_smoke("--results", here, "-j", "2")
-    assert payload(there) == payload(here)
-    cells = sorted((here / "store" / "evaluate").glob("*/episodes.parquet"))
-    assert cells
-    assert all(same_rows(cell, there / cell.relative_to(here)) for cell in cells)

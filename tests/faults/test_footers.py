@@ -101,6 +101,7 @@ def test_report_compare_and_view_name_the_file_and_go_on(column, tmp_path):
         assert [texts[0] for texts in found.values()].count("8") == 7
 
 
+@pytest.mark.slow
 def test_a_run_heals_it(tmp_path):
     spec, results = tmp_path / "shipped.yaml", tmp_path / "results"
     spec.write_text(SPEC.format(table=ROOT / "specs/table1.yaml"), encoding="utf-8")

@@ -14,9 +14,7 @@ from wasp_cli.store.plain import read_json_lines
     ("number", "whole_group", "jobs"),
     [
         pytest.param(signal.SIGINT, True, 2, id="ctrl-c"),
-        pytest.param(signal.SIGTERM, False, 2, id="sigterm"),
-        pytest.param(signal.SIGINT, False, 1, id="sigint to the parent, one worker", marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, True, 2, id="sigterm to the whole group", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, 2, id="sigterm", marks=pytest.mark.slow),
         pytest.param(signal.SIGINT, True, 0, id="ctrl-c without workers", marks=pytest.mark.slow),
     ],
 )
@@ -71,9 +69,8 @@ def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs, fake
     assert as_undisturbed(small_spec, results)
 
 
-@pytest.mark.parametrize(
-    "everything", [pytest.param(False, id="parent killed"), pytest.param(True, id="everything killed", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow  # `test_random_kills` has some of each
+@pytest.mark.parametrize("everything", [False, True], ids=["parent killed", "everything killed"])
 def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything, fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(free=6)

@@ -35,13 +35,3 @@ def test_a_grid_through_ray_has_the_same_bytes(fakes, small_spec, cluster, tmp_p
     run(small_spec, tmp_path / "here")
     assert data_of(results) == data_of(tmp_path / "here")
     assert not list(results.glob("runs/*/outcomes/*"))
-
-
-def test_a_node_that_fails_through_ray_is_named(fakes, small_spec, tmp_path, request):
-    fakes.set(behave={"goal1 s0 evaluate human {} noisy": "refuse"})
-    address = request.getfixturevalue("cluster")  # its workers take the behaviour with their environment
-    process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "ray", "--scheduler", address)
-    _, errors = process.communicate(timeout=600)
-    assert process.returncode == 1
-    assert "1 failed:\n  goal1 s0 human noisy=0.2: the loss is not finite" in errors
-    assert "Traceback" not in errors

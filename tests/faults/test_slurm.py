@@ -11,8 +11,6 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, data_of, run, start
-from wasp_cli.errors import UsageError
-from wasp_cli.run.pool import slurm_options
 
 SBATCH = """\
 import os, pathlib, subprocess, sys
@@ -110,10 +108,3 @@ def test_bad_options_and_a_machine_without_slurm_are_told_before_anything_runs(s
     done = run_here(*options, columns=200)
     assert (done.exit_code, "needs sbatch" in done.stderr) == (2, True)
     assert not (tmp_path / "none").exists()
-
-
-def test_options_are_numbers_and_words() -> None:
-    assert slurm_options("partition=cpu,time=720,mem=8GB") == {"partition": "cpu", "time": 720, "mem": "8GB"}
-    assert slurm_options(None) == {}
-    with pytest.raises(UsageError):
-        slurm_options("--partition")

@@ -100,18 +100,6 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write):
     assert source_hash("house.configs") != before
 
 
-@pytest.mark.usefixtures("at_home")
-def test_fields_in_a_folder_of_config_models_do_not_count_either(write):
-    text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n"
-    write("house/configs/__init__.py", "")
-    write("house/configs/some.py", text)
-    before = source_hash("house.configs.some")
-    write("house/configs/some.py", text.replace("x: int = 1", "x: int = 5"))
-    assert source_hash("house.configs.some") == before
-    write("house/configs/some.py", text.replace("(1, 2)", "(1, 3)"))
-    assert source_hash("house.configs.some") != before
-
-
 def test_in_packages_of_others_registries_and_configurations_count(write):
     write("house/a.py", "from house import registry\nfrom house.config import Field\nfrom house.configs import SIZE\n")
     write("house/registry.py", "from house import b\n")
@@ -168,13 +156,6 @@ def test_orchestration_is_in_no_closure():
         assert part not in module.ORCHESTRATION
 
 
-def test_the_planner_belongs_to_those_who_plan_with_it():
-    planner = {name for name in closure([module_of(METHODS["wasp"].target)]) if name.startswith("wasp_cli.methods.wasp")}
-    assert planner
-    others = [module_of(info.target) for info in METHODS.values() if info.name not in ("wasp", "printed", "ida-guarded", "mpmi", "planner")]
-    assert not planner & closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.calibration", *others])
-
-
 def test_nothing_is_imported():
     before = set(sys.modules)
     closure(["wasp_cli.stages.evaluate", module_of(METHODS["wasp"].target)])
@@ -192,8 +173,3 @@ def test_every_node_of_the_syntax_is_told_apart():
         "def x(a=1): 0", "def x(*, a=1): 0", "x = [1]", "x = (1,)", "def x(a): 0", "async def x(a): 0", "x = lambda a: 0",
     ]  # fmt: skip
     assert len({text(source) for source in sources}) == len(sources)
-
-
-def test_building_a_task_belongs_to_every_stage_that_drives_one():
-    for stage in ("dataset", "heldout", "expert", "policies", "evaluate", "residual"):
-        assert "wasp_cli.tasks.make" in closure([f"wasp_cli.stages.{stage}"])

@@ -2,7 +2,6 @@
 
 import ast
 from collections.abc import Iterator
-from fnmatch import fnmatchcase
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,24 +17,9 @@ from wasp_cli.spec.names import training_stages
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
-EVERY = "config seeds learning learning.configs stages stages.base tasks tasks.*"
-"""The worlds are roots of every node, so that all of `tasks` is allowed but what checks and shows them (see NEVER)."""
 NEVER = ("tasks.describe", "tasks.sheet", "tasks.driver", "tasks.camera.topdown", "tasks.camera.view3d")
-WEIGHTS = "models models.nets models.weights"
-POLICY = f"{WEIGHTS} models.policy"
-WORLD = f"{WEIGHTS} models.base models.rssm models.unroll models.world_model"
-OPERATOR = "operators operators.base"
-OPERATORS_BY_NAME = f"{OPERATOR} operators.*"
-ASSISTANT = f"{POLICY} {WORLD} {OPERATOR} methods methods.base"
-LATENTS = "learning.latents learning.shards learning.sampling"
-DRIVING = f"{ASSISTANT} learning.closed_loop"
-METHOD = f"{ASSISTANT} learning.assistants methods.* metrics metrics.episode models.*"
-WASP = f"{ASSISTANT} learning.assistants methods.configs methods.noise methods.record methods.wasp methods.wasp.* metrics metrics.episode"
-CRITICS = "models.critics methods.wasp methods.wasp.returns"
-IMAGINATION = "models.coded models.packed"
-PPO = "learning.lagrangian learning.vec_env"
-BRANCHES = "store store.branches store.parquet store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
-
+"""What only checks and shows worlds."""
+STAGES_MAY_HAVE = frozenset({"stages", "stages.base", "stages.finite"})
 SECTIONS = {
     "recorded": "expert dataset",
     "world": "world_model latents diagnostics",
@@ -46,50 +30,6 @@ SECTIONS = {
     "judged": "heldout calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
-
-MAY_HAVE = {
-    "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
-    "dataset": f"{POLICY} learning.dataset learning.contents learning.shards",
-    "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model "
-    "learning.privileged_state",
-    "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
-    "diagnostics": (
-        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples learning.readout "
-        "metrics metrics.ranking metrics.reliability stages.finite"
-    ),
-    "policies": (
-        f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies "
-        "learning.privileged learning.reinforce learning.verdicts stages.finite"
-    ),
-    "critics": (
-        f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
-        "metrics metrics.ranking"
-    ),
-    "heldout": f"{DRIVING} methods.human learning.heldout learning.informed learning.nominal",
-    "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
-    "denoiser": (
-        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser learning.labelled "
-        "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
-    ),
-    "consistency": f"{POLICY} {LATENTS} models.base models.consistency learning.consistency learning.labelled",
-    "reachability": (
-        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
-    ),
-    "residual": (
-        f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite "
-        "learning.informed"
-    ),
-    "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
-    "calibration": f"{ASSISTANT} {METHOD} metrics.windows learning.heldout",
-    "evaluate": (
-        f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation learning.informed store store.parquet store.tables"
-    ),
-    "counterfactual": (
-        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.informed "
-        "learning.playback learning.rerun models.clone"
-    ),
-}
-"""By node kind, names and patterns without the package's own name; its stage and what EVERY node has come on top."""
 
 
 @cache
@@ -105,36 +45,18 @@ def closures() -> dict[str, frozenset[str]]:
     return found
 
 
-SHIPPED = "world_model policies critics ida_q denoiser consistency reachability residual"
-"""Whose weights are rounded as they ship."""
-
-
-def patterns(kind: str) -> list[str]:
-    (file,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
-    rounding = "learning.rounding" if kind in SHIPPED.split() else ""
-    return f"{EVERY} {rounding} learning.configs.shared learning.configs.{file} stages.{kind} {MAY_HAVE[kind]}".split()
-
-
 def short(modules: frozenset[str]) -> set[str]:
     return {module.removeprefix("wasp_cli.") for module in modules}
 
 
-def test_every_stage_has_a_node_here_and_says_what_it_may_have():
-    assert set(closures()) == set(STAGES) == set(MAY_HAVE)
-
-
-@pytest.mark.parametrize("kind", sorted(MAY_HAVE))
-def test_a_node_s_key_covers_what_it_runs_and_no_more(kind):
-    reached = short(closures()[kind])
-    allowed = {module for module in reached if any(fnmatchcase(module, pattern) for pattern in patterns(kind))}
-    assert reached - allowed == set()
-    assert {module for module in reached if any(fnmatchcase(module, pattern) for pattern in NEVER)} == set()
-
-
-@pytest.mark.parametrize("kind", sorted(MAY_HAVE))
-def test_nothing_is_allowed_that_no_node_has(kind):
-    reached = short(closures()[kind])
-    assert [pattern for pattern in MAY_HAVE[kind].split() if not any(fnmatchcase(module, pattern) for module in reached)] == []
+@pytest.mark.parametrize("kind", sorted(STAGES))
+def test_a_node_s_key_covers_its_own_stage_and_settings_and_nobody_else_s(kind):
+    covered = short(closures()[kind])
+    (section,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
+    assert {module for module in covered if module.startswith("stages")} - STAGES_MAY_HAVE == {f"stages.{kind}"}
+    configs = {module for module in covered if module.startswith("learning.configs.")}
+    assert configs <= {"learning.configs.shared", f"learning.configs.{section}"}
+    assert not covered & set(NEVER)
 
 
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])

@@ -7,8 +7,9 @@ from tests.plan.test_select import labels, ran
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.closure import closure
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.plan import make_plan
+from wasp_cli.plan.select import select
 
 ASKED = ["diagnostics", "counterfactual"]
 
@@ -36,12 +37,6 @@ def test_every_cell_whose_method_may_intervene_is_branched_once():
     assert [cell for cell, _ in laid_out.branched] == [cell for cell, _ in laid_out.cells if METHODS[cell.method].intervenes]
     assert all(cell.operator != UNIMPAIRED for cell, _ in laid_out.branched)
     assert {node.key for _, node in laid_out.branched} <= laid_out.targets
-
-
-def test_a_spec_that_does_not_ask_has_none_and_asking_moves_no_other_key():
-    assert branch_labels(grid()) == []
-    assert grid().branched == ()
-    assert moved(grid(), judged()) == set()
 
 
 def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models():

@@ -51,11 +51,6 @@ def test_table_1_has_the_size_of_the_paper():
     assert len({node.key for _, node in table.cells}) == len(table.cells)
 
 
-def test_the_expert_runs_once_for_all_operators():
-    cells = [cell for cell, _ in grid().cells if cell.method == "expert"]
-    assert [(cell.operator, cell.severity, cell.value) for cell in cells] == [("none", None, None)] * 2
-
-
 def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch):
     monkeypatch.setattr(stage_class("latents"), "needs", ("world_modl",))
     with pytest.raises(WaspError, match="the stage 'latents' needs an unknown stage 'world_modl'") as caught:
@@ -82,28 +77,12 @@ def test_names_and_orders_enter_no_key():
     assert keys(grid(**shuffled)) == keys(grid())
 
 
-def test_a_severity_named_twice_is_one_node():
-    double = grid(operators={"noisy": {"mild": 0.2, "weak": 0.2}})
-    assert len({node.key for cell, node in double.cells if cell.method == "human"}) == 2
-    assert len([cell for cell, _ in double.cells if cell.method == "human"]) == 4
-
-
-def test_a_part_of_a_grid_has_the_same_keys():
-    assert keys(grid(methods=["wasp"], seeds=[1])) < keys(grid())
-
-
 def test_ablations_share_training_and_the_calibration_of_the_whole():
     ablation = grid(methods=["wasp"], variants=["full", "no-case2"])
     assert keys(grid(methods=["wasp"])) < keys(ablation)
     assert sum(node.kind == "calibration" for node in ablation.nodes) == 2
     assert {cell.assistant for cell, _ in ablation.cells} == {"full", "no-case2"}
     assert {node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"} == {"full", "no-case2"}
-
-
-def test_methods_without_ablations_run_once_whatever_is_asked_of_others():
-    cells = grid(variants=["no-case2"]).cells
-    assert {cell.assistant for cell, _ in cells if cell.method == "human"} == {"full"}
-    assert {cell.assistant for cell, _ in cells if cell.method == "wasp"} == {"no-case2"}
 
 
 def test_the_planner_moves_wasp_alone():
@@ -133,11 +112,6 @@ def test_what_a_task_has_of_its_own_moves_that_task_alone():
     assert after["goal1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 8
     same = {"formula1": {"world_model": {"updates": 20}}, "race1": {"wasp": {"candidates": 9}}}
     assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))  # and a task that does not run is no mistake
-
-
-def test_more_episodes_move_evaluations_only():
-    moved = changed(episodes=3)
-    assert moved == {node.label for node in grid().nodes if node.kind == "evaluate"}
 
 
 def test_shared_settings_move_the_stages_that_named_them():
@@ -175,21 +149,3 @@ def test_named_stages_are_trained_once_for_each_task_and_chain():
     shared = grid(methods=[], stages=["critics"], operators={}, seeds=[0, 1, 2], training_seed=1)
     assert {node.seed for node in shared.nodes} == {1}
     assert keys(shared) < keys(grid(seeds=[1]))
-
-
-def test_stages_that_methods_need_add_nothing_to_a_grid():
-    without = grid(stages=[])
-    assert keys(grid(stages=["expert", "critics"])) == keys(without)
-    assert {node.kind for node in grid(stages=["denoiser"]).nodes} - {node.kind for node in without.nodes} == {"denoiser"}
-
-
-def test_every_world_model_is_judged_unless_the_spec_says_otherwise():
-    assert keys(grid()) == keys(grid(stages=["diagnostics"]))
-    assert [node.seed for node in grid().nodes if node.kind == "diagnostics"] == [0, 1]
-
-
-def test_parts_are_what_is_trained():
-    laid_out = grid()
-    named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
-    kinds = ("expert", "dataset", "world_model", "latents", "policies", "critics", "heldout", "ida_q", "diagnostics")
-    assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}

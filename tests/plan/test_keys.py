@@ -2,7 +2,7 @@ import json
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wasp_cli.plan import node as keys
@@ -23,6 +23,7 @@ def reordered(value: Any) -> Any:
     return [reordered(item) for item in value] if isinstance(value, list) else value
 
 
+@settings(max_examples=30)
 @given(IDENTITIES)
 def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity):
     key = key_of(identity)
@@ -32,22 +33,15 @@ def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity):
     assert key_of(json.loads(json.dumps(identity))) == key
 
 
+@settings(max_examples=30)
 @given(IDENTITIES, IDENTITIES)
 def test_same_content_if_and_only_if_same_key(one, other):
     assert (canonical(one) == canonical(other)) == (key_of(one) == key_of(other))
 
 
-def test_the_order_of_lists_counts():
-    assert key_of({"hidden": [64, 32]}) != key_of({"hidden": [32, 64]})
-
-
 def test_what_is_no_number_has_no_key():
     with pytest.raises(ValueError, match="JSON"):
         key_of({"tau": float("nan")})
-
-
-def test_library_versions_are_major_and_minor():
-    assert all(version.count(".") == 1 for version in libraries().values())
 
 
 def test_every_library_that_computes_is_in_the_key():

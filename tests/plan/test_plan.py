@@ -51,12 +51,6 @@ def test_the_plan_reads_well():
     assert "nothing to run" in text_of(done)
 
 
-def test_a_plan_without_methods_says_so():
-    text = text_of(make_plan(grid(methods=[], stages=["world_model"], operators={}), {}, {}))
-    assert "nothing to evaluate: the spec lists no methods" in text
-    assert "cells" not in text
-
-
 def test_the_plan_as_json_names_every_cell_and_node():
     laid_out = grid()
     record = json.loads(json.dumps(make_plan(laid_out, {}, {}).as_json()))
@@ -65,12 +59,6 @@ def test_the_plan_as_json_names_every_cell_and_node():
     assert {part["key"] for part in record["parts"]} == {node["key"] for node in record["nodes"]} - evaluated(record)
     assert all(set(node["needs"].values()) <= keys for node in record["nodes"])
     assert record["counts"] == {"missing": len(keys)}
-
-
-def test_a_results_folder_that_is_not_there_has_nothing(tmp_path):
-    plan = plan_against(grid(), Layout(tmp_path / "absent"))
-    assert plan.count("missing") == len(plan.steps)
-    assert not (tmp_path / "absent").exists()
 
 
 def test_a_damaged_artifact_is_computed_again(tmp_path):

@@ -103,6 +103,7 @@ def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsi
     assert of_preset == keys("--set", "habits.updates=4")
 
 
+@pytest.mark.slow
 def test_another_class_of_the_same_module_has_other_keys(outsider):
     before = keys()
     (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")

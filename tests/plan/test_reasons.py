@@ -3,7 +3,6 @@
 from typing import Any
 
 from tests.plan.test_grid import grid
-from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
@@ -43,13 +42,6 @@ def test_a_changed_field_is_named_with_both_values(layout):
     assert all(" wasp" in label for label in found)
 
 
-def test_fields_of_stages_and_shared_settings_have_the_names_of_the_spec(layout):
-    fill(layout, grid())
-    found = reasons_of(plan_against(grid(returns={"gamma_c": 0.9}, episodes=3), layout))
-    assert found["goal1 s0 critics"] == "spec changed: returns.gamma_c 0.95 -> 0.9"
-    assert found["goal1 s0 human noisy=0.2"] == "spec changed: episodes 2 -> 3, returns.gamma_c 0.95 -> 0.9"
-
-
 def test_what_only_reads_something_new_says_what(layout):
     fill(layout, grid())
     found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))
@@ -85,20 +77,6 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
     found = reasons_of(plan_against(grid(), layout))
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
-
-
-def test_many_changes_are_counted(layout):
-    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7, "feasible": 2, "iterations": 3}))
-    found = reasons_of(plan_against(grid(), layout))["goal1 s0 wasp noisy=0.2"]
-    assert found.count(" -> ") == reasons.NAMED
-    assert found.endswith("and 2 more")
-
-
-def test_a_manifest_of_another_form_gives_no_reason(layout):
-    laid_out = grid()
-    earlier = Node(**{name: getattr(laid_out.nodes[0], name) for name in Node.__slots__} | {"key": "a" * 20})
-    store(layout, earlier, sources=None)
-    assert plan_against(laid_out, layout).count("missing") == len(laid_out.nodes)
 
 
 def test_an_artifact_that_changes_after_a_plan_is_seen(layout):

@@ -2,8 +2,9 @@ import pytest
 
 from tests.plan.test_grid import DOCUMENT, grid
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.plan import Plan, make_plan
+from wasp_cli.plan.select import select
 
 BOTH = {**DOCUMENT, "tasks": ["goal1", "race1"], "methods": ["human", "wasp"], "variants": ["full", "no-case2"]}
 
@@ -43,11 +44,6 @@ def test_a_stage_selects_nodes_that_others_need():
     plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=world_model,task=goal1,seed=0"]))
     assert ran(plan) == {"goal1 s0 expert", "goal1 s0 dataset", "goal1 s0 world_model"}
     assert {step.reason for step in plan.steps if not step.runs} == {"not selected"}
-
-
-def test_without_selectors_everything_is_meant():
-    assert select(grid(), ()) is None
-    assert len(make_plan(grid(), {}, {}).to_run()) == len(grid().nodes)
 
 
 def test_what_nobody_needs_any_more_is_left_alone():

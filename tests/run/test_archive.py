@@ -9,7 +9,7 @@ import pytest
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.notebook.results import open_results
-from wasp_cli.run.archive import write_archive
+from wasp_cli.run.publish import write_archive
 from wasp_cli.store.layout import Layout
 
 PUBLISHED = Path(__file__).parents[2] / "results" / "published"

@@ -70,14 +70,6 @@ def test_the_next_participant_displaces_nobody(layout):
     assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
 
 
-def test_a_session_stays_though_an_artifact_of_its_key_is_there(layout):
-    """As after a kill between the two: which of them is whole is for the next session to say."""
-    stored(layout, "evaluate", ALONE, variant="person", session=True)
-    begin(layout, ALONE)
-    collect(layout)
-    assert (layout.work(key(ALONE)) / SESSION_FILE).exists()
-
-
 def test_what_a_note_is_about_stays(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", NOTED, MODEL)

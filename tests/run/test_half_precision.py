@@ -68,16 +68,6 @@ def test_a_plan_and_the_manifests_say_it(whole, small_spec, tmp_path):
     assert sum("half_precision" in manifest["provenance"] for manifest in cells(Layout(onward / "published"))) == len(made)
 
 
-def test_nothing_is_claimed_of_cells_that_were_computed_before_their_parts_were_halved(whole, small_spec, tmp_path):
-    results = published(small_spec, whole, tmp_path / "results", half=True)
-    published(small_spec, whole, results, half=False, selectors=("stage=evaluate",))
-    found = plan(small_spec, results)
-    assert not found.to_run()
-    assert {step.reason for step in found.steps if step.node.kind == "evaluate"} == {"published with this code"}
-    run(small_spec, results)
-    assert not any("half_precision" in manifest["provenance"] for manifest in cells(Layout(results)))
-
-
 def test_the_report_and_the_comparison_say_it(tmp_path):
     write_results(tmp_path / "whole")
     write_results(tmp_path / "half", lambda identity: episodes(identity, risk=0.3), {"half_precision": ["policies", "world_model"]})
@@ -86,4 +76,3 @@ def test_the_report_and_the_comparison_say_it(tmp_path):
     assert "half precision" in (tmp_path / "half/reports/tiny/report.html").read_text(encoding="utf-8")
     compared = run_here("compare", tmp_path / "whole", tmp_path / "half", columns=200)
     assert "inputs in half precision none -> policies, world_model" in compared.output
-    assert "half" not in run_here("report", tmp_path / "whole", "--no-films", "--no-trained", "--paper", "none", columns=200).output

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from tests.run import fake_stages
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.run.pool import InlinePool
@@ -60,15 +59,6 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
     assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), "a part of a cell was taken for its time"
 
 
-def test_a_cell_goes_on_from_the_longest_beginning(fakes, small_spec, tmp_path):
-    layout = Layout(tmp_path / "results")
-    carried_out(loaded_with(small_spec, 20), layout)
-    longest = carried_out(loaded_with(small_spec, 25), layout)
-    carried_out(loaded_with(small_spec, 10), layout)
-    whole = carried_out(loaded_with(small_spec, None), layout)
-    assert all(manifest["provenance"]["earlier"] == longest[label]["key"] for label, manifest in whole.items())
-
-
 @pytest.mark.parametrize(
     ("setting", "methods"),
     [
@@ -83,24 +73,3 @@ def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, 
     carried_out(loaded_with(small_spec, 10), layout)
     plan = planned(loaded_with(small_spec, None, setting), layout)
     assert {node.axes["method"] for node in plan.to_run() if node.key in plan.begun} == methods
-
-
-def test_a_damaged_beginning_is_not_taken_over(fakes, small_spec, tmp_path, monkeypatch):
-    layout = Layout(tmp_path / "results")
-    bad = next(iter(carried_out(loaded_with(small_spec, 10), layout).values()))["key"]
-    data = layout.artifact("evaluate", bad) / "data.bin"
-    data.write_bytes(bytes(data.stat().st_size))
-    seen: list[Path | None] = []
-    stage = fake_stages.__getattr__("Fake_evaluate")
-    run = stage.run
-
-    def recorded(self: Any, job: Any) -> Any:
-        seen.append(job.earlier)
-        return run(self, job)
-
-    monkeypatch.setattr(stage, "run", recorded)
-    whole = loaded_with(small_spec, None)
-    assert bad in planned(whole, layout).begun.values()  # a plan does not read the bytes
-    carried_out(whole, layout)
-    assert seen.count(None) == 1
-    assert layout.artifact("evaluate", bad) not in seen

@@ -89,17 +89,6 @@ def test_manifests_say_where_results_came_from_and_name_nobody(results, finished
         assert not any(name in text for name in (HOST, str(results), str(finished)))
 
 
-def test_publishing_again_replaces_nothing_that_is_equal_and_removes_nothing(results, small_spec):
-    publish(small_spec, results)
-    own = results / "published/store/expert" / ("f" * 20)
-    own.mkdir()
-    (own / "_manifest.json").write_text("{}")
-    before = tree(results / "published")
-    told = publish(small_spec, results)
-    assert tree(results / "published") == before
-    assert next(line for line in told.splitlines() if "total" in line).split()[1:] == ["0", "0", "bytes", str(len(keys(results)))]
-
-
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
     publish(small_spec, results)
     first, second, third = sorted((results / "published/store").glob("evaluate/*"))[:3]
@@ -127,26 +116,6 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     assert label in told
     assert "wasp run SPEC --reuse none" in told
     assert not (results / "published").exists()
-
-
-def test_what_is_large_is_left_out_and_named(results, small_spec):
-    large = sorted(results.glob("store/world_model/*"))[0]
-    manifest = json.loads((large / "_manifest.json").read_text())
-    smallest = sum(known["size"] for known in manifest["files"].values())
-    told = publish(small_spec, results, "--largest", str((smallest - 1) / 1e6))
-    assert "left out: goal1 s0 world_model has" in told
-    assert not (results / "published/store").exists()
-    publish(small_spec, results, "--largest", str(smallest / 1e6))
-    assert keys(results / "published") == keys(results)
-
-
-def test_a_part_of_the_spec(results, small_spec, tmp_path):
-    other = tmp_path / "elsewhere"
-    publish(small_spec, results, "--to", other, "--select", "method=human,seed=0", "--select", "stage=policies")
-    assert {path.parent.name for path in other.glob("store/*/*")} == {"evaluate", "policies"}
-    assert len(keys(other)) == 2 + 2
-    assert not (results / "published").exists()
-    publish(small_spec, results, "--to", other, "--task", "race1", code=2)
 
 
 @pytest.mark.parametrize("private", ["host", "results"])
@@ -202,14 +171,6 @@ def test_what_a_killed_publication_left_goes_with_the_next_one(results, small_sp
     assert {path.name for path in layer.root.iterdir()} == {"store", "reports"}
 
 
-def test_links_of_the_layer_are_not_followed(results, small_spec, tmp_path):
-    (results / "published").mkdir()
-    (tmp_path / "away").mkdir()
-    (results / "published/store").symlink_to(tmp_path / "away")
-    assert "is a link" in publish(small_spec, results, code=1)
-    assert not list((tmp_path / "away").iterdir())
-
-
 def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes, tmp_path):
     publish(small_spec, results)
     fresh = tmp_path / "fresh"
@@ -225,18 +186,3 @@ def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes,
     publish(small_spec, fresh, "--reuse", "published", "--to", tmp_path / "third")
     for path in (tmp_path / "third").glob("store/*/*/_manifest.json"):
         assert path.read_bytes() == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
-
-
-def test_gc_leaves_the_layer_and_what_was_taken_from_it(results, small_spec, tmp_path):
-    publish(small_spec, results)
-    fresh = tmp_path / "fresh"
-    shutil.copytree(results / "published", fresh / "published")
-    run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
-    before, taken = tree(fresh / "published"), keys(fresh)
-    assert run_here("gc", fresh, "--yes", "--runs", columns=80).exit_code == 0
-    assert tree(fresh / "published") == before
-    assert keys(fresh) == taken
-    shutil.rmtree(fresh / "runs")
-    (fresh / "runs").mkdir()
-    assert run_here("gc", fresh, "--yes", "--keep", small_spec, columns=80).exit_code == 0
-    assert tree(fresh / "published") == before

@@ -2,18 +2,14 @@
 
 import shutil
 
-import pytest
-
 from tests.plan.test_plan import text_of
 from tests.run.harness import data_of
 from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, kinds, node_of, plan, published_manifest, rewrite, run
-from wasp_cli.errors import UsageError
 from wasp_cli.plan import reasons
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.session import RunOptions, run_spec, run_sweep
-from wasp_cli.spec.derived import read_sweep
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -39,21 +35,6 @@ def test_a_fresh_folder_computes_nothing_that_is_published(here, computed, fakes
     assert {node.key for node in lay_out(load(small_spec).spec).nodes} == {step.node.key for step in before.steps}
 
 
-def test_without_reuse_everything_is_computed(here, fakes, small_spec):
-    done = run(small_spec, here, choice="none")
-    assert len(fakes.executions()) == done.summary.done == len(done.plan.steps)
-    assert not done.plan.grid.reused
-
-
-def test_what_was_computed_under_todays_code_comes_first(here, fakes, small_spec, moved):
-    moved(SPECIFIC)
-    run(small_spec, here, choice="none")
-    found = plan(small_spec, here)
-    assert found.count("cached") == len(found.steps)
-    assert {step.reason for step in found.steps} == {"computed before", "published with this code"}
-    assert {node.key for node in found.grid.nodes} == {node.key for node in lay_out(load(small_spec).spec).nodes}
-
-
 def test_the_spec_says_what_is_reused_and_the_option_wins(here, fakes, small_spec):
     layout = Layout(here)
     assert not lay_out_over(load(small_spec).spec, layout).reused
@@ -61,15 +42,6 @@ def test_the_spec_says_what_is_reused_and_the_option_wins(here, fakes, small_spe
     assert not lay_out_over(load(small_spec, ("reuse=published",)).spec, layout, "none").reused
     run_spec(load(small_spec, ("reuse=published",)), here, RunOptions(jobs=0))
     assert not fakes.executions()
-
-
-def test_a_published_folder_elsewhere(here, fakes, small_spec, tmp_path):
-    other = here.rename(tmp_path / "cloned") / "published"
-    run(small_spec, tmp_path / "new", choice=str(other))
-    assert not fakes.executions()
-    for wrong in ("publishd", "", str(tmp_path)):
-        with pytest.raises(UsageError, match="holds no published results"):
-            plan(small_spec, tmp_path / "new", choice=wrong)
 
 
 def test_when_the_code_has_moved_on_the_plan_names_it(here, fakes, small_spec, moved, capsys):
@@ -119,15 +91,6 @@ def test_what_is_computed_from_published_results_has_keys_that_say_so(here, fake
     assert plan(small_spec, here, MORE, "none").count("cached") == 0
 
 
-def test_a_part_that_was_not_published_is_no_reason_to_train_what_was(here, fakes, small_spec, moved):
-    for kind in ("expert", "dataset", "heldout"):
-        shutil.rmtree(here / "published/store" / kind)
-    moved(COMMON)
-    run(small_spec, here, (*MORE, "methods=[human, ida, wasp]"))
-    assert kinds(fakes.executions())["world_model"] == 0
-    assert kinds(fakes.executions())["critics"] == 0
-
-
 def test_results_of_two_codes_are_never_mixed_behind_one_node(here, fakes, small_spec, moved):
     shutil.rmtree(here / "published/store/world_model")
     moved(COMMON)
@@ -142,22 +105,6 @@ def test_results_of_two_codes_are_never_mixed_behind_one_node(here, fakes, small
     # The cells that are published are still those.
     assert ran["evaluate"] == 2 * 3
     assert done.plan.count("published", "evaluate") == len({node.key for _, node in done.plan.grid.cells}) - 2 * 3
-
-
-def test_with_the_same_code_a_missing_part_is_computed_and_the_rest_is_used(here, fakes, small_spec):
-    shutil.rmtree(here / "published/store/world_model")
-    run(small_spec, here, MORE)
-    assert kinds(fakes.executions()) == {"world_model": 2, "evaluate": 2 * 3}
-
-
-def test_a_sweep_follows_its_spec(here, fakes, small_spec, moved):
-    moved(COMMON)
-    swept = read_sweep(small_spec, "wasp.tau_c=0.3,1.0", ("human", "wasp"), ("reuse=published",))
-    done, _ = run_sweep(swept, here, RunOptions(jobs=0))
-    assert done.summary.complete
-    # Nothing is trained, Human-only is there, and so is WASP under one of the values.
-    assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}
-    assert done.plan.count("published", "evaluate") == 2 * 2 * 2
 
 
 JUDGED = ("stages=[counterfactual]",)

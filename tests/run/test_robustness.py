@@ -8,15 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import run_here
 from tests.run.harness import ROOT, prepared
-from wasp_cli.cli import doctor
-from wasp_cli.errors import StoreError, WaspError
-from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.run.pool import InlinePool
+from wasp_cli.errors import StoreError
 from wasp_cli.run.record import new_run, results_of
-from wasp_cli.run.runner import Runner
-from wasp_cli.run.session import useful_jobs
+from wasp_cli.run.runner import job_of
 from wasp_cli.run.worker import execute
 
 
@@ -32,38 +27,12 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
         results_of(tmp_path)
 
 
-def test_doctor_looks_and_creates_nothing(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "link").symlink_to(tmp_path / "absent" / "far")
-    (tmp_path / "old").mkdir()
-    for place in ("absent", "old"):
-        assert doctor._writable(tmp_path / place / "results").state == "ok"
-        assert doctor._writable(tmp_path / place).state == "ok"
-    for place in ("file", "file/below", "link"):
-        assert doctor._writable(tmp_path / place).state == "missing"
-    monkeypatch.setattr("wasp_cli.cli.doctor.os.access", lambda path, mode: False)
-    finding = doctor._writable(tmp_path / "absent")
-    assert (finding.state, finding.found) == ("missing", f"cannot write to '{tmp_path}'")
-    with pytest.raises(WaspError, match="wasp cannot run here: results"):
-        doctor.require([finding])
-    assert not list((tmp_path / "old").iterdir())
-    assert not (tmp_path / "absent").exists()
-
-
-def test_no_more_workers_than_nodes_side_by_side(fakes, small_spec, tmp_path):
-    _, _, plan = prepared(small_spec, tmp_path / "results")
-    nodes = plan.to_run()
-    lasting = durations(nodes, plan.seconds)
-    most = useful_jobs(plan, 64)
-    assert 2 < most < len(nodes) < 64
-    assert [useful_jobs(plan, jobs) for jobs in (0, 2, most)] == [0, 2, most]
-    assert simulated(nodes, lasting, most) == simulated(nodes, lasting, 64)
-
-
 def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    job = Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
+    run_id = new_run(layout, loaded, plan)
+    layout.journal(run_id).touch()
+    job = job_of(layout, run_id, plan.to_run()[0])
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
@@ -91,22 +60,3 @@ def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spe
     assert "1 failed:" in done.stderr
     assert "Traceback" not in done.stderr
     assert "BrokenPipe" not in done.stderr
-
-
-def test_a_reader_that_goes_away_ends_other_output_quietly():
-    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=closed_pipe())
-    assert (done.returncode, done.stderr) == (141, "")
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_output_to_a_full_disk_is_one_message():
-    done = wasp("plan", "specs/smoke.yaml", "--json", stdout=os.open("/dev/full", os.O_WRONLY))
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: no space left on device")
-    assert "Exception" not in done.stderr
-
-
-@pytest.mark.parametrize("arguments", [("plan", "specs/smoke.yaml", "--results", ""), ("report", ""), ("doctor", "--results", " ")])
-def test_an_empty_name_is_no_results_folder(arguments):
-    done = run_here(*arguments, columns=200)
-    assert (done.exit_code, "the name of the folder is empty" in done.stderr) == (2, True)

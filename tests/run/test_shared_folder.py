@@ -18,7 +18,7 @@ from wasp_cli.run import runner
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
-from wasp_cli.run.runner import Runner, failures_text
+from wasp_cli.run.runner import Runner
 from wasp_cli.run.worker import execute
 from wasp_cli.stages.base import Job
 from wasp_cli.store.layout import Layout
@@ -68,7 +68,7 @@ def test_a_node_is_done_only_when_its_artifact_is_here(fakes, small_spec, tmp_pa
     summary = runner_here.run(plan)
     assert fakes.executions(), "the worker computed, and told that it was done"
     assert summary.done == summary.shared == 0
-    assert "it is not in" in failures_text(summary.failed, {})
+    assert "it is not in" in summary.failed[0][1].message
     assert not {event["event"] for event in read_json_lines(layout.journal(run_id))} & {"done", "shared"}
     assert not list(layout.store.glob("*/*"))
 

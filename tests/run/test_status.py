@@ -1,4 +1,4 @@
-"""`wasp status` and `wasp logs`, beside a real run and on folders written by hand."""
+"""`wasp status` and `wasp logs`, beside a real run and on folders written by hand; which run is the newest, and until when it goes on."""
 
 import json
 import os
@@ -6,13 +6,15 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
 from tests.commands import run_here
-from tests.run.harness import ROOT, Fakes, run, start, wait_until
-from tests.run.recorded import at, dead_pid, key, planned, process, write_run
-from wasp_cli.run.show import LISTED
+from tests.run.harness import ROOT, Fakes, finished, keys_of, run, start, wait_until
+from tests.run.recorded import dead_pid, key, planned, process, write_run
+from wasp_cli.plan.recorded import order_of, run_ids
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
@@ -35,21 +37,6 @@ def test_a_run_that_died(layout):
     assert lines[2] == "[" + "=" * 13 + " " * 27 + "] 1 of 3 done, 1 failed, 1 not computed"
     assert re.fullmatch(r"  c +50% +gone +step 7 *", lines[3])
     assert lines[4:] == ["FAILED b: no [memory]", "       log: /x/b.log"]
-
-
-def test_failures_are_counted_where_they_are_many(layout):
-    failed = [(float(n), "failed", {"key": key(n), "label": f"n{n}", "message": "x"}) for n in range(20)]
-    write_run(layout, RUN, [planned(n, f"n{n}") for n in range(20)], [(0.0, "run started", process(dead_pid())), *failed])
-    shown = status(layout)
-    assert shown.count("FAILED") == LISTED
-    assert f"and {20 - LISTED} more" in shown
-    assert len(json.loads(status(layout, "--json"))[0]["failed"]) == 20
-
-
-def test_silence_is_told(layout):
-    running = {1: {"label": "a", "started": at(0), "at": at(0), **process(os.getpid())}}
-    write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", process(os.getpid()))], running)
-    assert "silent for" in status(layout)
 
 
 def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, small_spec, tmp_path):
@@ -88,16 +75,6 @@ def executed(fakes: Fakes, label: str) -> str:
     """What the fake stage of a node printed: its task, seed, kind and axes."""
     task, seed, kind = label.split()[:3]
     return next(line for line in fakes.executions() if line.startswith(f"{task} {seed} {kind}"))
-
-
-def test_results_without_runs_are_refused(layout, tmp_path):
-    for folder in (tmp_path / "absent", layout.root):
-        done = run_here("status", folder, columns=80)
-        assert done.exit_code == 1
-        assert "no results in" in done.stderr
-    write_run(layout, RUN, [])
-    assert run_here("status", layout.root, "--run", "0001", columns=80).exit_code == 0
-    assert run_here("status", layout.root, "--run", "0002", columns=80).exit_code == 2
 
 
 def test_the_log_of_any_node(fakes, small_spec, tmp_path):
@@ -184,3 +161,60 @@ def test_who_looks_imports_nothing_heavy(layout):
     assert [line for line in done.stdout.splitlines() if line.startswith("after ")] == [f"after {c[0]}: 0 []" for c in commands], (
         done.stderr
     )
+
+
+def other(spec: Path) -> Path:
+    path = spec.with_name("other.yaml")
+    path.write_text(spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
+    return path
+
+
+def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_path):
+    results, later = tmp_path / "results", other(small_spec)
+    run(small_spec, results)
+    layout = Layout(results)
+    (first,) = run_ids(layout)
+    ahead = "20300101-000000-small-0001"
+    os.rename(layout.run(first), layout.run(ahead))
+    future = time.time() + 10**8
+    os.utime(layout.run(ahead), (future, future))
+    run(later, results)
+    (newest,) = set(run_ids(layout)) - {ahead}
+    assert run_ids(layout) == [newest, ahead]
+    assert last_runs(layout) == ({"small": newest}, [])
+    assert json.loads(run_here("status", results, "--json", columns=80).stdout)[0]["run_id"] == newest
+    done = run_here("gc", results, "--yes", columns=80)
+    assert done.exit_code == 0, done.output
+    assert finished(results) == keys_of(later, results)
+
+
+def test_a_run_without_a_number_is_older(tmp_path):
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    names = [f"{day}-120000-small-000{n}" for n, day in enumerate(("20260503", "20300101", "20260502"))]
+    for name in names:
+        write_run(layout, name, [planned(1, "a")])
+    for name, text in ((names[0], "2\n"), (names[2], "1\n"), (names[1], "no number")):
+        layout.order(name).write_text(text)
+    assert [order_of(layout, name) for name in names] == [2, 0, 1]
+    assert run_ids(layout) == [names[0], names[2], names[1]]
+
+
+def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_spec, tmp_path):
+    results, later, gate = tmp_path / "results", other(small_spec), tmp_path / "report now"
+    fakes.set(report=str(gate))
+    process = start("run", small_spec, "--results", results, "-j", "0")
+    try:
+        wait_until(lambda: any("run ended" in path.read_text() for path in results.glob("runs/*/journal.jsonl")))
+        before = keys_of(small_spec, results)
+        run(later, results)
+        for _ in range(2):
+            done = run_here("gc", results, "--yes", "--runs", columns=80)
+            assert done.exit_code == 0, done.output
+        assert before <= finished(results)
+    finally:
+        gate.touch()
+        output = process.communicate(timeout=600)
+    assert process.returncode == 0, output
+    run_here("gc", results, "--yes", columns=80)
+    assert finished(results) == keys_of(later, results)

@@ -1,17 +1,15 @@
 """How far a run is, from its folder alone."""
 
 import os
-import platform
 from datetime import timedelta
 from typing import Any
 
 import pytest
 
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
-from wasp_cli.errors import UnknownName
-from wasp_cli.plan.recorded import named_run, planned_runs, upstream_first
+from wasp_cli.plan.recorded import planned_runs, upstream_first
 from wasp_cli.run.job import boot_id
-from wasp_cli.run.watch import RunState, is_gone, moment, shown_runs, state_of
+from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 
@@ -65,24 +63,6 @@ def test_a_run_that_goes_on(layout):
     assert state.unknown == 0
 
 
-def test_workers_share_what_does_not_wait(layout):
-    nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
-    write_run(layout, RUN, nodes, [started(jobs=2)])
-    assert only(layout).left_seconds == pytest.approx(180)
-
-
-@pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
-def test_a_running_node_has_less_left(share, left, layout):
-    running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
-    write_run(layout, RUN, [planned(1, "b", seconds=100.0)], [started()], running)
-    assert only(layout).left_seconds == pytest.approx(left)
-
-
-def test_nodes_without_an_estimate_are_counted(layout):
-    write_run(layout, RUN, [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
-    assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
-
-
 @pytest.mark.parametrize(
     ("facts", "state"),
     [
@@ -98,35 +78,6 @@ def test_the_death_of_a_run_shows(facts, state, layout):
     assert found.state == state
     assert (found.ended == moment(at(60))) == (state == "died")
     assert (found.left_seconds is None) == (state == "died")
-
-
-@pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
-def test_a_run_that_is_over_says_so(event, state, layout):
-    write_run(layout, RUN, NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
-    found = only(layout)
-    assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
-
-
-def test_a_node_whose_process_is_gone(layout):
-    running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
-    write_run(layout, RUN, NODES, [started()], running)
-    state = only(layout)
-    assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
-    assert (state.running, state.waiting) == (1, 4)
-
-
-def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout):
-    write_run(layout, RUN, NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
-    state = only(layout)
-    assert (state.done, state.failed, state.finished) == (1, (), 1)
-
-
-def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout):
-    write_run(layout, RUN, [planned(1, "a", "cached")])
-    write_run(layout, "20260501-130000-small-0002", NODES)
-    later, earlier = (state_of(layout, run) for run in planned_runs(layout))
-    assert (earlier.state, earlier.total, earlier.done, earlier.idle) == ("ended", 1, 1, True)
-    assert (later.state, later.total) == ("not started", 5)
 
 
 def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
@@ -173,25 +124,6 @@ def test_a_circle_ends(layout):
     assert only(layout).left_seconds is not None
     (run,) = planned_runs(layout)
     assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
-
-
-def test_runs_are_found_by_the_end_of_their_name(layout):
-    write_run(layout, "20260501-120000-small-00aa", NODES)
-    write_run(layout, "20260501-130000-small-00bb", NODES)
-    runs = planned_runs(layout)
-    assert named_run(runs, "00aa").run_id == "20260501-120000-small-00aa"
-    assert named_run(runs, "20260501-130000-small-00bb").run_id.endswith("bb")
-    for unknown in ("../x", "", "00ab"):
-        with pytest.raises(UnknownName):
-            named_run(runs, unknown)
-
-
-def test_processes(layout):
-    assert not is_gone(HERE)
-    assert not is_gone({**process(1)})  # somebody else's, perhaps
-    assert is_gone(process(dead_pid()))
-    for odd in ({}, {"pid": -1}, {"pid": "7"}, {"pid": 2**40}, {"pid": None}):
-        assert not is_gone({"host": platform.node(), **odd})
 
 
 def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):

@@ -1,6 +1,7 @@
 """What an untrusted results folder may hold."""
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from tests.store.untrusted import LABEL, RUN, UntrustedStore, manifest_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, STEPS_FILE
 
+SCRIPT = "<script>alert(1)</script>"
 ESCAPE = "\x1b]0;owned\x07"
 DEEP = '{"a": ' * 300 + "1" + "}" * 300
 Attack = Callable[[UntrustedStore, Path], None]
@@ -34,13 +36,6 @@ def nothing_at_all(it: UntrustedStore, outside: Path) -> None:
 def files_elsewhere(it: UntrustedStore, outside: Path) -> None:
     names = ("../../../../outside/secret.json", str(outside / "secret.json"), "..", "", "a\0b", "x" * 5000, "deep/../../x")
     it.manifest(files={name: {"size": 1, "sha256": "0"} for name in names})
-
-
-@attack
-def numbers_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    provenance = {"seconds": "long", "started_at": 5, "attempt": [], "git": "x", "versions": 7}
-    for path in it.layout.store.glob("*/*/_manifest.json"):
-        it.change(path, provenance=provenance, summary={"a": [1, {"b": None}]})
 
 
 @attack
@@ -92,31 +87,12 @@ def a_long_chain(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def a_chain_without_end(it: UntrustedStore, outside: Path) -> None:
-    it.manifest(upstream={"evaluate": it.key}, upstream_kinds={"evaluate": "evaluate"})
-    it.plan(nodes=[{**node, "needs": {"a": node["key"]}} for node in it.nodes()])
-
-
-@attack
-def a_pipe_for_steps(it: UntrustedStore, outside: Path) -> None:
-    path = it.artifact / STEPS_FILE
-    path.unlink()
-    os.mkfifo(path)
-
-
-@attack
 def linked_records(it: UntrustedStore, outside: Path) -> None:
     for path in (it.layout.failure(it.key), it.layout.running(RUN, it.key), it.layout.run(RUN) / "journal.jsonl"):
         link(path, outside / "secret.json")
     link(it.layout.lock(it.key), outside / "secret.json")
     link(it.layout.work(it.key), outside / "inner")
     link(it.layout.tmp / f"{it.key}-left", outside / "inner")
-
-
-@attack
-def the_linked_report_of_a_spec(it: UntrustedStore, outside: Path) -> None:
-    (it.layout.root / "reports").mkdir()
-    link(it.layout.reports("tiny"), outside)
 
 
 @attack
@@ -135,21 +111,9 @@ def pipes(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def a_table_of_another_version(it: UntrustedStore, outside: Path) -> None:
-    path = it.artifact / EPISODES_FILE
-    pq.write_table(pq.read_table(path).replace_schema_metadata({b"wasp.cell": b"evil"}), path)
-
-
-@attack
 def steps_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     count = pq.read_metadata(it.artifact / STEPS_FILE).num_rows
     it.rows(STEPS_FILE, cost=["x"] * count, safe=[7] * count, a=[{"b": 1}] * count, episode=["y"] * count)
-
-
-@attack
-def steps_of_another_version(it: UntrustedStore, outside: Path) -> None:
-    path = it.artifact / STEPS_FILE
-    pq.write_table(pq.read_table(path).replace_schema_metadata({b"wasp.steps": b"evil"}), path)
 
 
 @attack
@@ -181,38 +145,61 @@ def link(path: Path, target: Path) -> None:
     path.symlink_to(target)
 
 
+# Against who draws it: films, maps, the page of a report, episodes played again.
+
+
+@attack
+def a_decision_without_end(it: UntrustedStore, outside: Path) -> None:
+    it.played(10**12)
+
+
+@attack
+def actions_of_no_robot(it: UntrustedStore, outside: Path) -> None:
+    it.played(4)
+    it.steps(a=[], a_h=[])
+
+
+@attack
+def commands_that_no_map_can_show(it: UntrustedStore, outside: Path) -> None:
+    it.played(4)
+    it.steps(a=[math.nan, math.inf], a_h=[3e38, -3e38])
+
+
+@attack
+def cells_that_are_markup(it: UntrustedStore, outside: Path) -> None:
+    """The page of a report runs its own script and no other."""
+    it.plan(cells=[{**it.cell, "severity": SCRIPT, "operator": SCRIPT}])
+    it.manifest(label=SCRIPT, summary={SCRIPT: 1})
+    it.fails(message=SCRIPT, label=SCRIPT)
+
+
+@attack
+def upstream_of_a_replay_elsewhere(it: UntrustedStore, outside: Path) -> None:
+    kinds = ("world_model", "policies", "calibration")
+    it.played(4)
+    it.manifest(upstream_kinds={kind: kind for kind in kinds}, upstream=dict.fromkeys(kinds, "../../../outside"))
+    it.layout.kind("counterfactual").mkdir(exist_ok=True)
+    link(it.layout.artifact("counterfactual", key(3)), outside)
+    write_record(it.layout.manifest("counterfactual", key(4)), {"kind": "counterfactual", "upstream": [it.key], "config": 7})
+
+
 ATTACKS |= {
-    "files_of_no_form": lambda it, outside: it.manifest(files=["x"]),
     "upstream_elsewhere": lambda it, outside: it.manifest(
         upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}}, upstream_kinds={"b": "../../outside", "d": 7}
     ),
     "a_manifest_of_wrong_types": lambda it, outside: it.manifest(
         upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
     ),
-    "other_tasks_and_methods": lambda it, outside: it.manifest(
-        task="evil_module:X-v0", axes={"method": "evil_module:run", "method_config": {"a": 1}}, kind="evil_module:run"
-    ),
     "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
-    "a_plan_for_a_path": lambda it, outside: it.plan(
-        spec="../../outside", nodes=[{**node, "key": "../..", "kind": "../../outside", "label": "../../x"} for node in it.nodes()]
-    ),
     "cells_that_are_paths": lambda it, outside: it.plan(cells=[{**it.cell, "key": "../../../outside"}]),
-    "cells_of_wrong_types": lambda it, outside: it.plan(cells=[{**it.cell, "value": "x", "task": ["goal1"], "seed": {}}]),
     "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
     "rows_that_command_the_terminal": lambda it, outside: it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]),
     "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
-    "a_linked_manifest": lambda it, outside: link(it.artifact / "_manifest.json", outside / "_manifest.json"),
     "a_linked_table": lambda it, outside: link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE),
-    "linked_steps": lambda it, outside: link(it.artifact / STEPS_FILE, outside / STEPS_FILE),
-    "a_linked_kind": lambda it, outside: link(it.layout.kind("evaluate"), outside),
     "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
     "linked_logs": lambda it, outside: link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json"),
-    "a_linked_folder_of_logs": lambda it, outside: link(it.layout.run(RUN) / "logs", outside / "inner"),
-    "a_linked_plan": lambda it, outside: link(it.layout.run(RUN) / "plan.json", outside / "secret.json"),
     "a_linked_spec": lambda it, outside: link(it.layout.run(RUN) / "spec.json", outside / "secret.json"),
     "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
     "a_linked_store": lambda it, outside: link(it.layout.store, outside),
-    "a_table_without_columns": lambda it, outside: it.rows(cost=None),
     "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
-    "steps_without_columns": lambda it, outside: it.rows(STEPS_FILE, a=None, episode=None),
 }

@@ -1,24 +1,21 @@
 import hashlib
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import StoreError
 from wasp_cli.store.artifact import (
     commit,
     damage,
     exists,
     read_manifest,
-    read_record,
     staging_folder,
     stored_keys,
     sweep,
-    write_record,
 )  # fmt: skip
-from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, is_held
 
 KEY, OTHER = "a" * 20, "b" * 20
@@ -48,17 +45,6 @@ def test_the_first_of_two_stays(layout):
     assert not list(layout.tmp.iterdir())
 
 
-def test_rubbish_in_the_place_gives_way(layout):
-    place = layout.artifact("expert", KEY)
-    place.mkdir(parents=True)
-    (place / "rubbish").write_text("x")
-    assert not exists(layout, "expert", KEY)
-    assert stored_keys(layout, "expert") == set()
-    commit(layout, "expert", KEY, staged(layout, "one"), {})
-    assert sorted(path.name for path in place.iterdir()) == ["_manifest.json", "deep"]
-    assert not list(layout.tmp.iterdir())
-
-
 @pytest.mark.parametrize("harm", ["remove", "cut", "manifest", "empty manifest"])
 def test_a_damaged_artifact_is_none_and_gives_way(harm, layout):
     place = commit(layout, "expert", KEY, staged(layout, "one"), {})
@@ -81,30 +67,6 @@ def test_a_manifest_without_a_json_form_publishes_nothing(layout):
     with pytest.raises(ValueError, match="JSON"):
         commit(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
     assert not layout.artifact("expert", KEY).exists()
-
-
-def test_links_are_no_artifacts(layout):
-    folder = staged(layout, "one")
-    (folder / "link").symlink_to("/etc/hostname")
-    with pytest.raises(ArtifactError, match="is a link"):
-        commit(layout, "expert", KEY, folder, {})
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", "\x00", "[" * 20000])
-def test_damaged_records_are_told(text, layout):
-    path = layout.failure(KEY)
-    path.write_text(text)
-    with pytest.raises(ArtifactError, match="is damaged"):
-        read_record(path)
-
-
-def test_records_come_and_go(layout):
-    assert read_record(layout.failure(KEY)) is None
-    write_record(layout.failure(KEY), {"message": "x"})
-    assert read_record(layout.failure(KEY)) == {"message": "x"}
-    assert json.loads(layout.failure(KEY).read_text()) == {"message": "x"}
-    with pytest.raises(ArtifactError, match="no artifact"):
-        read_manifest(layout, "expert", KEY)
 
 
 def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):
@@ -133,8 +95,3 @@ def test_names_never_become_paths_unchecked(name, layout):
     for make in (layout.kind, layout.reports, layout.run, lambda key: layout.artifact("expert", key), layout.work, layout.failure):
         with pytest.raises(StoreError):
             make(name)
-
-
-def test_labels_become_file_names():
-    assert slug("goal1 s0 wasp/no-case2 noisy=0.4") == "goal1-s0-wasp-no-case2-noisy=0.4"
-    assert slug("../..") == "node"

@@ -11,7 +11,7 @@ import pytest
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.store.branches import CELL_KEY, SCHEMA, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
+from wasp_cli.store.branches import CELL_KEY, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
 from wasp_cli.store.tables import RENAMED, CellIdentity
 
 CELL = BranchedCell(CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3), window=4, stride=2, tau_R=0.25, episodes=7)
@@ -40,26 +40,6 @@ def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path):
             assert found.cost[name][place].tolist() == [*map(float, each.costs), *[0.0] * (4 - steps)]
             np.testing.assert_array_equal(found.reward[name][place, :steps], np.asarray(each.rewards, np.float32))
             assert not found.reward[name][place, steps:].any()
-
-
-def test_the_order_in_which_branches_came_does_not_show(tmp_path):
-    write_branches(tmp_path / "a.parquet", CELL, ROWS)
-    write_branches(tmp_path / "b.parquet", CELL, ROWS[::-1])
-    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
-
-
-def test_a_cell_without_branches_keeps_its_identity(tmp_path):
-    write_branches(tmp_path / "b.parquet", CELL, [])
-    found = read_branches(tmp_path / "b.parquet")
-    assert found.cell == CELL
-    assert found.cost[ALONE].shape == (0, 4)
-
-
-def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
-    (tmp_path / "b.parquet").mkdir()
-    with pytest.raises(StoreError, match="cannot write"):
-        write_branches(tmp_path / "b.parquet", CELL, ROWS)
-    assert [path.name for path in tmp_path.iterdir()] == ["b.parquet"]
 
 
 def changed(name: str, place: int, value: Any) -> Callable[[pa.Table], pa.Table]:
@@ -105,18 +85,6 @@ def test_what_is_no_table_of_branches_is_refused(tmp_path, change, what):
         read_branches(path)
 
 
-def test_a_file_that_is_not_there_or_cut_off_is_refused(tmp_path):
-    path = tmp_path / "b.parquet"
-    with pytest.raises(StoreError, match="does not exist"):
-        read_branches(path)
-    write_branches(path, CELL, ROWS)
-    data = path.read_bytes()
-    for kept in (0, 3, len(data) // 2, len(data) - 1):
-        path.write_bytes(data[:kept])
-        with pytest.raises(StoreError, match="is damaged"):
-            read_branches(path)
-
-
 def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path):
     path = tmp_path / "b.parquet"
     write_branches(path, CELL, ROWS)
@@ -145,11 +113,3 @@ def test_former_names_of_columns_are_read(tmp_path):
     found, now = read_branches(former), read_branches(path)
     assert found.cell == now.cell == CELL
     assert (found.t.tolist(), found.deviation.tolist()) == (now.t.tolist(), now.deviation.tolist())
-
-
-def test_other_tools_see_the_columns():
-    assert SCHEMA.names == [
-        "task", "method", "variant", "operator", "value", "seed", "episode", "t", "branch", "steps", "costs", "cost_env",
-        "rewards", "deviation", "gate", "tau_R", "window",
-    ]  # fmt: skip
-    assert VERSION_KEY == b"wasp.branches"

@@ -27,31 +27,15 @@ def polars_glob(folder: Path) -> Any:
     return pytest.importorskip("polars").read_parquet(f"{folder}/*/*.parquet")
 
 
-def polars_deep_glob(folder: Path) -> Any:
-    return pytest.importorskip("polars").read_parquet(f"{folder}/**/*.parquet")
-
-
-def polars_folder(folder: Path) -> Any:
-    return pytest.importorskip("polars").scan_parquet(folder, hidden_file_prefix="_").collect()
-
-
 def duckdb_glob(folder: Path) -> Any:
     return duckdb.sql(f"from '{folder}/*/*.parquet'").fetchall()
-
-
-def duckdb_deep_glob(folder: Path) -> Any:
-    return duckdb.sql(f"from '{folder}/**/*.parquet'").fetchall()
-
-
-def arrow_table(folder: Path) -> Any:
-    return pq.read_table(folder)
 
 
 def arrow_dataset(folder: Path) -> Any:
     return pyarrow.dataset.dataset(folder).to_table()
 
 
-READERS = (pandas_folder, polars_glob, polars_deep_glob, polars_folder, duckdb_glob, duckdb_deep_glob, arrow_table, arrow_dataset)
+READERS = (pandas_folder, polars_glob, duckdb_glob, arrow_dataset)
 
 
 @pytest.mark.parametrize("read", READERS)

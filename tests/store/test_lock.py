@@ -46,14 +46,6 @@ def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):
     waiter.join()
 
 
-def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
-    (tmp_path / "precious").write_text("text")
-    (tmp_path / "key").symlink_to(tmp_path / "precious")
-    with pytest.raises(OSError, match="key"), held(tmp_path / "key", nothing):
-        pass
-    assert (tmp_path / "precious").read_text() == "text"
-
-
 def count_up(lock: str, counter: str, times: int) -> None:
     for _ in range(times):
         with held(Path(lock), nothing):
@@ -66,14 +58,14 @@ def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path):
     counter = tmp_path / "counter"
     counter.write_text("0")
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 300)) for _ in range(2)]
+    processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 100)) for _ in range(2)]
     for process in processes:
         process.start()
     removed = 0
     while any(process.is_alive() for process in processes):
         removed += remove_lock(tmp_path / "key")
     assert [process.exitcode for process in processes] == [0, 0]
-    assert counter.read_text() == "600"
+    assert counter.read_text() == "200"
     assert removed > 1
 
 

@@ -57,20 +57,3 @@ def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path, change):
     assert read_numbers(path, COLUMNS) is not None
     pq.write_table(change(table), path, write_page_checksum=True)
     assert read_numbers(path, COLUMNS) is None
-
-
-def test_in_parts(tmp_path):
-    path = cell(tmp_path)
-    table = pq.read_table(path)
-    pq.write_table(table, path, row_group_size=2)
-    assert read_numbers(path, COLUMNS) is None
-
-
-def test_damage_is_left_to_who_names_it(tmp_path):
-    path = cell(tmp_path)
-    assert read_numbers(tmp_path / "nothing", COLUMNS) is None
-    whole = path.read_bytes()
-    start = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return")).data_page_offset
-    for damaged in (whole[:200], whole[:-30], whole[: start + 40] + b"\xff\x00\xff" + whole[start + 43 :], b""):
-        path.write_bytes(damaged)
-        assert read_numbers(path, COLUMNS) is None

@@ -8,9 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import wasp_cli
-from wasp_cli.run.job import boot_id
-from wasp_cli.store import provenance as module
-from wasp_cli.store.provenance import cuda_devices, git_state, provenance
+from wasp_cli.store.provenance import cuda_devices, git_state
 
 
 def git(root: Path, *arguments: str) -> str:
@@ -60,21 +58,8 @@ def test_each_change_of_the_package_has_a_hash_of_its_own(checkout):
     assert all(text is not None and len(text) == 16 for text in found)
 
 
-def test_the_same_change_has_the_same_hash_whether_staged_or_not(checkout):
-    first = changes("x = 2\n", checkout / "wasp_cli" / "one.py")
-    git(checkout, "add", ".")
-    assert changes("x = 2\n", checkout / "wasp_cli" / "one.py") == first
-
-
 def test_what_is_not_the_package_is_dirty_and_no_change_of_it(checkout):
     assert changes("other\n", checkout / "README.md") is None
-
-
-def test_files_that_are_no_source_do_not_count(checkout):
-    (checkout / "notes.py").write_text("x = 1\n")
-    (checkout / "wasp_cli" / "cache.bin").write_text("x\n")
-    state = git_state()
-    assert not state["dirty"]
 
 
 def test_outside_of_a_checkout_there_is_nothing_to_say(tmp_path, monkeypatch):
@@ -82,28 +67,6 @@ def test_outside_of_a_checkout_there_is_nothing_to_say(tmp_path, monkeypatch):
     assert git_state() is None
     (tmp_path / ".git").mkdir()  # a damaged one
     assert git_state() is None
-
-
-def test_git_is_asked_once_a_process(monkeypatch):
-    asked: list[tuple[str, ...]] = []
-
-    def counted(root: Path, *arguments: str) -> str:
-        asked.append(arguments)
-        return ""
-
-    monkeypatch.setattr(module, "_git", counted)
-    provenance.cache_clear()
-    try:
-        assert provenance() is provenance()
-    finally:
-        provenance.cache_clear()
-    assert len(asked) in (0, 3)  # none where the tests do not run from a checkout
-
-
-@pytest.mark.skipif(not Path("/proc/sys/kernel/random/boot_id").exists(), reason="Linux only")
-def test_the_boot_of_this_machine_has_a_name():
-    assert boot_id() == boot_id()
-    assert len(boot_id() or "") == 36
 
 
 def test_devices_are_named_only_where_this_process_computes_on_them(monkeypatch):

@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
 from tests.report.invented import invent, write_rows
-from wasp_cli.errors import ArtifactError
 from wasp_cli.models.weights import load_weights
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.slim import STEPS_FILE, Slimming, slim, without_steps
@@ -37,17 +35,6 @@ def test_weights_of_half_size_load_into_the_same_module_and_say_what_was_left_ou
     assert other.weight.dtype == torch.float32
     assert torch.equal(other.weight, module.weight.half().float())
     assert slim(tmp_path, "critics", Slimming(half=True)) == {}
-
-
-def test_a_weight_that_half_precision_cannot_hold_is_refused(tmp_path):
-    save_file({"w": torch.tensor([1e6])}, tmp_path / "m.safetensors")
-    with pytest.raises(ArtifactError, match="half precision cannot hold 'w'"):
-        slim(tmp_path, "critics", Slimming(half=True))
-
-
-def test_recorded_data_keeps_its_precision(tmp_path):
-    save_file({"h": torch.rand(9)}, tmp_path / "heldout.safetensors")
-    assert slim(tmp_path, "heldout", Slimming(half=True)) == {}
 
 
 def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touched(tmp_path):

@@ -1,6 +1,5 @@
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -123,43 +122,11 @@ def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path):
     assert read_episodes([path])["case2"].to_pylist() == [None]
 
 
-def test_the_unimpaired_operator_has_no_value(write):
-    table = read_episodes([write(cell=CellIdentity("goal1", "expert", "full", "none", None, 0))])
-    assert table["value"].null_count == 3
-
-
-def test_many_cells_in_order(write):
-    paths = [write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed) for seed in (2, 0, 1)]
-    assert read_episodes(paths)["seed"].to_pylist() == [2] * 3 + [0] * 3 + [1] * 3
-    assert read_episodes([]).num_rows == 0
-
-
-def test_same_input_same_bytes(write):
-    first, second = write("a"), write("b")
-    assert first.read_bytes() == second.read_bytes()
-    assert first.with_name(STEPS_FILE).read_bytes() == second.with_name(STEPS_FILE).read_bytes()
-
-
-def test_times_are_those_of_the_decisions_of_each_episode(write):
-    path = write()
-    assert [times.tolist() for times in read_times(path)] == [[1, 2, 3, 4, 5], [1], [1, 2, 3, 4, 5, 6, 7, 8, 9]]
-
-
 def test_same_rows_leaves_timing_out(write):
     first = write("a")
     assert same_rows(first, write("b", slowness=2.0))
     assert not same_rows(first, write("c", seed=1))
     assert not same_rows(first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
-
-
-def test_other_steps_are_other_rows(write):
-    first, second = write("a"), write("b")
-    path = second.with_name(STEPS_FILE)
-    steps = pq.read_table(path)
-    place = steps.schema.get_field_index("reward")
-    pq.write_table(steps.set_column(place, steps.schema.field("reward"), pa.array(np.zeros(15, np.float32))), path)
-    assert first.read_bytes() == second.read_bytes()
-    assert not same_rows(first, second)
 
 
 def test_every_column_is_written_from_its_own_field():
@@ -170,13 +137,17 @@ def test_every_column_is_written_from_its_own_field():
     assert set(PLANNED.values()) == set(Plans.__dataclass_fields__)
 
 
-def test_truncated_file(write):
+@pytest.mark.parametrize(("harm", "message"), [("gone", "does not exist"), ("other", "not the table of a cell"), ("cut", "is damaged")])
+def test_what_is_no_table_of_a_cell_is_named(harm, message, write):
     path = write()
-    for file, reads in ((path.with_name(STEPS_FILE), (read_steps, read_times)), (path, (lambda _: read_episodes([path]),))):
-        file.write_bytes(file.read_bytes()[:-100])
-        for read in reads:
-            with pytest.raises(StoreError, match=rf"{file.name} is damaged"):
-                read(path)
+    if harm == "cut":
+        path.write_bytes(path.read_bytes()[:-100])
+    elif harm == "other":
+        pq.write_table(pa.table({"episode": [1]}), path)
+    else:
+        path.unlink()
+    with pytest.raises(StoreError, match=rf"episodes\.parquet .*{message}"):
+        read_episodes([path])
 
 
 def test_steps_that_are_gone_or_a_link_are_named(write, tmp_path):
@@ -192,14 +163,6 @@ def test_steps_that_are_gone_or_a_link_are_named(write, tmp_path):
             read(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"PAR1", b"not a table at all, only text"])
-def test_not_parquet(tmp_path, content):
-    path = tmp_path / EPISODES_FILE
-    path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"episodes\.parquet is damaged"):
-        read_episodes([path])
-
-
 @pytest.mark.parametrize("file", [EPISODES_FILE, STEPS_FILE])
 def test_a_flipped_bit_never_becomes_a_number(write, file):
     whole, hit = write("whole"), write("hit")
@@ -207,18 +170,13 @@ def test_a_flipped_bit_never_becomes_a_number(write, file):
     content = path.read_bytes()
     footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")  # has no checksum; the pages before it have
     noticed = 0
-    for place in range(0, footer, 13):
+    for place in range(0, footer, 37):
         path.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
         try:
             assert same_rows(hit, whole)
         except StoreError:
             noticed += 1
-    assert noticed > 100
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(StoreError, match=r"nowhere\.parquet does not exist"):
-        read_episodes([tmp_path / "nowhere.parquet"])
+    assert noticed > 30
 
 
 def test_newer_version_is_refused(write, monkeypatch):
@@ -228,29 +186,6 @@ def test_newer_version_is_refused(write, monkeypatch):
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
-
-
-def test_another_parquet_file_is_refused(tmp_path):
-    path = tmp_path / "other.parquet"
-    pq.write_table(pa.table({"episode": [1]}), path)
-    with pytest.raises(StoreError, match="not the table of a cell"):
-        read_episodes([path])
-
-
-def test_no_partial_file(write, tmp_path, monkeypatch):
-    def fail(*args: Any, **kwargs: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("wasp_cli.store.parquet.pq.write_table", fail)
-    with pytest.raises(StoreError, match="No space left on device"):
-        write()
-    assert not list((tmp_path / "cell").iterdir())
-
-
-def test_lengths_must_agree(tmp_path):
-    trajectory = invent(0, 3)
-    with pytest.raises(ValueError, match="1 trajectories, 0 rows"):
-        write_cell(tmp_path, CELL, [trajectory], [], Thresholds(), [np.ones(3)], [0])
 
 
 def test_former_names_of_columns_are_read(write, tmp_path):

@@ -280,7 +280,7 @@ def publish(
         carry_publication(planned, spec, layout, target, Slimming(half, steps, images=not no_images))
     say(f"published in {target.root}")
     if archive is not None:
-        from wasp_cli.run.archive import write_archive
+        from wasp_cli.run.publish import write_archive
 
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 

@@ -27,11 +27,7 @@ CONFIGURATION = frozenset({"config", "configs"})
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
-    """Return the project modules that `roots` import, transitively, and the roots themselves.
-
-    Raises:
-        WaspError: a root has no source.
-    """
+    """Return the project modules that `roots` import, transitively, and the roots themselves."""
     modules: set[str] = set()
     for root in roots:
         if _file(root) is None:
@@ -113,8 +109,10 @@ def _imports(module: str) -> frozenset[str]:
         else:
             continue
         imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
-    # Importing a.b.c runs a.b as well.
-    return frozenset(imported | {parent for name in imported for parent in _parents(name) if _counts(parent)})
+    # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
+    parts = [name.split(".") for name in imported]
+    parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
+    return frozenset(imported | {parent for parent in parents if _counts(parent)})
 
 
 def _counts(module: str) -> bool:
@@ -124,12 +122,6 @@ def _counts(module: str) -> bool:
         return True
     # The package's own __init__ holds its version.
     return len(parts) > 1 and parts[1] not in ORCHESTRATION and parts[-1] != "registry"
-
-
-def _parents(module: str) -> Iterator[str]:
-    parts = module.split(".")
-    for length in range(2, len(parts)):
-        yield ".".join(parts[:length])
 
 
 def _running(tree: ast.AST) -> Iterator[ast.AST]:
@@ -197,7 +189,6 @@ def _is_text(item: object) -> bool:
 
 @cache
 def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
-    """The syntax of a module; a namespace package has no source of its own."""
     file = _file(module)
     return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
 

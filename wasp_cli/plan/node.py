@@ -15,30 +15,26 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-SCHEMA = 1
-"""Raised when the meaning of artifacts changes in a way that no other part of the key shows."""
+SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
 LENGTH = 20
 
 
 def canonical(value: Any) -> str:
-    """Return JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def digest(value: Any, length: int = LENGTH) -> str:
-    """Return the first hexadecimal digits of a hash over some content."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()[:length]
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """Return the key of what `identity` describes."""
     return digest({**identity, "schema": SCHEMA, "libraries": libraries()})
 
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
     """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
-    return digest({**{name: value for name, value in identity.items() if name != "code"}, "schema": SCHEMA})
+    return digest({**identity, "schema": SCHEMA})
 
 
 @cache
@@ -55,7 +51,6 @@ def _installed(name: str) -> str | None:
 
 
 def minor(version: object) -> str:
-    """Return the major and the minor part of a version; `absent` where there is none."""
     return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
@@ -65,12 +60,9 @@ class Cell:
 
     task: str
     method: str
-    assistant: str
-    """Ablation of the method; 'full' for the method itself."""
-    operator: str
-    """Operator variant; `UNIMPAIRED` for the reference row."""
-    severity: str | None
-    """Name of the severity in the spec; enters no key."""
+    assistant: str  # ablation of the method; 'full' for the method itself
+    operator: str  # operator variant; `UNIMPAIRED` for the reference row
+    severity: str | None  # name of the severity in the spec; enters no key
     value: float | None
     seed: int
 
@@ -79,7 +71,6 @@ class Cell:
 
     @property
     def who(self) -> str:
-        """Say who assists whom, as `cell_label` does."""
         return cell_label(self.method, self.assistant, self.operator, self.value)
 
 
@@ -96,12 +87,9 @@ def driver_label(operator: str, value: float | None) -> str:
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
-    """What one training stage leaves for a task and a seed."""
-
     task: str
     kind: str
-    seed: int
-    """The seed of the training chain."""
+    seed: int  # the seed of the training chain
 
     def __str__(self) -> str:
         return f"{self.task} s{self.seed} {self.kind}"
@@ -114,19 +102,16 @@ class Node:
     kind: str
     task: str
     seed: int
-    axes: Mapping[str, Any]
-    """What else identifies it: method, method_config, operator variant, value (evaluate, calibration)."""
+    axes: Mapping[str, Any]  # what else identifies it: method, method_config, operator variant, value (evaluate, calibration)
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    needs: Mapping[str, Node]
-    """The nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind."""
-    modules: tuple[str, ...]
-    """Where its code begins; its key covers what these import."""
+    needs: Mapping[str, Node]  # the nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind
+    modules: tuple[str, ...]  # where its code begins; its key covers what these import
     key: str
-    label: str
-    """For people: `goal1 s0 world_model`."""
-    sort: str
-    """Nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator."""
+    label: str  # for people: `goal1 s0 world_model`
+    sort: str  # nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator
+
+    recipe: str = ""  # what it is, whatever code computes it
 
     def __hash__(self) -> int:
         return hash(self.key)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
@@ -29,28 +29,22 @@ IDLE = ("cached", "published", "unneeded")
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A node and what becomes of it."""
-
     node: Node
     state: State
     reason: str
 
     @property
     def runs(self) -> bool:
-        """Whether a run would compute it."""
         return self.state not in IDLE
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Every node of a grid with its state."""
-
     grid: Grid
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Median time of each sort of node, where the store has some, else an estimate."""
-    wanted: frozenset[str] | None = None
-    """Keys of the targets that were selected; None when all are wanted."""
+    wanted: frozenset[str] | None = None  # keys of the targets that were selected; None when all are wanted
     begun: Mapping[str, str] = field(default_factory=dict)
     """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
     guessed: frozenset[str] = frozenset()
@@ -60,12 +54,7 @@ class Plan:
         """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
-    def by_people(self) -> list[Node]:
-        """Return those of them that no run can compute: people have to drive."""
-        return [node for node in self.to_run() if node.axes.get("operator") == PERSON]
-
     def count(self, state: State, kind: str | None = None) -> int:
-        """Return the number of nodes in a state."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
@@ -81,9 +70,8 @@ class Plan:
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
-        known = {node.key: self.seconds.get(node.sort) for node in nodes}
-        total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
-        return total, sum(seconds is None for seconds in known.values())
+        total, _ = simulated(nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers)
+        return total, sum(node.sort not in self.seconds for node in nodes)
 
     def critical_path(self) -> tuple[float, list[Node]]:
         """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
@@ -180,17 +168,7 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
 
 
 def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
-    """Return the plan of a grid over the store of a results folder, which need not be there.
-
-    Args:
-        grid: what the spec asks for.
-        layout: the results folder.
-        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
-        failed_only: of these, only what failed before and what was blocked by it.
-
-    Raises:
-        StoreError: the results folder cannot be read.
-    """
+    """Return the plan of a grid over the store of a results folder, which need not be there."""
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
@@ -256,15 +234,7 @@ def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
     return [(thing, node.key) for thing, node in pairs]
 
 
-COLUMNS: dict[State, str] = {
-    "cached": "cached",
-    "published": "published",
-    "missing": "missing",
-    "changed": "changed",
-    "failed": "failed before",
-    "damaged": "damaged",
-    "unneeded": "not needed",
-}
+COLUMNS: dict[State, str] = {state: state for state in get_args(State)} | {"failed": "failed before", "unneeded": "not needed"}
 SHOWN = 12
 
 
@@ -323,7 +293,8 @@ def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
         return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
-    people, lines = plan.by_people(), []
+    people = [node for node in plan.to_run() if node.axes.get("operator") == PERSON]
+    lines: list[str] = []
     if people:
         lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
         if len(people) == len(plan.to_run()):

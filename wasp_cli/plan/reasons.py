@@ -23,22 +23,16 @@ from wasp_cli.store.slim import precision_of
 class Facts:
     """What a plan wants to know of a stored artifact. Nothing of one whose manifest has another form."""
 
-    who: str = ""
-    """The same for all versions of one node."""
-    sort: str = ""
-    """As `Node.sort`."""
-    signature: str = ""
-    """The same for versions that differ from a node in the same way."""
-    seconds: float | None = None
-    """What it took; None of what took rows over, which says nothing of how long its like takes."""
+    who: str = ""  # the same for all versions of one node
+    sort: str = ""  # as `Node.sort`
+    signature: str = ""  # the same for versions that differ from a node in the same way
+    seconds: float | None = None  # what it took; None of what took rows over, which says nothing of how long its like takes
     at: str = ""
-    precision: str = ""
-    """What of it is not in full precision."""
+    precision: str = ""  # what of it is not in full precision
     episodes: int = 0
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
-    """Return the facts of a manifest."""
     try:
         provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
         differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
@@ -57,10 +51,7 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
 
 @dataclass(frozen=True)
 class Stored:
-    """The artifacts of some kinds."""
-
-    whole: Mapping[str, Mapping[str, Facts]]
-    """By kind and key."""
+    whole: Mapping[str, Mapping[str, Facts]]  # by kind and key
     damaged: Mapping[str, str]
 
 
@@ -87,7 +78,6 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
 
 
 def measured(stored: Stored) -> dict[str, float]:
-    """Return the median seconds by sort of node."""
     times: dict[str, list[float]] = {}
     for artifacts in stored.whole.values():
         for facts in artifacts.values():
@@ -96,10 +86,8 @@ def measured(stored: Stored) -> dict[str, float]:
     return {sort: median(values) for sort, values in times.items()}
 
 
-NEWEST = 5
-"""Earlier versions that are looked at for the nearest one."""
-NAMED = 3
-"""Changes of one kind that a reason names."""
+NEWEST = 5  # earlier versions that are looked at for the nearest one
+NAMED = 3  # changes of one kind that a reason names
 _ABSENT = object()
 
 
@@ -169,11 +157,7 @@ def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read.
-
-    Raises:
-        AttributeError, KeyError, TypeError: a manifest is not as wasp writes it.
-    """
+    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read."""
     fields = _named(_differing(before["config"], after["config"], f"{after['kind']}."))
     fields += _differing(before["settings"], after["settings"], "")
     old, new = ((manifest["axes"].get("method_config") or {}) for manifest in (before, after))

@@ -10,28 +10,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, FiniteFloat, TypeAdapter
+from pydantic import BeforeValidator, FiniteFloat, StringConstraints, TypeAdapter
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.plain import read_plain
 
-
-def _key(text: str) -> str:
-    if not is_key(text):
-        raise ValueError("not a key")
-    return text
-
-
-Key = Annotated[str, AfterValidator(_key)]
+Key = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8,64}$")]  # as `layout.is_key`
 
 
 @dataclass(frozen=True)
 class PlannedNode:
-    """A node as the plan of a run has it."""
-
     key: Key
     kind: str
     label: str
@@ -41,7 +32,6 @@ class PlannedNode:
 
     @property
     def runs(self) -> bool:
-        """Whether the run was to compute it."""
         return self.state not in IDLE
 
 
@@ -50,22 +40,14 @@ NODES = TypeAdapter(list[PlannedNode])
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run and what it was to do."""
-
     run_id: str
-    spec: str
-    """Name of the spec; of a sweep with the setting that varies."""
+    spec: str  # name of the spec; of a sweep with the setting that varies
     nodes: Mapping[str, PlannedNode]
-    parts: tuple[str, ...] = ()
-    """The runs of a sweep's values, whose cells it computes."""
+    parts: tuple[str, ...] = ()  # the runs of a sweep's values, whose cells it computes
 
 
 def run_ids(layout: Layout) -> list[str]:
-    """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts.
-
-    Raises:
-        StoreError: there is no results folder, or it cannot be read.
-    """
+    """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts."""
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
             names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
@@ -101,11 +83,7 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
-    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep.
-
-    Raises:
-        StoreError: there is no results folder, or it cannot be read.
-    """
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep."""
     runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
     of_sweeps = {part for run in runs for part in run.parts}
     return [run for run in runs if run.run_id not in of_sweeps]
@@ -122,11 +100,7 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name.
-
-    Raises:
-        UnknownName: there is none.
-    """
+    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name."""
     named = [run for run in runs if run.run_id == text]
     named += [run for run in runs if text and run.run_id.endswith(text)]
     named += [run for run in runs if run.spec == text]
@@ -136,12 +110,7 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 
 
 def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
-    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is.
-
-    Raises:
-        StoreError: the folder cannot be read.
-        UnknownName: there is no such run.
-    """
+    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
     return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
 
 

@@ -34,8 +34,7 @@ from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used
 from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, precision_of, without_steps
 
-NONE, PUBLISHED = "none", "published"
-"""What may be reused; or the published folder of someone else."""
+NONE, PUBLISHED = "none", "published"  # what may be reused; or the published folder of someone else
 HELDOUT = "heldout"
 """The kind of which there may be two versions: too large to be published, it would keep everything trained beside it from being reused."""
 
@@ -55,17 +54,7 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there.
-
-    Args:
-        spec: what is asked for.
-        layout: the results folder.
-        reuse: what may be reused, instead of what the spec says.
-
-    Raises:
-        UsageError: `reuse` is a folder without published results.
-        StoreError: the published results cannot be read.
-    """
+    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)
@@ -75,28 +64,27 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
     usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
-    moved = any(own.recipes.get(key) != recipe for recipe, key in keys.items())
-    grid = lay_out(spec, keys) if moved else own
+    current = {node.recipe: node.key for node in own.nodes}
+    grid = lay_out(spec, keys) if any(current[recipe] != key for recipe, key in keys.items()) else own
     reused = {
-        node.key: Reused(chosen[recipe], *_code_of(node, chosen[recipe], current=own.recipes.get(node.key) == recipe))
+        node.key: Reused(offer, *_code_of(node, offer, current=current[node.recipe] == node.key))
         for node in grid.nodes
-        if (recipe := grid.recipes[node.key]) in chosen
+        if (offer := chosen.get(node.recipe)) is not None
     }
     return replace(grid, reused=reused, notes=(*damaged, *notes, *uncut))
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
     """Those that are whole, of nodes that the store does not have under the code of today; and what is wrong with the others."""
-    nodes = {own.recipes[node.key]: node for node in own.nodes}
+    nodes = {node.recipe: node for node in own.nodes}
+    recipes = {node.key: node.recipe for node in own.nodes}
     usable, notes = [], []
     for offer in offered:
         node = nodes.get(offer.recipe)
         if node is None or node.kind != offer.kind or (node.key != offer.key and exists(layout, node.kind, node.key)):
             continue
-        if own.recipes.get(offer.key, offer.recipe) != offer.recipe:
-            why: str | None = "it has the key of another node"
-        else:
-            why = why_unusable(offer, layout)
+        other = recipes.get(offer.key, offer.recipe) != offer.recipe
+        why = "it has the key of another node" if other else why_unusable(offer, layout)
         if why is None:
             usable.append(offer)
         else:
@@ -119,11 +107,11 @@ def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[li
         whole = lay_out(with_episodes(spec, length))
         for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
             if cell.operator != PERSON:
-                longer_ones += [(node, longer, offer) for offer in published.get(whole.recipes[longer.key], ())]
+                longer_ones += [(node, longer, offer) for offer in published.get(longer.recipe, ())]
     if longer_ones and episodes % spec.side_by_side:
         why = f"a cell is cut after whole batches of {spec.side_by_side} (side_by_side)"
         return [], [f"the first {episodes} episodes of published cells are computed: {why}"]
-    return [_first_of(node, longer, offer, own.recipes[node.key]) for node, longer, offer in longer_ones], []
+    return [_first_of(node, longer, offer, node.recipe) for node, longer, offer in longer_ones], []
 
 
 def _episodes(offer: Offer) -> int:
@@ -155,74 +143,65 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
         by_recipe.setdefault(offer.recipe, []).append(offer)
     chosen: dict[str, Offer] = {}
     keys: dict[str, str] = {}
+
+    def preference(offer: Offer, key: str) -> tuple[bool, bool, str, str]:
+        fits = all(keys.get(recipe) == needed for recipe, needed in offer.behind.items())
+        return offer.key == key, fits, offer.started_at, offer.key
+
     for node in own.nodes:  # needed ones first
-        recipe = own.recipes[node.key]
-        keys[recipe] = node.key
-        if recipe in by_recipe:
-            chosen[recipe] = max(by_recipe[recipe], key=lambda offer: _preference(offer, node.key, keys))
-            keys[recipe] = chosen[recipe].key
+        keys[node.recipe] = node.key
+        if node.recipe in by_recipe:
+            chosen[node.recipe] = max(by_recipe[node.recipe], key=lambda offer: preference(offer, node.key))
+            keys[node.recipe] = chosen[node.recipe].key
     while wrong := set(_conflicts(own, chosen)):
         chosen = {recipe: offer for recipe, offer in chosen.items() if recipe not in wrong}
     return chosen
 
 
-def _preference(offer: Offer, own: str, keys: Mapping[str, str]) -> tuple[bool, bool, str, str]:
-    fits = all(keys.get(recipe) == key for recipe, key in offer.behind.items())
-    return offer.key == own, fits, offer.started_at, offer.key
-
-
 def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
     """The recipes of results that must not be reused: a node that is computed would read two versions of something through them, or steps
     that were left out of a slim cell."""
-    keys = _keys_with(own, chosen)
-    computed = _computed(own, chosen)
+    keys, targets = _keys_with(own, chosen), own.targets
+    # What is needed for reused results alone is not computed.
+    computed = {node for node in _looked_at((node for node in own.nodes if node.key in targets), chosen) if node.recipe not in chosen}
     read = {needed.key for node in own.nodes for needed in node.needs.values()}
-    versions: dict[str, Mapping[str, str]] = {}
-    """By recipe of a node that others read, the versions that are behind it, itself included, by recipe."""
+    free = {node.recipe for node in own.nodes if node.kind == HELDOUT}
+    versions: dict[str, Mapping[str, str]] = {}  # by recipe of a node that others read, the versions behind it and its own, by recipe
     judged: set[int] = set()
-    free = {own.recipes[node.key] for node in own.nodes if node.kind == HELDOUT}
     for node in own.nodes:
-        recipe = own.recipes[node.key]
-        if recipe in chosen:
-            versions[recipe] = {**chosen[recipe].behind, recipe: keys[recipe]}
-        elif node.key in computed and (node.key in read or id(node.needs) not in judged):  # the cells of an assistant share what they read
-            judged.add(id(node.needs))
-            needed_here = (own.recipes[needed.key] for needed in node.needs.values())
-            yield from (needed for needed in needed_here if needed in chosen and without_steps(chosen[needed].manifest))
-            parts = [versions[own.recipes[needed.key]] for needed in node.needs.values()]
-            merged: dict[str, str] = {}
-            twofold = {name for part in parts for name, key in part.items() if merged.setdefault(name, key) != key} - free
-            versions[recipe] = {**merged, recipe: keys[recipe]}
+        if node.recipe in chosen:
+            versions[node.recipe] = {**chosen[node.recipe].behind, node.recipe: keys[node.recipe]}
+            continue
+        if node not in computed or (node.key not in read and id(node.needs) in judged):  # the cells of an assistant share what they read
+            continue
+        judged.add(id(node.needs))
+        merged: dict[str, str] = {}
+        twofold: set[str] = set()
+        for needed in node.needs.values():
+            if needed.recipe in chosen and without_steps(chosen[needed.recipe].manifest):
+                yield needed.recipe
+            twofold |= {recipe for recipe, key in versions[needed.recipe].items() if merged.setdefault(recipe, key) != key}
+        versions[node.recipe] = {**merged, node.recipe: keys[node.recipe]}
+        if twofold := twofold - free:
             # The reused results that the node reads, directly or through what is computed for it.
-            nearest = {own.recipes[read.key] for read in _looked_at(own, node.needs.values(), chosen)} & chosen.keys() if twofold else ()
-            for reused in nearest:
-                behind = chosen[reused].behind
+            for recipe in {near.recipe for near in _looked_at(node.needs.values(), chosen)} & chosen.keys():
+                behind = chosen[recipe].behind
                 if any(name in behind and behind[name] != keys.get(name) for name in twofold):
-                    yield reused
+                    yield recipe
 
 
-def _computed(own: Grid, chosen: Mapping[str, Offer]) -> set[str]:
-    """The keys of the nodes that have to be computed: what is needed for reused results alone is not."""
-    targets = own.targets
-    nodes = _looked_at(own, (node for node in own.nodes if node.key in targets), chosen)
-    return {node.key for node in nodes if own.recipes[node.key] not in chosen}
-
-
-def _looked_at(own: Grid, nodes: Iterable[Node], chosen: Mapping[str, Offer]) -> set[Node]:
+def _looked_at(nodes: Iterable[Node], chosen: Mapping[str, Offer]) -> set[Node]:
     """The nodes, and what is read for them: of a reused result nothing is."""
-    return reached(nodes, lambda node: () if own.recipes[node.key] in chosen else node.needs.values())
+    return reached(nodes, lambda node: () if node.recipe in chosen else node.needs.values())
 
 
 def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
     """By recipe, the key that a node would have; of one that is to be computed from other versions, a text that is no key."""
     keys: dict[str, str] = {}
     for node in own.nodes:
-        recipe = own.recipes[node.key]
-        if recipe in chosen:
-            keys[recipe] = chosen[recipe].key
-        else:
-            same = all(keys[own.recipes[needed.key]] == needed.key for needed in node.needs.values())
-            keys[recipe] = node.key if same else f"new {recipe}"
+        same = all(keys[needed.recipe] == needed.key for needed in node.needs.values())
+        current = node.key if same else f"new {node.recipe}"
+        keys[node.recipe] = chosen[node.recipe].key if node.recipe in chosen else current
     return keys
 
 

@@ -50,7 +50,6 @@ class Schedule:
                 self.put(node)
 
     def __len__(self) -> int:
-        """Return the number of nodes that can begin."""
         return len(self._ready)
 
     def pop(self) -> Node:
@@ -109,10 +108,7 @@ def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int 
 FIGURES = Path(__file__).parent / "times.json"
 SLICES, SLICE_SECONDS = 25, 0.01
 SIZE = 65_536
-SIZES = {
-    "expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions",
-    "evaluate": "episodes",
-}  # fmt: skip
+SIZES = {"expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions", "evaluate": "episodes"}
 """By stage the setting that its time grows with."""
 SLOWEST = "wasp"
 

@@ -30,8 +30,6 @@ from wasp_cli.store.artifact import dumps, read_record, replace_file
 
 @dataclass(frozen=True)
 class NodeJob:
-    """One node for one worker."""
-
     root: str  # the results folder
     run_id: str
     kind: str
@@ -169,7 +167,6 @@ class Stop:
         self.asked = False
 
     def ask(self) -> None:
-        """Let nothing new begin."""
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
@@ -261,7 +258,6 @@ def interruptible(limit: float | None, cancel: Path, marker: Path, own_process: 
 
 @contextmanager
 def _ended_over(limit: float, marker: Path) -> Iterator[None]:
-    """End this process where it does not react to the limit."""
     with marker.open("w", encoding="utf-8") as file:
         # A thread of C: it fires also while a library holds the interpreter's lock.
         faulthandler.dump_traceback_later(limit + min(GRACE, limit), exit=True, file=file)
@@ -273,7 +269,6 @@ def _ended_over(limit: float, marker: Path) -> Iterator[None]:
 
 
 def was_ended(marker: Path) -> bool:
-    """Return whether a process was ended because its node did not react to the limit."""
     try:
         return marker.stat().st_size > 0
     except OSError:

@@ -28,8 +28,8 @@ from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.store.layout import Layout
 
-BACKENDS = ("loky", "dask", "ray", "slurm")
 PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
+BACKENDS = ("loky", *PACKAGES)
 EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379", "slurm": "--scheduler partition=cpu,time=720,mem=8GB"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 CONNECT_SECONDS = 20
@@ -43,8 +43,6 @@ class WorkersDied(Exception):
 
 
 class Pool(ABC):
-    """Computes nodes side by side."""
-
     jobs = 1  # nodes at once
     name = ""
     gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
@@ -66,14 +64,10 @@ def require_backend(backend: str, scheduler: str | None) -> None:
     """See that a backend can be used, before anything is planned for it."""
     if backend not in BACKENDS:
         raise UnknownName("backend", backend, BACKENDS)
-    if backend == "loky":
-        if scheduler is not None:
-            raise UsageError(
-                "--scheduler is for the backends dask, ray and slurm", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT"
-            )
-        return
-    package = PACKAGES[backend]
-    if find_spec(package) is None:
+    package = PACKAGES.get(backend)
+    if package is None and scheduler is not None:
+        raise UsageError("--scheduler is for the backends dask, ray and slurm", f"wasp run SPEC --backend dask {EXAMPLES['dask']}")
+    if package is not None and find_spec(package) is None:
         raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
     if backend == "slurm":
         require_slurm(scheduler)
@@ -130,7 +124,7 @@ class LokyPool(Pool):
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._workers: Any = None
-        self._single: list[Any] = []  # executors of nodes alone  # executors of nodes alone
+        self._single: list[Any] = []  # executors of nodes alone
         # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
         warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
 
@@ -217,16 +211,12 @@ class DaskPool(Pool):
             self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise _no_answer(self.name, str(scheduler), error) from error
-        threads = self._client.nthreads()
-        if not threads:
+        threads = self._client.nthreads().values()
+        if not threads or max(threads) > 1:
             self._client.close()
-            raise UsageError(f"the dask scheduler at '{scheduler}' has no workers", self._starts)
-        if max(threads.values()) > 1:
-            self._client.close()
-            raise UsageError(
-                "a dask worker has several threads; nodes set threads, logs and memory of their whole process", "start it with --nthreads 1"
-            )
-        self.jobs = sum(threads.values())
+            several = "a dask worker has several threads; nodes set threads, logs and memory of their whole process"
+            raise UsageError(several if threads else f"the dask scheduler at '{scheduler}' has no workers", self._starts)
+        self.jobs = len(threads)
         self._pending: set[Future[NodeResult]] = set()
         self._number = count()
         self._closed = threading.Event()
@@ -295,8 +285,6 @@ def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
 
 
 class RayPool(Pool):
-    """The workers of a ray cluster."""
-
     name = "ray"
 
     def __init__(self, scheduler: str | None) -> None:
@@ -360,25 +348,18 @@ class SlurmPool(Pool):
         threading.Thread(target=self._watch, daemon=True, name="slurm-watch").start()
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        result: Future[NodeResult] = Future()
-        try:
-            submitted = self._executor_of(job).submit(execute_here, job)
-        except Exception as error:  # sbatch refuses in many ways
-            result.set_exception(
-                WaspError(f"Slurm takes no job: {' '.join(str(error).split())[-300:]}", f"options of sbatch: {EXAMPLES['slurm']}")
-            )
-        else:
-            self._pending[result] = submitted
-        return result
-
-    def _executor_of(self, job: NodeJob) -> Any:
         from submitit import SlurmExecutor
 
-        if self._executor is None:
-            folder = Layout(Path(job.root)).run(job.run_id) / "slurm"
-            self._executor = SlurmExecutor(folder, max_num_timeout=0)
-        self._executor.update_parameters(job_name="wasp", **{"cpus_per_task": job.threads, **self._options})
-        return self._executor
+        result: Future[NodeResult] = Future()
+        try:
+            if self._executor is None:
+                self._executor = SlurmExecutor(Layout(Path(job.root)).run(job.run_id) / "slurm", max_num_timeout=0)
+            self._executor.update_parameters(job_name="wasp", **{"cpus_per_task": job.threads, **self._options})
+            self._pending[result] = self._executor.submit(execute_here, job)
+        except Exception as error:  # sbatch refuses in many ways
+            reason = " ".join(str(error).split())[-300:]
+            result.set_exception(WaspError(f"Slurm takes no job: {reason}", f"options of sbatch: {EXAMPLES['slurm']}"))
+        return result
 
     def _watch(self) -> None:
         """Pass on results as they come."""

@@ -1,17 +1,23 @@
-"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read.
+"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read; and from there to an archive.
 
-What is copied is whole, small, and says where it came from without naming a person's machine.
+What is copied is whole, small, and says where it came from without naming a person's machine. The same layer gives an archive of the same
+bytes.
 """
 
 from __future__ import annotations
 
+import gzip
+import hashlib
+import io
 import os
 import platform
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+import tarfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +26,25 @@ from rich.text import Text
 
 import wasp_cli
 from wasp_cli.console import count_table, size, waiting_aloud
-from wasp_cli.errors import ArtifactError, first
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import commit, corruption, damage, discard, dumps, invalidate, listed_files, read_manifest
+from wasp_cli.store.artifact import (
+    commit,
+    corruption,
+    damage,
+    discard,
+    dumps,
+    invalidate,
+    listed_files,
+    read_manifest,
+    stored_keys,
+    stored_kinds,
+)
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
@@ -44,17 +62,14 @@ NAMED = 12  # nodes that a refusal names
 
 @dataclass(frozen=True)
 class Item:
-    """An artifact to publish."""
-
     node: Node
+    source: Layout  # where it lies
     size: int
     manifest: Mapping[str, Any]  # as it will be published
 
 
 @dataclass(frozen=True)
 class Publication:
-    """What is to be published."""
-
     new: tuple[Item, ...]
     there: tuple[Item, ...]  # those that the published layer has already, byte for byte
     large: tuple[Item, ...]
@@ -71,59 +86,58 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
-    behind = _behind(grid)
-    new: list[Item] = []
-    there: list[Item] = []
-    large: list[Item] = []
     refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
+    elsewhere = [step.node for step in steps if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None]
+    refused += [f"{node.label}: it was published elsewhere, and is not in '{layout.root}'" for node in elsewhere]
+    sources = [(step.node, layout if step.state == "cached" else target) for step in steps if step.state in ("cached", "published")]
+    behind = _behind(grid)
+    items = [_item(node, source, behind[node.key]) for node, source in sources if node not in elsewhere]
+    small = [item for item in items if item.size <= largest]
+    there = [item for item in small if corruption(target, item.node.kind, item.node.key) is None]
+    new = [item for item in small if item not in there]
+    published = target.reports(spec.name)
+    reports = [path for path in _reports(spec, layout) if not same_bytes(path, published / path.name)]
     private = _private(layout)
-    for step in steps:
-        if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None:
-            refused.append(f"{step.node.label}: it was published elsewhere, and is not in '{layout.root}'")
-        elif step.state in ("cached", "published"):
-            source, node = layout if step.state == "cached" else target, step.node
-            manifest = read_manifest(source, node.kind, node.key)
-            size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
-            provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
-            manifest = {**manifest, "provenance": provenance, RECIPE: grid.recipes[node.key], BEHIND: behind[node.key]}
-            item = Item(node, size, manifest)
-            if item.size > largest:
-                large.append(item)
-            elif corruption(target, item.node.kind, item.node.key) is None:
-                there.append(item)
-            else:
-                new.append(item)
-                refused += [f"{item.node.label}: {why}"] if (why := _why_not(item, source, private)) else []
-    reports = []
-    for path in _reports(spec, layout):
-        there_already = target.reports(spec.name) / path.name
-        if not there_already.is_file() or there_already.read_bytes() != path.read_bytes():
-            reports.append(path)
+    refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
     if refused:
         lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
         raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code")
+    large = tuple(item for item in items if item.size > largest)
     absent = tuple(step.node for step in steps if step.state == "unneeded")
-    return Publication(tuple(new), tuple(there), tuple(large), absent, tuple(reports))
+    return Publication(tuple(new), tuple(there), large, absent, tuple(reports))
+
+
+def _item(node: Node, source: Layout, behind: Mapping[str, str]) -> Item:
+    manifest = read_manifest(source, node.kind, node.key)
+    size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
+    provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
+    return Item(node, source, size, {**manifest, "provenance": provenance, RECIPE: node.recipe, BEHIND: behind})
 
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
+    """By key of a node, the keys of everything that it was computed from, by recipe."""
     behind: dict[str, dict[str, str]] = {}
-    for node in grid.nodes:
+    for node in grid.nodes:  # needed ones first
         if node.key in grid.reused:
             behind[node.key] = dict(grid.reused[node.key].offer.behind)
         else:
             behind[node.key] = {}
             for needed in node.needs.values():
-                behind[node.key] |= behind[needed.key] | {grid.recipes[needed.key]: needed.key}
+                behind[node.key] |= behind[needed.key] | {needed.recipe: needed.key}
     return behind
 
 
-def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:
+def same_bytes(path: Path, other: Path) -> bool:
+    return other.is_file() and other.read_bytes() == path.read_bytes()
+
+
+def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
     kind, key = item.node.kind, item.node.key
-    if (wrong := corruption(source, kind, key)) is not None:
+    if (wrong := corruption(item.source, kind, key)) is not None:
         return wrong
-    texts = [dumps(item.manifest).encode(), *((source.artifact(kind, key) / name).read_bytes() for name in item.manifest["files"])]
+    folder = item.source.artifact(kind, key)
+    texts = [dumps(item.manifest).encode(), *((folder / name).read_bytes() for name in item.manifest["files"])]
     named = next(filter(None, (_named(text, private) for text in texts)), None)
     return None if named is None else f"it names {named}"
 
@@ -199,7 +213,6 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
-    """Print how much of each kind is published, how much was published before, and what is left out."""
     table = count_table("kind", "new", "size", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]
@@ -217,3 +230,71 @@ def show_publication(publication: Publication, largest: float, console: Console)
     if publication.absent:
         kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
         console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
+
+
+CARD = """\
+---
+license: apache-2.0
+library_name: wasp-cli
+pipeline_tag: reinforcement-learning
+tags: [shared-autonomy, safe-reinforcement-learning, world-model, mujoco]
+---
+
+# {name}
+
+Results and trained models of `{name}`, an experiment in safety-aware shared autonomy, written by wasp {version}.
+
+| Kind | Artifacts | Tasks |
+| --- | ---: | --- |
+{rows}
+
+Unpack it, and name the folder to compute further cells with these models, or to compute some again and compare them to the bit:
+
+    wasp run {name} --reuse DIR
+    wasp verify DIR --cells 30
+
+`sha256sum --check SHA256SUMS` compares every file. The manifest of an artifact has its settings, inputs, library versions and commit.
+"""
+
+
+def write_archive(target: Layout, name: str, file: Path) -> int:
+    """Write a `.tar.gz` of a published folder; returns the number of files in it."""
+    if not file.name.endswith(".tar.gz"):
+        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
+    if file.exists():
+        raise UsageError(f"'{file}' is there already", "remove it, or name another file")
+    if not target.store.is_dir():
+        raise StoreError(f"nothing is published in '{target.root}'")
+    folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
+    paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
+    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
+    members |= {"README.md": card.encode(), "LICENSE": _licence()}
+    sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
+    members["SHA256SUMS"] = sums.encode()
+    root = file.name.removesuffix(".tar.gz")
+    with file.open("xb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
+        for member, data in sorted(members.items()):
+            entry = tarfile.TarInfo(f"{root}/{member}")
+            entry.size, entry.mode = len(data), 0o644
+            archive.addfile(entry, io.BytesIO(data))
+    return len(members)
+
+
+def _rows(target: Layout) -> Iterator[str]:
+    for kind in sorted(stored_kinds(target)):
+        keys, tasks = stored_keys(target, kind), set()
+        for key in keys:
+            try:
+                tasks.add(str(read_manifest(target, kind, key)["task"]))
+            except (ArtifactError, KeyError):
+                tasks.add("damaged")
+        yield f"| {kind} | {len(keys)} | {', '.join(sorted(tasks))} |"
+
+
+def _licence() -> bytes:
+    """The text of the licence: that of the checkout, or the installed package's."""
+    beside = Path(__file__).parents[2] / "LICENSE"
+    if beside.is_file():
+        return beside.read_bytes()
+    return next(Path(str(path.locate())).read_bytes() for path in distribution("wasp-cli").files or () if path.name == "LICENSE")

@@ -1,14 +1,16 @@
-"""What of a results folder somebody still wants.
+"""`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
 
-That is what the newest run of each spec reaches, what the runs reach that are not over, and whatever a person did: that nobody can compute.
+That is what the newest run of each spec reaches, what the runs reach that are not over, and what a person did: nobody can compute it.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence, Set
+import uuid
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -21,29 +23,23 @@ from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
 from wasp_cli.run.watch import is_gone, state_of
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import read_manifest, read_record
+from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, read_record, stored_kinds
 from wasp_cli.store.find import KIND
-from wasp_cli.store.gc import (
-    FAILURES,
-    LOCKS,
-    RUNS,
-    TMP,
-    WORK,
-    Rubbish,
-    computed_from,
-    locked,
-    remove,
-    rubbish,
-    run_rubbish,
-    stored,
-    unfinished_sessions,
-    with_inputs,
-)
-from wasp_cli.store.layout import SESSION_FILE, Layout
-from wasp_cli.store.lock import held
+from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
+from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.reached import reached
 
 BEGINS_SECONDS = 3600.0  # how long a run may take from making its folder to the first line of its journal
+WORK, FAILURES, RUNS, TMP, LOCKS = LAST = ("work of nodes", "records of failures", "runs", "left in tmp", "locks")
+"""What can go besides artifacts, as people read it."""
+
+
+@dataclass(frozen=True)
+class Rubbish:
+    what: str  # the kind of an artifact, or one of the above
+    path: Path
+    size: int  # bytes that its removal frees
+    key: str | None  # of the node whose lock must be free; None where there is no such node
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
@@ -52,10 +48,33 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
     return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
 
-def reach_of_runs(layout: Layout, own: Set[str]) -> tuple[set[str], list[str]]:
+def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
+    """Return what of a results folder can go now; folders of `runs` too, and nothing that was written after `before` (seconds).
+
+    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
+    """
+    kinds: dict[str, list[str]] = {}  # by key those under which it has a folder in the store
+    for kind in stored_kinds(layout):
+        for key in artifact_keys(layout, kind):
+            kinds.setdefault(key, []).append(kind)
+    upstream = {key: [needed for kind in kinds[key] for needed in _upstream(layout, kind, key)] for key in kinds}
+    driven = {key for key in kinds if _is_of_people(layout, key, kinds[key])}
+    sessions = {key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)}
+    computing = {key for key in _keys(layout.locks) if is_held(layout.lock(key))}
+    keys, other_runs = reach_of_runs(layout, driven | sessions)
+    wanted = {*keys, *keep, *computing, *driven, *_computed_from(driven, upstream)}
+    needed = reached(wanted, lambda key: upstream.get(key, ()))
+    items = [_rubbish(kind, layout.artifact(kind, key), key) for key in kinds if key not in needed for kind in kinds[key]]
+    items += _leavings(layout, kinds, needed, sessions)
+    items = [item for item in items if item.key is None or not is_held(layout.lock(item.key))]
+    items += [_rubbish(RUNS, layout.run(run_id), None) for run_id in other_runs if runs]
+    return [item for item in items if before is None or _written(item.path) < before]
+
+
+def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[str]]:
     """Return the keys that count, and the runs that do not.
 
-    Those are reached by the newest run of each spec name, by the runs that are not over, and by what people did (`own`).
+    Those are reached by the newest run of each spec name, by the runs that are not over, and by what people did.
     """
     counting: dict[str, PlannedRun] = {}
     of_people: set[str] = set()
@@ -75,55 +94,17 @@ def reach_of_runs(layout: Layout, own: Set[str]) -> tuple[set[str], list[str]]:
         if run.spec not in newest or _goes_on(layout, run):
             counting[run_id] = run
         newest.add(run.spec)
-        if own & run.nodes.keys():  # a report finds a session by the run that asked for it
+        if sessions := by_people & run.nodes.keys():  # a report finds a session by the run that asked for it
             of_people.add(run_id)
-            keys |= _read_by(run, own)
+            keys |= _read_by(run, sessions)
     # A sweep that counts keeps the runs of its values: its reports are made from them.
     kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
     keys |= {key for run in counting.values() for key in run.nodes}
     return keys, [run_id for run_id in ids if run_id not in kept]
 
 
-def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """Return what of a results folder can go now; folders of `runs` too, and nothing that was written after `before` (seconds).
-
-    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
-    """
-    there = stored(layout)
-    own = _of_people(layout, there)
-    keys, other_runs = reach_of_runs(layout, own | unfinished_sessions(layout))
-    needed = with_inputs(layout, {*keys, *keep, *locked(layout), *own, *computed_from(layout, own, there)}, there)
-    return rubbish(layout, needed, there, before) + (run_rubbish(layout, other_runs, before) if runs else [])
-
-
-def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:
-    """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
-
-    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many things went, and their bytes.
-    """
-    agreed = {item.path for item in shown}
-    # While it is held, no run looks for what is there; what has looked before has written down what it reaches.
-    with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
-        return remove(layout, [item for item in unreached(layout, keep, runs=runs, before=before) if item.path in agreed])
-
-
-def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
-    """The keys of the cells that a person drove, damaged ones too, and of the clones of people."""
-
-    def driven(key: str) -> bool:
-        if os.path.lexists(layout.artifact(KIND, key) / SESSION_FILE):
-            return True
-        try:
-            axes = read_manifest(layout, KIND, key).get("axes")
-        except ArtifactError:
-            return False
-        return isinstance(axes, dict) and axes.get("operator") == PERSON
-
-    return {key for key, kinds in there.items() if "clone" in kinds or (KIND in kinds and driven(key))}
-
-
-def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
-    return reached(keys & run.nodes.keys(), lambda key: run.nodes[key].needs if key in run.nodes else ())
+def _read_by(run: PlannedRun, keys: set[str]) -> set[str]:
+    return reached(keys, lambda key: run.nodes[key].needs if key in run.nodes else ())
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
@@ -137,17 +118,124 @@ def _goes_on(layout: Layout, run: PlannedRun) -> bool:
 
 def _age(layout: Layout, run_id: str) -> float:
     """Seconds since the folder of a run was changed, or until then where a clock was ahead."""
+    return abs(time.time() - _written(layout.run(run_id), time.time()))
+
+
+def _upstream(layout: Layout, kind: str, key: str) -> list[str]:
     try:
-        return abs(time.time() - layout.run(run_id).lstat().st_mtime)
+        upstream = read_manifest(layout, kind, key).get("upstream")
+    except ArtifactError:  # it is damaged, and will be computed again from what the plan says
+        return []
+    return [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
+
+
+def _computed_from(keys: Iterable[str], upstream: Mapping[str, Sequence[str]]) -> set[str]:
+    """The keys of everything that was computed from something, step by step."""
+    readers: dict[str, list[str]] = {}
+    for reader, read in upstream.items():
+        for key in read:
+            readers.setdefault(key, []).append(reader)
+    return reached(keys, lambda key: readers.get(key, ()))
+
+
+def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
+    """Whether an artifact is the clone of a person, or a cell that a person drove, a damaged one too."""
+    if KIND not in kinds:
+        return "clone" in kinds
+    if os.path.lexists(layout.artifact(KIND, key) / SESSION_FILE):
+        return True
+    try:
+        axes = read_manifest(layout, KIND, key).get("axes")
+    except ArtifactError:
+        return False
+    return isinstance(axes, dict) and axes.get("operator") == PERSON
+
+
+def _leavings(layout: Layout, stored: Container[str], needed: set[str], sessions: set[str]) -> Iterator[Rubbish]:
+    """What nodes have left beside artifacts. The work of a finished node goes too, unless a person does it."""
+    for key in _keys(layout.works):
+        if (key in stored or key not in needed) and key not in sessions:
+            yield _rubbish(WORK, layout.work(key), key)
+    for key in _keys(layout.failures, lambda entry: entry.is_file(follow_symlinks=False), ".json"):
+        if key not in needed:
+            yield _rubbish(FAILURES, layout.failure(key), key)
+    for folder in left_behind(layout):
+        yield _rubbish(TMP, folder, folder.name.partition("-")[0])
+    for key in _keys(layout.locks):
+        yield _rubbish(LOCKS, layout.lock(key), key)
+
+
+def _keys(folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = "") -> Iterator[str]:
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.endswith(ending) and is_key(entry.name.removesuffix(ending)) and fits(entry):
+                    yield entry.name.removesuffix(ending)
+    except FileNotFoundError:
+        return
+
+
+def _rubbish(what: str, path: Path, key: str | None) -> Rubbish:
+    return Rubbish(what, path, size_of(path), key)
+
+
+def size_of(path: Path) -> int:
+    """Return the bytes of a file or of everything in a folder; links are not followed."""
+    try:
+        if path.is_symlink() or not path.is_dir():
+            return path.lstat().st_size
+        with os.scandir(path) as entries:
+            return sum(size_of(Path(entry.path)) for entry in entries)
+    except OSError:  # gone meanwhile, or not ours to read
+        return 0
+
+
+def _written(path: Path, otherwise: float = 0.0) -> float:
+    try:
+        return path.lstat().st_mtime
     except OSError:
-        return 0.0
+        return otherwise
 
 
-LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:
+    """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
+
+    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many things went, and their bytes.
+    """
+    agreed = {item.path for item in shown}
+    # While it is held, no run looks for what is there; what has looked before has written down what it reaches.
+    with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
+        return remove(layout, [item for item in unreached(layout, keep, runs=runs, before=before) if item.path in agreed])
+
+
+def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
+    """Remove what can go, each thing in one step, unless a process has taken its lock meanwhile; how many went, and their bytes."""
+    count = freed = 0
+    for item in sorted(items, key=lambda item: item.what == LOCKS):  # locks last: to take one makes its file
+        if item.what == LOCKS:
+            gone = remove_lock(item.path)
+        elif item.key is None:
+            gone = _remove(layout, item.path)
+        else:
+            with held_if_free(layout.lock(item.key)) as mine:
+                gone = mine and _remove(layout, item.path)
+            remove_lock(layout.lock(item.key))
+        count, freed = count + gone, freed + item.size * gone
+    return count, freed
+
+
+def _remove(layout: Layout, path: Path) -> bool:
+    """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a killed removal is swept by the next run."""
+    aside = layout.tmp / f"{uuid.uuid4().hex}-removed"
+    try:
+        os.replace(path, aside)
+    except FileNotFoundError:
+        return False
+    discard(aside)
+    return True
 
 
 def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
-    """Print how much of each kind can go."""
     if not rubbish:
         console.print("there is nothing to remove")
         return
@@ -162,5 +250,4 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
 
 
 def removed_line(count: int, freed: int) -> str:
-    """Return what a removal came to."""
     return f"{count} removed, {size(freed)} freed"

@@ -33,12 +33,11 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
+REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a run was asked for."""
-
     run_id: str
     spec: Spec
     cells: list[tuple[Cell, str]]  # each cell with the key of its artifact
@@ -65,7 +64,6 @@ def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False
 
 
 def reported(layout: Layout, run_id: str) -> None:
-    """Note that nothing more of a run is read for its report."""
     layout.reporting(run_id).unlink(missing_ok=True)
 
 
@@ -128,7 +126,7 @@ def _known_part(document: Any) -> tuple[Spec, list[str]]:
             # One at a time: taking an entry out of a list moves those behind it.
             names = (_taken_out(document, problem["loc"]) for problem in error.errors(include_url=False))
             name = next((name for name in names if name is not None), None)
-            if name is None or len(unknown) > UNKNOWN_MOST:
+            if name is None or len(unknown) > 200:  # a folder may be hostile
                 raise
             unknown.append(f"The spec has `{name}`, which is not known here: an absent plugin's, or another version's.")
 
@@ -151,12 +149,7 @@ def _taken_out(document: Any, loc: Sequence[str | int]) -> str | None:
     return f"{shown}.{name}" if shown else str(name)
 
 
-REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report
-UNKNOWN_MOST = 200
-
-
 def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:
-    """Cells or parts of a plan, each with its key."""
     return [(adapter.validate_python(entry), str(entry["key"])) for entry in entries]
 
 
@@ -198,7 +191,6 @@ class Journal:
             self.failure = self.failure or StoreError(what, "results are kept; make room, and run the same command again")
 
     def close(self) -> None:
-        """Close the file; what is written afterwards goes nowhere."""
         file, self._file = self._file, -1
         os.close(file)
 
@@ -210,7 +202,6 @@ class Tail:
         self._path, self._position = path, 0
 
     def new(self) -> Iterator[dict[str, Any]]:
-        """Yield whole new lines; the beginning of one is left for later."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._position)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
@@ -34,29 +34,17 @@ ELSEWHERE = "the worker writes to another folder of this name: every machine nee
 
 @dataclass(frozen=True)
 class Flight:
-    """A node that a worker computes now."""
-
     node: Node
     job: NodeJob
     alone: bool = False
     memory: float | None = None  # what it held when its worker was killed before, in MB
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A node that failed, and why."""
-
-    node: Node
-    result: NodeResult
-
-
 @dataclass
 class Summary:
-    """How a run ended."""
-
     done: int = 0
     shared: int = 0
-    failed: list[Failure] = field(default_factory=list)
+    failed: list[tuple[Node, NodeResult]] = field(default_factory=list)
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
     """Nodes that could not run, each with the failed or cancelled node that it needs."""
     cancelled: list[Node] = field(default_factory=list)
@@ -67,7 +55,6 @@ class Summary:
 
     @property
     def busy_share(self) -> float:
-        """Return the share of the workers' time that went to nodes."""
         return self.busy / (self.workers * self.seconds) if self.seconds else 0.0
 
     @property
@@ -76,8 +63,6 @@ class Summary:
 
 
 class Runner:
-    """One run over one store."""
-
     def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, limit: float | None = None, retries: int = 0) -> None:
         """`cores` of this machine that nodes side by side leave free go to physics and cameras; `limit` is in seconds for each node."""
         self._layout, self._run_id, self._pool = layout, run_id, pool
@@ -99,7 +84,6 @@ class Runner:
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
-        """Compute what the plan says, and nothing else."""
         started = time.monotonic()
         nodes = plan.to_run()
         self._nodes = {node.key: node for node in nodes}
@@ -159,7 +143,8 @@ class Runner:
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
-                job = self._jobs.pop(node.key) if node.key in self._jobs else self._job(node, max(1, self._cores // together))
+                job = self._jobs.pop(node.key, None) or job_of(self._layout, self._run_id, node)
+                job = replace(job, earlier=self._begun.get(node.key), threads=max(1, self._cores // together), limit=self._limit)
                 self._flying[self._pool.submit(job)] = Flight(node, job)
             elif (waited := self._waited()) is not None:
                 self._flying[self._pool.submit(waited.job)] = waited
@@ -233,10 +218,13 @@ class Runner:
         """
         job = flight.job
         running = self._layout.running(self._run_id, job.key)
-        was_running, memory = running.exists(), _memory(running)
+        was_running, memory = running.exists(), None
+        with suppress(ArtifactError):  # killed while it wrote
+            memory = (read_record(running) or {}).get("memory_mb")
         forget(running)
         if exists(self._layout, job.kind, job.key):
-            return self._stored(job)
+            manifest = read_manifest(self._layout, job.kind, job.key)
+            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=self._log(job))
         if self._layout.cancel(self._run_id, job.key).exists():
             return NodeResult(job.key, "cancelled", 0.0)
         overdue = self._layout.overdue(self._run_id, job.key)
@@ -269,23 +257,20 @@ class Runner:
             self._deserted = gone is not None
             self._journal.write("workers gone" if self._deserted else "workers back", backend=self._pool.name, start=gone)
 
+    def _log(self, job: NodeJob) -> str:
+        return str(self._layout.log(job.run_id, job.label, job.key))
+
     def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
-        log = str(self._layout.log(job.run_id, job.label, job.key))
-        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=log)
+        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=self._log(job))
         record_failure(self._layout, job, result)
         self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result
-
-    def _stored(self, job: NodeJob) -> NodeResult:
-        manifest = read_manifest(self._layout, job.kind, job.key)
-        log = str(self._layout.log(job.run_id, job.label, job.key))
-        return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=log)
 
     def _ended(self, node: Node, result: NodeResult) -> None:
         facts = {"key": node.key, "label": node.label, "seconds": round(result.seconds, 3)}
         self.summary.busy += result.seconds
         if result.state == "failed":
-            self.summary.failed.append(Failure(node, result))
+            self.summary.failed.append((node, result))
             self._journal.write("failed", **facts, message=result.message, log=result.log)
         else:
             self.summary.done += result.state == "done"
@@ -296,10 +281,6 @@ class Runner:
         for node in lost:
             self.summary.blocked.append((node, cause))
             self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
-
-    def _job(self, node: Node, threads: int) -> NodeJob:
-        job = job_of(self._layout, self._run_id, node)
-        return replace(job, earlier=self._begun.get(node.key), threads=threads, limit=self._limit)
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
@@ -323,25 +304,5 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
     )
 
 
-def _memory(path: Path) -> float | None:
-    try:
-        return (read_record(path) or {}).get("memory_mb")
-    except ArtifactError:  # killed while it wrote
-        return None
-
-
 def _killed(future: Future[NodeResult]) -> bool:
     return future.done() and isinstance(future.exception(), WorkersDied)
-
-
-def failures_text(failures: Iterable[Failure], names: Mapping[str, str]) -> str:
-    """Describe failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
-    parts = []
-    for failure in failures:
-        result = failure.result
-        parts.append(f"  {names.get(result.key, failure.node.label)}: {result.message}")
-        if result.hint:
-            parts.append(f"      {result.hint}")
-        if result.log:
-            parts.append(f"      log: {result.log}")
-    return "\n".join(parts)

@@ -14,14 +14,15 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, select, together
+from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.plan.select import select
 from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
-from wasp_cli.run.runner import Runner, Summary, failures_text
+from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.show import board
 from wasp_cli.run.watch import announce
 from wasp_cli.spec.derived import Sweep
@@ -36,7 +37,6 @@ from wasp_cli.store.slim import without_steps
 
 
 def cores() -> int:
-    """Return the cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
@@ -49,8 +49,6 @@ def useful_jobs(plan: Plan, jobs: int) -> int:
 
 @dataclass(frozen=True)
 class Session:
-    """A run that is over."""
-
     layout: Layout
     run_id: str
     plan: Plan
@@ -62,10 +60,8 @@ class Session:
         if self.summary.untold is not None:
             raise self.summary.untold
         if not self.summary.complete:
-            raise CellsFailed(
-                _failure_message(self.summary, self.names),
-                "run the same command again to retry what failed" if self.summary.failed else "run the same command again to compute it",
-            )
+            again = "to retry what failed" if self.summary.failed else "to compute it"
+            raise CellsFailed(_failure_message(self.summary, self.names), f"run the same command again {again}")
 
 
 @dataclass(frozen=True)
@@ -90,17 +86,6 @@ def run_spec(
     failed: bool = False,
     aside: bool = False,
 ) -> Session:
-    """Compute what is missing of a spec.
-
-    Args:
-        loaded: the spec.
-        results: the results folder.
-        options: how it is carried out.
-        chosen: texts of `--select`.
-        reuse: what of published results may be used, instead of what the spec says.
-        failed: only what failed before, and what waits for it.
-        aside: whether reports show it only where it is named.
-    """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
     with planning(results, options) as layout:
@@ -143,7 +128,6 @@ def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
 
 
 def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Session:
-    """Compute what a plan says, and say how it ended."""
     for note in plan.grid.notes:
         plain(note)
     # Into the store, so that no worker has to know of them.
@@ -194,7 +178,10 @@ def _idle(plan: Plan, shared: int = 0) -> list[str]:
 
 
 def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
-    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)] if summary.failed else []
+    lines = [f"{len(summary.failed)} failed:"] if summary.failed else []
+    for node, result in summary.failed:
+        lines.append(f"  {names.get(node.key, node.label)}: {result.message}")
+        lines += [f"      {text}" for text in (result.hint, result.log and f"log: {result.log}") if text]
     if summary.cancelled:
         lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:

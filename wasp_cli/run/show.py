@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live as RichLive
@@ -23,21 +23,23 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import duration, err, plain
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
-from wasp_cli.run.watch import desertion
+from wasp_cli.run.watch import RunState, desertion, state_of
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.find import SHOWN, find_node, matching, same_label
+from wasp_cli.store.find import find_node, matching, only, same_label
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
-if TYPE_CHECKING:
-    from wasp_cli.run.watch import RunState
-
-
 POLL_SECONDS = 0.25
+NOTES = {
+    "paused": "paused: running nodes finish, nothing new begins; wasp control resume goes on",
+    "resumed": "resumed",
+    "workers back": "workers are back; the run goes on",
+    "draining": "finishing running nodes; Ctrl-C again stops now",
+}
 SHARE = 0.05  # of one core, that drawing the board may take: a long journal is read less often
 
 
@@ -86,8 +88,6 @@ class Lines:
         elif kind == "cancelled":
             self._shown.add(key)
             plain(f"{self._counter()} cancelled {name}")
-        elif kind in ("paused", "resumed"):
-            self._note("paused: running nodes finish, nothing new begins; wasp control resume goes on" if kind == "paused" else "resumed")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
@@ -96,10 +96,8 @@ class Lines:
             self._note(f"a worker process was killed{after}")
         elif kind == "workers gone":
             self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
-        elif kind == "workers back":
-            self._note("workers are back; the run goes on")
-        elif kind == "draining":
-            self._note("finishing running nodes; Ctrl-C again stops now")
+        elif kind in NOTES:
+            self._note(NOTES[kind])
 
     def _started(self) -> None:
         for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):
@@ -143,8 +141,6 @@ class Live(Lines):
         super().__exit__(kind, error, trace)
 
     def _draw(self) -> RenderableType:
-        from wasp_cli.run.watch import state_of
-
         now = time.monotonic()
         if now >= self._next and self._run is not None:
             self._drawn = progress_of(state_of(self._layout, self._run), self._names)
@@ -160,7 +156,6 @@ def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> 
 
 
 def numbers(summary: Mapping[str, Any]) -> str:
-    """Return the first numbers of a summary on one line."""
     values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
     return ", ".join(f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}" for name, value in values[:6])
 
@@ -171,7 +166,6 @@ LISTED = 12
 
 
 def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
-    """Print each run as a block."""
     now = now or datetime.now(UTC)
     for index, state in enumerate(states):
         if index:
@@ -187,7 +181,6 @@ def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None 
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
-    """Return this as plain values; times are ISO texts."""
     counts = ("finished", "running", "waiting")
     return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
 
@@ -278,8 +271,6 @@ _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
 
 @dataclass(frozen=True)
 class Log:
-    """What a node printed in one run."""
-
     run_id: str
     key: str
     label: str
@@ -295,11 +286,8 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
         # A label may have had another key in an older run; there it is another node's.
         matches = [log for log in matches if log.run_id == matches[0].run_id]
     newest = {log.key: log for log in reversed(matches)}
-    if len(newest) > 1:
-        lines = [f"'{name}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
-        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
-    if newest:
-        return next(iter(newest.values()))
+    if (log := only(list(newest.values()), name, "nodes")) is not None:
+        return log
     try:
         node = find_node(layout, name)
     except WaspError:

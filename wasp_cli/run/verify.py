@@ -31,8 +31,6 @@ EVALUATE = "evaluate"
 
 @dataclass(frozen=True)
 class Drawn:
-    """The cells of a sample."""
-
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
     others: int  # cells of the folder that cannot: something that they were computed from is not there
@@ -40,8 +38,6 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a cell."""
-
     label: str
     differing: tuple[str, ...]  # names of the columns that are not the same; `error: ...` where it could not be computed
     libraries: tuple[str, ...]  # libraries of another version than then, which may round differently
@@ -86,7 +82,6 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
 
 
 def again(root: Path, key: str) -> Answer:
-    """Compute a cell again in an empty folder, and compare it with what is stored."""
     import time
 
     from wasp_cli.registry import load_target
@@ -115,7 +110,6 @@ def again(root: Path, key: str) -> Answer:
 
 
 def show_answer(answer: Answer, console: Console) -> None:
-    """Print a line about a cell."""
     text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
     if answer.differing:
         text += f"  {', '.join(answer.differing)}"

@@ -21,11 +21,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, first
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs, upstream_first
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.find import SHOWN, matching
+from wasp_cli.store.find import matching, only
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.reached import reached
@@ -36,8 +36,6 @@ ENDS = ("done", "shared", "failed", "blocked", "cancelled")  # events after whic
 
 @dataclass(frozen=True)
 class Active:
-    """A node that runs now, as it last said."""
-
     key: str
     label: str
     kind: str
@@ -51,8 +49,6 @@ class Active:
 
 @dataclass(frozen=True)
 class Failed:
-    """A node that failed."""
-
     key: str
     label: str
     message: str
@@ -61,8 +57,6 @@ class Failed:
 
 @dataclass(frozen=True)
 class RunState:
-    """How far a run is."""
-
     run_id: str
     spec: str
     state: State
@@ -79,8 +73,7 @@ class RunState:
     paused: bool
     deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
-    left_seconds: float | None
-    """What remains, by the estimates of the plan; None of a run that does not go on, or when unknown."""
+    left_seconds: float | None  # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
     unknown: int  # nodes to come without an estimate: what remains takes longer by them
     idle: bool  # nothing had to be computed; what counts as done was there before
 
@@ -99,7 +92,6 @@ class RunState:
 
 
 def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
-    """Return how far a run is, or was at some time."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
     by_event: dict[str, list[dict[str, Any]]] = {}
@@ -185,7 +177,6 @@ def moment(text: object) -> datetime | None:
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
-    """Return the journal of a run; nothing where it cannot be read."""
     try:
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     except (OSError, StoreError):
@@ -308,14 +299,11 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
     """Take a node back from every run that has it yet to compute, or computes it now."""
     planned = [node for run in runs for node in run.nodes.values() if node.runs]
     named = {node.key: node for node in matching(planned, text)}
-    if not named:
+    node = only(list(named.values()), text, "nodes")
+    if node is None:
         labels = {node.label for node in planned}
         raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
-    if len(named) > 1:
-        lines = [f"'{text}' names several nodes:", *first([f"  {node.key}  {node.label}" for node in named.values()], SHOWN)]
-        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
-    ((key, node),) = named.items()
-    taken_back = []
+    key, taken_back = node.key, []
     for run in runs:
         ended = {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
         if key in run.nodes and run.nodes[key].runs and key not in ended:
@@ -330,7 +318,6 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
 
 
 def _with_dependents(run: PlannedRun, key: str) -> set[str]:
-    """The keys of a node and of what needs it, through others too."""
     return reached([key], lambda needed: [node.key for node in run.nodes.values() if node.runs and needed in node.needs])
 
 

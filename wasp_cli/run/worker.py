@@ -24,7 +24,7 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
-from wasp_cli.run.job import Cancelled, Heartbeat, NodeJob, NodeResult, interruptible
+from wasp_cli.run.job import Cancelled, Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
@@ -43,6 +43,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
+from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
 from wasp_cli.store.tables import cell_file
@@ -53,33 +54,11 @@ KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
     """Compute one node, or find that another run has; the log gets all output of a process that does nothing else."""
-    started = time.monotonic()
-    layout = Layout(Path(job.root))
-    if layout.stop(job.run_id).exists():
-        return NodeResult(job.key, "skipped", 0.0)
-    result = _tried(job, layout, started, own_process) if is_seen(layout, job.run_id) else None
-    if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
-        error = unseen(job.root, job.run_id)
-        return NodeResult(job.key, "unseen", time.monotonic() - started, message=error.message, hint=error.hint)
-    return result
+    return Envelope(job, own_process).execute()
 
 
 def execute_here(job: NodeJob) -> NodeResult:
-    """Compute a node in a process that belongs to somebody else."""
     return execute(job, own_process=False)
-
-
-def _tried(job: NodeJob, layout: Layout, started: float, own_process: bool) -> NodeResult:
-    log = layout.log(job.run_id, job.label, job.key)
-    try:
-        with ExitStack() as stack:
-            stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
-            stack.enter_context(_logged(stream, own_process))
-            return _locked(job, layout, log, started, own_process)
-    except OSError as error:  # the results folder itself is in the way: full, read-only
-        return _failed(job, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
-    except Exception as error:
-        return _failed(job, started, log, f"{type(error).__name__}: {error}", None)
 
 
 def is_seen(layout: Layout, run_id: str) -> bool:
@@ -94,68 +73,112 @@ def unseen(root: Path | str, run_id: str) -> StoreError:
     return StoreError(message, f"{why}. Then run again: finished nodes are kept")
 
 
-def _locked(job: NodeJob, layout: Layout, log: Path, started: float, own_process: bool) -> NodeResult:
-    with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
-        if heartbeat.deaths >= DEATHS:
-            result = _failed(job, started, log, KILLED, None)
-            record_failure(layout, job, result)
-            return result
+class Envelope:
+    """What surrounds a node: from the look whether its folder is there to what is told of it."""
 
-        def waiting() -> bool:
-            heartbeat.tell(0.0, "another run computes it; waiting")
-            return job.wait and not layout.stop(job.run_id).exists()
+    def __init__(self, job: NodeJob, own_process: bool) -> None:
+        self.job, self.own_process = job, own_process
+        self.layout = Layout(Path(job.root))
+        self.log = self.layout.log(job.run_id, job.label, job.key)
+        self.started = time.monotonic()
 
+    def execute(self) -> NodeResult:
+        job, layout = self.job, self.layout
+        if layout.stop(job.run_id).exists():
+            return self._result("skipped")
+        result = self._tried() if is_seen(layout, job.run_id) else None
+        if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
+            error = unseen(job.root, job.run_id)
+            return self._result("unseen", message=error.message, hint=error.hint)
+        return result
+
+    def _result(self, state: State, **facts: Any) -> NodeResult:
+        return NodeResult(self.job.key, state, time.monotonic() - self.started, log=str(self.log), **facts)
+
+    def _tried(self) -> NodeResult:
         try:
-            with held(layout.lock(job.key), waiting, heartbeat.fixed):
-                if not exists(layout, job.kind, job.key):
-                    return _computed(job, layout, log, started, heartbeat, own_process)
-                summary = read_manifest(layout, job.kind, job.key).get("summary", {})
-                return NodeResult(job.key, "shared", time.monotonic() - started, summary, log=str(log))
-        except Busy:
-            return NodeResult(job.key, "skipped" if job.wait else "busy", time.monotonic() - started)
+            with ExitStack() as stack:
+                stream = stack.enter_context(self.log.open("a", encoding="utf-8", errors="replace", buffering=1))
+                stack.enter_context(_logged(stream, self.own_process))
+                return self._locked()
+        except Exception as error:  # an OSError where the results folder itself is in the way: full, read-only
+            return self._result("failed", message=f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
 
+    def _locked(self) -> NodeResult:
+        job, layout = self.job, self.layout
+        with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
+            if heartbeat.deaths >= DEATHS:
+                return self._failed(KILLED)
 
-def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat: Heartbeat, own_process: bool) -> NodeResult:
-    staging = staging_folder(layout, job.key)
-    started_at = datetime.now(UTC).isoformat(timespec="seconds")
-    began = time.monotonic()
-    _note(log, f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
-    try:
-        with interruptible(job.limit, layout.cancel(job.run_id, job.key), layout.overdue(job.run_id, job.key), own_process):
-            require_whole(layout, job.inputs.values())
-            stage: Stage = load_target(job.stage)()
-            keep_memory()
-            set_threads(getattr(stage, "torch_threads", 1))
-            with placed(_clone_of(job, layout)):
-                summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
-        if (changed := _change_of_source(job)) is not None:
-            raise changed
-        seconds = time.monotonic() - began
-        commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
-    except (Exception, SystemExit) as error:
-        discard(staging)
-        # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
-        if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
-            traceback.print_exception(error)
-            error = changed
-        return _recorded_failure(job, layout, log, started, error)
-    except Cancelled:
-        discard(staging)
-        return NodeResult(job.key, "cancelled", time.monotonic() - started, log=str(log))
-    except BaseException:  # Ctrl-C in the process that runs nodes itself
-        discard(staging)
-        raise
-    layout.failure(job.key).unlink(missing_ok=True)
-    discard(layout.work(job.key))
-    _note(log, f"{job.label}: done in {duration(seconds)}")
-    return NodeResult(job.key, "done", time.monotonic() - started, summary, log=str(log))
+            def waiting() -> bool:
+                heartbeat.tell(0.0, "another run computes it; waiting")
+                return job.wait and not layout.stop(job.run_id).exists()
 
+            try:
+                with held(layout.lock(job.key), waiting, heartbeat.fixed):
+                    if not exists(layout, job.kind, job.key):
+                        return self._computed(heartbeat.tell)
+                    return self._result("shared", summary=read_manifest(layout, job.kind, job.key).get("summary", {}))
+            except Busy:
+                return self._result("skipped" if job.wait else "busy")
 
-def _note(log: Path, text: str) -> None:
-    """Add a line to the log. A disk that is full must not end the node here: its own writing will."""
-    _flush()
-    with suppress(OSError), log.open("a", encoding="utf-8") as file:
-        file.write(f"{text}\n")
+    def _computed(self, progress: Progress) -> NodeResult:
+        job, layout = self.job, self.layout
+        staging = staging_folder(layout, job.key)
+        started_at = datetime.now(UTC).isoformat(timespec="seconds")
+        began = time.monotonic()
+        self._note(f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
+        try:
+            with interruptible(job.limit, layout.cancel(job.run_id, job.key), layout.overdue(job.run_id, job.key), self.own_process):
+                require_whole(layout, job.inputs.values())
+                stage: Stage = load_target(job.stage)()
+                keep_memory()
+                set_threads(getattr(stage, "torch_threads", 1))
+                with placed(_clone_of(job, layout)):
+                    summary = finite(stage.run(_stage_job(job, layout, stage, staging, progress)))
+            if (changed := _change_of_source(job)) is not None:
+                raise changed
+            seconds = time.monotonic() - began
+            commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
+        except (Exception, SystemExit) as error:
+            discard(staging)
+            # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
+            if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
+                traceback.print_exception(error)
+                error = changed
+            return self._explained(error)
+        except Cancelled:
+            discard(staging)
+            return self._result("cancelled")
+        except BaseException:  # Ctrl-C in the process that runs nodes itself
+            discard(staging)
+            raise
+        layout.failure(job.key).unlink(missing_ok=True)
+        discard(layout.work(job.key))
+        self._note(f"{job.label}: done in {duration(seconds)}")
+        return self._result("done", summary=summary)
+
+    def _note(self, text: str) -> None:
+        """Add a line to the log. A disk that is full must not end the node here: its own writing will."""
+        _flush()
+        with suppress(OSError), self.log.open("a", encoding="utf-8") as file:
+            file.write(f"{text}\n")
+
+    def _explained(self, error: BaseException) -> NodeResult:
+        """The failure of a stage, for people; the log has all of it."""
+        if isinstance(error, WaspError):
+            print(f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""), file=sys.stderr)
+            return self._failed(error.message, error.hint, by_chance=isinstance(error, StoreError))
+        traceback.print_exception(error)
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        text = " ".join(str(error).split()) or "no message"
+        return self._failed(f"{type(error).__name__}: {text[:300]}{place}", by_chance=True)
+
+    def _failed(self, message: str, hint: str | None = None, *, by_chance: bool = False) -> NodeResult:
+        result = self._result("failed", message=message, hint=hint, by_chance=by_chance)
+        record_failure(self.layout, self.job, result)
+        return result
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
@@ -196,29 +219,14 @@ def _change_of_source(job: NodeJob) -> SourceChanged | None:
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
     work = layout.work(job.key)
     work.mkdir(exist_ok=True)
-    return Job(
-        kind=job.kind,
-        task=job.task,
-        seed=job.seed,
-        config=stage.config.model_validate(job.config),
-        settings=settings_of(job.settings),
-        axes=job.axes,
-        inputs={name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()},
-        out_dir=staging,
-        work_dir=work,
-        progress=progress,
-        earlier=_earlier(job, layout),
-        threads=job.threads,
-    )
-
-
-def _earlier(job: NodeJob, layout: Layout) -> Path | None:
-    """Where the first episodes of a cell are; nowhere where they are not whole, or have been removed or damaged since the plan."""
-    if job.earlier is None or corruption(layout, job.kind, job.earlier) is not None:
-        return None
-    if without_steps(read_manifest(layout, job.kind, job.earlier)):
-        return None
-    return layout.artifact(job.kind, job.earlier)
+    inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
+    config, settings = stage.config.model_validate(job.config), settings_of(job.settings)
+    earlier = None
+    # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
+    if job.earlier is not None and corruption(layout, job.kind, job.earlier) is None:
+        whole = not without_steps(read_manifest(layout, job.kind, job.earlier))
+        earlier = layout.artifact(job.kind, job.earlier) if whole else None
+    return Job(job.kind, job.task, job.seed, config, settings, job.axes, inputs, staging, work, progress, earlier, job.threads)
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -233,6 +241,7 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
     """Return what is stored of a node beside its files: what it is, what it was computed from, and how."""
+    further = {"cuda": cuda_devices(), EARLIER: job.earlier, HALF_INPUTS: _half_inputs(job)}
     return {
         "kind": job.kind,
         "key": job.key,
@@ -248,10 +257,8 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
         "summary": summary,
         "provenance": {
             **job.provenance,
-            **({"cuda": devices} if (devices := cuda_devices()) else {}),
+            **{name: value for name, value in further.items() if value},
             "run": job.run_id,
-            **({"earlier": job.earlier} if job.earlier else {}),
-            **({HALF_INPUTS: half} if (half := _half_inputs(job)) else {}),
             "attempt": job.attempt,
             "threads": job.threads,
             "started_at": started_at,
@@ -264,37 +271,19 @@ def _half_inputs(job: NodeJob) -> list[str]:
     """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
     layout, names = Layout(Path(job.root)), []
     for name, (kind, key) in sorted(job.inputs.items()):
-        with suppress(ArtifactError):
+        with suppress(ArtifactError):  # what a person drove is stored also where an input was damaged since
             if precision_of(read_manifest(layout, kind, key)):
                 names.append(name)
     return names
 
 
-def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:
-    if isinstance(error, WaspError):
-        message, hint = error.message, error.hint
-        print(f"error: {message}" + (f"\n{hint}" if hint else ""), file=sys.stderr)
-    else:
-        frames = traceback.extract_tb(error.__traceback__)
-        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-        text = " ".join(str(error).split()) or "no message"
-        message, hint = f"{type(error).__name__}: {text[:300]}{place}", None
-        traceback.print_exception(error)
-    by_chance = not isinstance(error, WaspError) or isinstance(error, StoreError)
-    result = _failed(job, started, log, message, hint, by_chance=by_chance)
-    record_failure(layout, job, result)
-    return result
-
-
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
-    """Keep why a node failed, so that the next plan can say so."""
     record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
     with suppress(OSError):  # a full disk, a folder that was moved: the result and the journal of a living run tell it
         replace_file(layout.failure(job.key), dumps({**record, "attempt": job.attempt, "run": job.run_id}))
 
 
 def attempts(layout: Layout, key: str) -> int:
-    """Return how often a node has failed since it last succeeded."""
     try:
         record = read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost
@@ -302,21 +291,12 @@ def attempts(layout: Layout, key: str) -> int:
     return 0 if record is None else int(record.get("attempt", 1))
 
 
-def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> NodeResult:
-    seconds = time.monotonic() - started
-    return NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
-
-
-def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Summary numbers as JSON values: numpy's become Python's, and what is not finite becomes null."""
-    return {str(name): _plain(value, str(name)) for name, value in summary.items()}
-
-
-def _plain(value: Any, name: str) -> Any:
+def finite(value: Any, name: str = "summary") -> Any:
+    """Return a summary as JSON values: numpy's numbers become Python's, and what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return _finite(value)
+        return {str(part): finite(item, str(part)) for part, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item, name) for item in value]
+        return [finite(item, name) for item in value]
     if hasattr(value, "item"):  # a scalar of numpy or torch
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

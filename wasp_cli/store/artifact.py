@@ -18,8 +18,7 @@ from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import parse, printable, read_plain
 
-LONGEST_NAME = 1024
-"""Characters of a file's name in a manifest at most."""
+LONGEST_NAME = 1024  # characters of a file's name in a manifest at most
 
 
 def staging_folder(layout: Layout, key: str) -> Path:
@@ -105,11 +104,7 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Return the size of each file that an artifact was committed with, by relative name.
-
-    Raises:
-        ArtifactError: the manifest, read from `path`, has no such list, or names something else than files of the artifact.
-    """
+    """Return the size of each file that an artifact was committed with, by relative name; `path` is that of its manifest."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -134,11 +129,9 @@ def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str 
     return None
 
 
-WHY = "_why.txt"
-"""Lies in an artifact that was taken out of use."""
+WHY = "_why.txt"  # lies in an artifact that was taken out of use
 
-_verified: dict[str, tuple[int, int]] = {}
-"""Time and size of each file whose bytes this process has seen to be those of the manifest."""
+_verified: dict[str, tuple[int, int]] = {}  # time and size of each file whose bytes this process has seen to be those of the manifest
 
 
 def corruption(layout: Layout, kind: str, key: str) -> str | None:
@@ -153,9 +146,7 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
         path = layout.artifact(kind, key) / name
         state = path.stat()
         stamp = state.st_mtime_ns, state.st_size
-        if _verified.get(str(path)) == stamp:
-            continue
-        if file_digest(path) != known.get("sha256"):
+        if _verified.get(str(path)) != stamp and file_digest(path) != known.get("sha256"):
             return f"'{path}' has other bytes than were stored"
         _verified[str(path)] = stamp
     return None
@@ -187,11 +178,6 @@ def is_file_name(name: str) -> bool:
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
-    """Return what is known of an artifact.
-
-    Raises:
-        ArtifactError: it is not there, is a link to somewhere else, or its manifest is damaged.
-    """
     try:
         path = layout.within(layout.manifest(kind, key))
     except StoreError as error:
@@ -203,13 +189,11 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
 
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a small JSON file; readers see the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, dumps(record))
 
 
 def replace_file(path: Path, data: str | bytes) -> None:
-    """Write a text or bytes; readers see the old file or the new one."""
     partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
     try:
         partial.write_bytes(data.encode() if isinstance(data, str) else data)
@@ -220,11 +204,7 @@ def replace_file(path: Path, data: str | bytes) -> None:
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """Read a small JSON file; None when there is none.
-
-    Raises:
-        ArtifactError: the file is damaged.
-    """
+    """Read a small JSON file; None when there is none."""
     try:
         record = parse(read_plain(path))
     except FileNotFoundError:
@@ -266,25 +246,22 @@ def discard(folder: Path) -> None:
 
 def _files(folder: Path) -> dict[str, dict[str, Any]]:
     """Size and SHA-256 of every file below a folder, by relative name; its manifest left out."""
-    found: dict[str, dict[str, Any]] = {}
+    files: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
             raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name != MANIFEST:
-            found[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
-    return found
+            files[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
+    return files
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _sync(path: Path) -> None:
-    if path.is_symlink():
-        raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

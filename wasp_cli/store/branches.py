@@ -25,12 +25,9 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.parquet import damaged, opened_table, write_table
 from wasp_cli.store.tables import IDENTITY, RENAMED, CellIdentity
 
-BRANCHES_FILE = "branches.parquet"
-"""Name of the table inside the artifact of a cell's branches."""
-VERSION = 2
-"""Grows with every change of SCHEMA; a file of a newer version is refused."""
-RENAMED_IN = 2
-"""The first version with today's names of columns (`tables.RENAMED`)."""
+BRANCHES_FILE = "branches.parquet"  # name of the table inside the artifact of a cell's branches
+VERSION = 2  # grows with every change of SCHEMA; a file of a newer version is refused
+RENAMED_IN = 2  # the first version with today's names of columns (`tables.RENAMED`)
 VERSION_KEY, CELL_KEY = b"wasp.branches", b"wasp.branched_cell"
 
 ROW = (
@@ -55,13 +52,10 @@ class BranchedCell:
     """What the rows of a file have in common."""
 
     identity: CellIdentity
-    window: int
-    """W"""
-    stride: int
-    """every how many interventions one was branched"""
+    window: int  # W
+    stride: int  # every how many interventions one was branched
     tau_R: float
-    episodes: int
-    """of the cell"""
+    episodes: int  # of the cell
 
 
 class BranchRow(NamedTuple):
@@ -82,31 +76,20 @@ class Branches:
     """The N pairs of branches of a cell, sorted by episode and decision. Steps after the end of an episode are 0."""
 
     cell: BranchedCell
-    episode: NDArray[np.int64]
-    """[N]"""
-    t: NDArray[np.int64]
-    """[N]"""
-    cost: Mapping[str, NDArray[np.float64]]
-    """[N, W] by branch: c_t"""
-    reward: Mapping[str, NDArray[np.float64]]
-    """[N, W] by branch"""
-    deviation: NDArray[np.float64]
-    """[N]"""
-    gate: NDArray[np.int64]
-    """[N]"""
+    episode: NDArray[np.int64]  # [N]
+    t: NDArray[np.int64]  # [N]
+    cost: Mapping[str, NDArray[np.float64]]  # [N, W] by branch: c_t
+    reward: Mapping[str, NDArray[np.float64]]  # [N, W] by branch
+    deviation: NDArray[np.float64]  # [N]
+    gate: NDArray[np.int64]  # [N]
 
 
 def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) -> None:
-    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
+    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows."""
     write_table(branches_table(cell, rows), path)
 
 
 def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
-    """Build the table in memory; see `write_branches`."""
     rows = sorted(rows, key=lambda row: row[:3])
     common = asdict(cell.identity) | {"tau_R": cell.tau_R, "window": cell.window}
     columns: dict[str, Any] = {name: [value] * len(rows) for name, value in common.items()}
@@ -117,11 +100,6 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
 
 
 def read_branches(path: Path) -> Branches:
-    """Read the branches of a cell.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, no table of branches, or its rows are no pairs.
-    """
     table, cell = _read(path)
     try:
         return _paired(cell, table)

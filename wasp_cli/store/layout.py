@@ -23,10 +23,8 @@ from wasp_cli.errors import StoreError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
-MANIFEST = "_manifest.json"
-"""Begins as what readers of Parquet folders leave alone."""
-SESSION_FILE = "_session.json"
-"""What only the cell of a person has, finished or not; see `store.people`."""
+MANIFEST = "_manifest.json"  # begins as what readers of Parquet folders leave alone
+SESSION_FILE = "_session.json"  # what only the cell of a person has, finished or not; see `store.people`
 
 
 @dataclass(frozen=True)
@@ -48,67 +46,60 @@ class Layout:
         return self.root / "runs"
 
     @property
-    def published(self) -> Path:
-        """Another such folder, which only `wasp publish` writes to."""
-        return self.root / "published"
-
-    def kind(self, kind: str) -> Path:
-        """Return the folder of all artifacts of a kind."""
-        return self.store / _name(kind)
-
-    def artifact(self, kind: str, key: str) -> Path:
-        """Return the folder of one artifact."""
-        return self.kind(kind) / _key(key)
-
-    def manifest(self, kind: str, key: str) -> Path:
-        """Return what is known of an artifact."""
-        return self.artifact(kind, key) / MANIFEST
-
-    @property
     def failures(self) -> Path:
         return self.root / "failures"
-
-    def failure(self, key: str) -> Path:
-        """Return the record of a node's last failure."""
-        return self.failures / f"{_key(key)}.json"
 
     @property
     def works(self) -> Path:
         return self.root / "work"
-
-    def work(self, key: str) -> Path:
-        """Return where a node keeps what survives an interruption."""
-        return self.works / _key(key)
-
-    def lock(self, key: str) -> Path:
-        """Return the lock file of a node."""
-        return self.locks / _key(key)
 
     @property
     def locks(self) -> Path:
         return self.root / "locks"
 
     @property
-    def planning(self) -> Path:
-        """Held, shared, by a run from looking into the store until its plan is written; and alone by who removes what no plan reaches."""
-        return self.locks / "planning"
+    def published(self) -> Path:
+        """Another such folder, which only `wasp publish` writes to."""
+        return self.root / "published"
 
     @property
     def publishing(self) -> Path:
         """Held by `wasp publish` while it writes to a published layer, and removed afterwards."""
         return self.root / ".publishing"
 
+    @property
+    def planning(self) -> Path:
+        """Held, shared, by a run from looking into the store until its plan is written; and alone by who removes what no plan reaches."""
+        return self.locks / "planning"
+
+    def kind(self, kind: str) -> Path:
+        return self.store / _name(kind)
+
+    def artifact(self, kind: str, key: str) -> Path:
+        return self.kind(kind) / _key(key)
+
+    def manifest(self, kind: str, key: str) -> Path:
+        return self.artifact(kind, key) / MANIFEST
+
+    def failure(self, key: str) -> Path:
+        """Return the record of a node's last failure."""
+        return self.failures / f"{_key(key)}.json"
+
+    def work(self, key: str) -> Path:
+        """Return where a node keeps what survives an interruption."""
+        return self.works / _key(key)
+
+    def lock(self, key: str) -> Path:
+        return self.locks / _key(key)
+
+    def reports(self, spec: str) -> Path:
+        return self.root / "reports" / _name(spec)
+
     def run(self, run_id: str) -> Path:
-        """Return the folder of one run."""
         return self.runs / _name(run_id)
 
     def log(self, run_id: str, label: str, key: str) -> Path:
-        """Return the log of one node in one run."""
         return self.run(run_id) / "logs" / f"{slug(label)}-{_key(key)[:8]}.log"
-
-    def running(self, run_id: str, key: str) -> Path:
-        """Return what a running node says of its progress."""
-        return self.run(run_id) / "running" / f"{_key(key)}.json"
 
     def journal(self, run_id: str) -> Path:
         """Return the events of a run."""
@@ -131,40 +122,30 @@ class Layout:
         return self.run(run_id) / "pause"
 
     def cancelled(self, run_id: str) -> Path:
-        """Return the folder of what of a run was taken back."""
+        """Return the folder that has an empty file for each node that was taken back."""
         return self.run(run_id) / "cancelled"
 
     def cancel(self, run_id: str, key: str) -> Path:
-        """Return the file that is there when a node of a run was taken back."""
         return self.cancelled(run_id) / _key(key)
+
+    def running(self, run_id: str, key: str) -> Path:
+        """Return what a running node says of its progress."""
+        return self.run(run_id) / "running" / f"{_key(key)}.json"
 
     def overdue(self, run_id: str, key: str) -> Path:
         """Return the file that has text when a node's process was ended because it did not react to its time limit."""
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
 
-    def reports(self, spec: str) -> Path:
-        """Return the folder of a spec's tables and figures."""
-        return self.root / "reports" / _name(spec)
-
     def needed(self) -> tuple[Path, ...]:
-        """Return the folders that every run writes to."""
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
-        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere.
-
-        Raises:
-            StoreError: one is. The results folder itself may be.
-        """
+        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere."""
         for folder in (*self.needed(), self.root / "reports"):
             self.within(folder)
 
     def within(self, path: Path) -> Path:
-        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else.
-
-        Raises:
-            StoreError: a part of it is a link.
-        """
+        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else."""
         reached = str(self.root)
         for part in path.parts[len(self.root.parts) :]:
             reached = f"{reached}/{part}"
@@ -173,11 +154,7 @@ class Layout:
         return path
 
     def prepare(self) -> None:
-        """Make the folders and see that they can be written.
-
-        Raises:
-            StoreError: the results folder is a file, cannot be written, or has links in it.
-        """
+        """Make the folders and see that they can be written."""
         self.require_own_folders()
         try:
             for folder in self.needed():
@@ -191,17 +168,14 @@ class Layout:
 
 
 def slug(text: str) -> str:
-    """Return a label as a file name."""
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
 
 
 def is_key(text: str) -> bool:
-    """Return whether a text has the form of a key."""
     return bool(_KEY.fullmatch(text))
 
 
 def is_name(text: str) -> bool:
-    """Return whether a text can name a folder of the results: a kind, a run, a spec."""
     return bool(_NAME.fullmatch(text))
 
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 POLL_SECONDS = 0.2
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-"""What a file system answers that has no locks."""
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # what a file system answers that has no locks
 
 
 class Busy(Exception):
@@ -26,20 +25,12 @@ class Busy(Exception):
 
 @contextmanager
 def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | None = None, *, shared: bool = False) -> Iterator[None]:
-    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting.
+    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting; else it is Busy.
 
     Any number may hold it `shared`, and then nobody alone.
 
     The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts when, once held, its file is still the
     one that the path names. Otherwise two processes could hold two files of one name.
-
-    Args:
-        path: the lock file.
-        waiting: called as long as someone else has it.
-        holder: what the file says of this process, for people.
-
-    Raises:
-        Busy: someone else has it, and `waiting` said no.
     """
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
@@ -62,11 +53,7 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
 
 @contextmanager
 def held_if_free(path: Path, *, made: bool = True) -> Iterator[bool]:
-    """Hold a lock unless someone else has it; whether it is held.
-
-    Raises:
-        FileNotFoundError: there is no lock file, and none is to be `made`.
-    """
+    """Hold a lock unless someone else has it; whether it is held."""
     descriptor = _opened(path, made)
     try:
         yield _taken(descriptor) and _is_at(descriptor, path)

@@ -29,17 +29,11 @@ class Numbers(NamedTuple):
 
     identity: CellIdentity
     thresholds: Thresholds
-    table: pa.Table
-    """the columns that were asked for"""
+    table: pa.Table  # the columns that were asked for
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
-    """Read some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look.
-
-    Args:
-        path: a file, no pipe.
-        columns: of `tables.SCHEMA`, each with one number per episode.
-    """
+    """Read some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look."""
     every = [*SHARED, *columns]
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -50,7 +44,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return None
     # pyarrow leaves out, without a word, a column that the footer does not name.
-    if table.num_rows == 0 or [(each.name, each.type) for each in table.schema] != [(n, SCHEMA.field(n).type) for n in every]:
+    if table.num_rows == 0 or [(column.name, column.type) for column in table.schema] != [(n, SCHEMA.field(n).type) for n in every]:
         return None
     shared = _shared(table)
     if shared is None:
@@ -64,10 +58,10 @@ def _shared(table: pa.Table) -> dict[str, Any] | None:
 
     From the rows: pyarrow ends the whole process over some footers of which it is asked for the statistics.
     """
-    found: dict[str, Any] = {}
+    shared: dict[str, Any] = {}
     for name in SHARED:
         values = table[name].unique().to_pylist()
         if len(values) != 1 or values[0] != values[0]:  # NaN is no threshold
             return None
-        found[name] = values[0]
-    return found
+        shared[name] = values[0]
+    return shared

@@ -16,17 +16,7 @@ AGAIN = "run the spec again: what is damaged is computed again"
 
 
 def write_table(table: pa.Table, path: Path, compression: str = "zstd", *, use_dictionary: bool = True) -> None:
-    """Write a table. The file appears complete or not at all; the same table gives the same bytes.
-
-    Args:
-        table: the rows.
-        path: the file to be.
-        compression: `zstd` for what is large, `snappy` for what is read often.
-        use_dictionary: whether columns become indices into their values where that is shorter.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
+    """Write a table. The file appears complete or not at all; the same table gives the same bytes."""
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
@@ -44,17 +34,7 @@ def write_table(table: pa.Table, path: Path, compression: str = "zstd", *, use_d
 
 @contextmanager
 def opened_table(path: Path, version_key: bytes, newest: int, what: str) -> Iterator[pq.ParquetFile]:
-    """Open a file that `write_table` wrote, after a look at its version; what goes wrong while it is read is an error of the file.
-
-    Args:
-        path: the file.
-        version_key: of the metadata; its value is the version of the table.
-        newest: the newest version that can be read.
-        what: the table should be, for the message.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, or another table.
-    """
+    """Open a file that `write_table` wrote, after a look at its version; what goes wrong while it is read is an error of the file."""
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             marks = file.schema_arrow.metadata or {}

@@ -39,11 +39,6 @@ BEAT = pa.schema(
 
 
 def read_timing(path: Path) -> pa.Table:
-    """Read the timing of a cell that a person drove.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, or another table.
-    """
     with opened_table(path, VERSION_KEY, VERSION, "the timing of a session") as file:
         return file.read()
 
@@ -54,11 +49,8 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
     The age of a key counts where the command was new: before that it is the time for which a key was held.
     """
     late = np.asarray(beats["late"], bool)
-    found: dict[str, Any] = {
-        "decisions": len(late),
-        "late": int(late.sum()),
-        "late_share": round(float(late.mean()), 4) if len(late) else None,
-    }
+    share = round(float(late.mean()), 4) if len(late) else None
+    summary: dict[str, Any] = {"decisions": len(late), "late": int(late.sum()), "late_share": share}
     inputs, episodes = np.asarray(beats["input"]), np.asarray(beats["episode"])
     fresh = np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])]) if len(late) else late
     for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
@@ -66,8 +58,8 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
         if name == "input_age_ms":
             values = values[fresh]
         for label, value in zip(("p50", "p99"), percentiles(values.tolist()), strict=True):
-            found[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
-    return found
+            summary[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
+    return summary
 
 
 def percentiles(values: Sequence[float]) -> tuple[float, float]:

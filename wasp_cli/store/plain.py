@@ -15,21 +15,15 @@ import stat
 from pathlib import Path
 from typing import Any
 
-LARGEST = 256 * 2**20
-"""Bytes of a record or a journal at most; the plan of ten thousand nodes has four million."""
-DEEPEST = 40
-"""How deep a record may be nested; ours stay below ten."""
+LARGEST = 256 * 2**20  # bytes of a record or a journal at most; the plan of ten thousand nodes has four million
+DEEPEST = 40  # how deep a record may be nested; ours stay below ten
 
 _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
 
 
 def open_plain(path: Path) -> io.BufferedReader:
-    """Return a plain file, open for reading.
-
-    Raises:
-        OSError: there is none, or it is something else.
-    """
+    """Return a plain file, open for reading."""
     try:
         # Without waiting: a pipe in the place of a file would otherwise hold the reader for ever.
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -44,12 +38,7 @@ def open_plain(path: Path) -> io.BufferedReader:
 
 
 def read_plain(path: Path) -> str:
-    """Return the text of a plain file.
-
-    Raises:
-        OSError: there is none, it is something else, or it is too large.
-        ValueError: it is not UTF-8.
-    """
+    """Return the text of a plain file."""
     with open_plain(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
@@ -58,23 +47,14 @@ def read_plain(path: Path) -> str:
 
 
 def parse(text: str) -> Any:
-    """Return what a JSON text says, its strings printable.
-
-    Raises:
-        ValueError: it is no JSON, or is nested too deeply.
-        RecursionError: it is nested far too deeply.
-    """
+    """Return what a JSON text says, its strings printable."""
     value = json.loads(text)
     harmless = text.count("{") + text.count("[") <= DEEPEST and "\\u" not in text and not _UNPRINTABLE.search(text)
     return value if harmless else _tame(value, 0)
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out.
-
-    Raises:
-        OSError: as `read_plain`.
-    """
+    """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out."""
     try:
         lines = read_plain(path).splitlines()
     except ValueError:
@@ -94,9 +74,6 @@ def append_line(descriptor: int, text: str) -> None:
     """Append a line to a file that is open for reading and appending, in one write as long as the disk has room.
 
     What an earlier write could not finish stays a line of its own.
-
-    Raises:
-        OSError: not all of it could be written.
     """
     size = os.fstat(descriptor).st_size
     whole = not size or os.pread(descriptor, 1, size - 1) == b"\n"

@@ -15,8 +15,7 @@ from typing import Any
 import wasp_cli
 
 RECORDED = ("torch", "mujoco", "numpy", "gymnasium", "stable-baselines3", "joblib", "pyarrow", "safetensors")
-CHANGES_LENGTH = 16
-"""Hexadecimal digits of the hash of what was changed."""
+CHANGES_LENGTH = 16  # hexadecimal digits of the hash of what was changed
 
 
 @cache
@@ -37,7 +36,6 @@ def provenance() -> dict[str, Any]:
 
 
 def installed(name: str) -> str | None:
-    """Return the version of an installed distribution."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -56,8 +54,8 @@ def git_state() -> dict[str, Any] | None:
         return None
     try:
         sha = _git(root, "rev-parse", "HEAD").strip()
-        changed = _names(_git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD"))
-        added = _names(_git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py"))
+        changed = _git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD").split("\0")[:-1]
+        added = _git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py").split("\0")[:-1]
     except (OSError, ValueError, subprocess.SubprocessError):  # no git on this machine, or a damaged checkout
         return None
     own = [name for name in changed if name.startswith(f"{package.name}/")]
@@ -70,10 +68,6 @@ def _git(root: Path, *arguments: str) -> str:
     command = ["git", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, errors="surrogateescape", timeout=10, check=True, env=environment)
     return done.stdout
-
-
-def _names(listed: str) -> list[str]:
-    return [name for name in listed.split("\0") if name]
 
 
 def _hash_of_files(root: Path, names: list[str]) -> str | None:
@@ -102,7 +96,6 @@ def cuda_devices() -> list[str]:
 
 
 def processor() -> str:
-    """Return the name of the processor."""
     details = Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
         for line in details.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -112,7 +105,6 @@ def processor() -> str:
 
 
 def memory_gb() -> float | None:
-    """Return the main memory in GB."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
     except (ValueError, OSError, AttributeError):

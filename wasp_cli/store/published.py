@@ -31,40 +31,30 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.slim import first_episodes
 
-RECIPE, BEHIND = "recipe", "behind"
-"""What a published manifest has besides that of the store."""
-EARLIER = "earlier"
-"""In the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like."""
-FROM_PUBLISHED = "published"
-"""Set in the provenance of an artifact that was brought into the store from the published layer."""
+RECIPE, BEHIND = "recipe", "behind"  # what a published manifest has besides that of the store
+EARLIER = "earlier"  # in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like.
+FROM_PUBLISHED = "published"  # set in the provenance of an artifact that was brought into the store from the published layer
 
-SHA_LENGTH = 7
-"""Hexadecimal digits of a commit that people are shown."""
+SHA_LENGTH = 7  # hexadecimal digits of a commit that people are shown
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A published artifact."""
-
-    source: Layout
-    """The published layer."""
+    source: Layout  # the published layer
     kind: str
     key: str
     recipe: str
-    behind: Mapping[str, str]
-    """By recipe, the key of everything that it was computed from."""
+    behind: Mapping[str, str]  # by recipe, the key of everything that it was computed from
     manifest: Mapping[str, Any]
     episodes: int | None = None
     """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is then that of the cut one."""
 
     @property
     def source_key(self) -> str:
-        """Return the key of what is copied."""
         return str(self.manifest["provenance"][EARLIER]) if self.episodes is not None else self.key
 
     @property
     def started_at(self) -> str:
-        """When it was computed, so that it sorts."""
         return str(self.manifest["provenance"].get("started_at", ""))
 
 
@@ -73,10 +63,8 @@ class Reused:
     """A published artifact that stands in the place of a node."""
 
     offer: Offer
-    reason: str
-    """Which code computed it, for people."""
-    details: str = ""
-    """What has changed since."""
+    reason: str  # which code computed it, for people
+    details: str = ""  # what has changed since
 
 
 def commit_of(manifest: Mapping[str, Any]) -> str:
@@ -88,27 +76,18 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
 
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
-    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at.
-
-    Raises:
-        StoreError: a folder of the layer cannot be read, or is a link.
-    """
-    found: dict[str, Offer] = {}
+    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at."""
+    by_key: dict[str, list[Offer]] = {}
     notes: list[str] = []
-    twice: set[str] = set()
     for kind in stored_kinds(source):
         for key in sorted(stored_keys(source, kind)):
             try:
-                offer = _offer(source, kind, key)
+                by_key.setdefault(key, []).append(_offer(source, kind, key))
             except ArtifactError as error:
                 notes.append(not_used(kind, key, error.message))
-                continue
-            if key in found:
-                twice.add(key)
-            found[key] = offer
     # A key is one node; two of one name would take each other's place.
-    notes += [not_used(found[key].kind, key, "two kinds have this key") for key in sorted(twice)]
-    return [offer for key, offer in found.items() if key not in twice], notes
+    notes += [not_used(same[-1].kind, key, "two kinds have this key") for key, same in sorted(by_key.items()) if len(same) > 1]
+    return [same[0] for same in by_key.values() if len(same) == 1], notes
 
 
 def not_used(kind: str, key: str, why: str) -> str:
@@ -122,16 +101,13 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
     if MANIFEST in listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
     recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
-    own = manifest.get("kind") == kind and manifest.get("key") == key
-    if not own or not isinstance(recipe, str) or not is_key(recipe) or not _are_keys(behind):
+    texts = [recipe, *behind.keys(), *behind.values()] if isinstance(behind, dict) else []
+    named = manifest.get("kind") == kind and manifest.get("key") == key
+    if not named or not texts or not all(isinstance(text, str) and is_key(text) for text in texts):
         raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
     if not isinstance(manifest.get("provenance"), dict) or not isinstance(manifest.get("sources"), dict):
         raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
-    return Offer(source, kind, key, recipe, dict(behind or {}), manifest)
-
-
-def _are_keys(value: object) -> bool:
-    return isinstance(value, dict) and all(is_key(str(recipe)) and isinstance(key, str) and is_key(key) for recipe, key in value.items())
+    return Offer(source, kind, key, str(recipe), dict(behind or {}), manifest)
 
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
@@ -145,18 +121,7 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
 
 
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
-    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there.
-
-    Args:
-        layout: the results folder.
-        offer: what to copy.
-        waiting: asked while another process has the node.
-
-    Raises:
-        ArtifactError: its files are not those of its manifest, or have not the episodes.
-        StoreError: a cell that is cut is damaged.
-        OSError: they cannot be read or written.
-    """
+    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there."""
     with held(layout.lock(offer.key), waiting):
         if exists(layout, offer.kind, offer.key):
             return False
@@ -174,12 +139,7 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
 
 
 def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
-    """Copy what a manifest lists, and nothing else that lies beside it.
-
-    Raises:
-        ArtifactError: the manifest names other things than files of the artifact, or a file has other bytes than it says.
-        StoreError: a part of the way to a file is a link.
-    """
+    """Copy what a manifest lists, and nothing else that lies beside it."""
     for name in listed_files(manifest, source.manifest(kind, key)):
         path, copy = source.within(source.artifact(kind, key) / name), folder / name
         copy.parent.mkdir(parents=True, exist_ok=True)

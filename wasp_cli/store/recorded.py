@@ -15,14 +15,7 @@ from wasp_cli.store.tables import read_episodes, read_steps
 
 
 def read_recorded(path: Path) -> dict[str, Any]:
-    """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are float32, exactly as they were executed.
-
-    Args:
-        path: the table of a cell.
-
-    Raises:
-        StoreError: the file cannot be read, or its rows are no whole episodes.
-    """
+    """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are float32, exactly as they were executed."""
     episodes, steps = read_episodes([path]), read_steps(path)
     numbers, lengths = np.asarray(episodes["episode"]), np.asarray(episodes["decisions"])
     of_steps = np.asarray(steps["episode"])

@@ -13,44 +13,26 @@ from typing import Any, NamedTuple
 from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import file_digest
 
-STEPS_FILE = "_steps.pq"
-"""As in `store.tables`, which needs pyarrow."""
-SLIM = "slim"
-"""In a published manifest: by file, what was left out of it, and the digest of the whole."""
-IMAGES_FILE = "images.parquet"
-"""Of `diagnostics`: frames for pictures in reports; nothing is computed from them."""
-HALF = "weights in half precision"
-"""What was left out of a file with such weights."""
+STEPS_FILE = "_steps.pq"  # as in `store.tables`, which needs pyarrow
+SLIM = "slim"  # in a published manifest: by file, what was left out of it, and the digest of the whole
+IMAGES_FILE = "images.parquet"  # of `diagnostics`: frames for pictures in reports; nothing is computed from them
+HALF = "weights in half precision"  # what was left out of a file with such weights
 HALF_INPUTS = "half_precision"
 """In the provenance of what was computed: the names of its inputs that were in half precision, or computed from such."""
-DATA = frozenset({"dataset", "latents", "heldout"})
-"""Kinds whose tensors are recorded data, not weights."""
+DATA = frozenset({"dataset", "latents", "heldout"})  # kinds whose tensors are recorded data, not weights
 
 
 class Slimming(NamedTuple):
-    """What to leave out of published copies."""
-
-    half: bool = False
-    """Weights as 16 bits a number instead of 32."""
-    steps: int | None = None
-    """Episodes of a cell whose steps stay; None for all."""
-    images: bool = True
-    """Whether the images of diagnostics stay."""
+    half: bool = False  # weights as 16 bits a number instead of 32
+    steps: int | None = None  # episodes of a cell whose steps stay; None for all
+    images: bool = True  # whether the images of diagnostics stay
 
 
 def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]:
     """Rewrite the files of a copied artifact smaller.
 
-    Args:
-        folder: the copy; its files are replaced.
-        kind: of the artifact.
-        wanted: what to leave out.
-
     Returns:
         By name of each file that changed: `left_out`, and `sha256` of the whole file.
-
-    Raises:
-        ArtifactError: a weight is too large for half precision.
     """
     changed: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
@@ -85,7 +67,7 @@ def precision_of(manifest: Mapping[str, Any]) -> str:
     """Return what is not in full precision about an artifact, for people; empty where everything is, as far as its manifest says."""
     changed = manifest.get(SLIM)
     files = changed.values() if isinstance(changed, Mapping) else ()
-    if any(isinstance(each, Mapping) and each.get("left_out") == HALF for each in files):
+    if any(isinstance(file, Mapping) and file.get("left_out") == HALF for file in files):
         return "in half precision"
     return "computed from parts in half precision" if half_inputs(manifest) else ""
 
@@ -106,16 +88,7 @@ def _halve(path: Path) -> bool:
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
-    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it.
-
-    Args:
-        folder: the copy; its files are replaced.
-        episodes: that stay.
-
-    Raises:
-        ArtifactError: the cell does not have these episodes.
-        StoreError: a file cannot be written.
-    """
+    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it."""
     import numpy as np
     import pyarrow.compute as pc
     import pyarrow.parquet as pq

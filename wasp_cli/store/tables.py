@@ -37,15 +37,12 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 from wasp_cli.store.parquet import opened_table, write_table
 
-EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
-"""Names of the tables inside the artifact of a cell."""
+EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"  # names of the tables inside the artifact of a cell
 
-VERSION = 5
-"""Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
+VERSION = 5  # grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused
 
 VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
-OLDEST = 3
-"""The first version that is read: rows and steps in files of their own."""
+OLDEST = 3  # the first version that is read: rows and steps in files of their own
 
 
 def _required(kind: pa.DataType, *names: str) -> list[pa.Field]:
@@ -100,20 +97,17 @@ METRICS = (
     *_required(pa.float64(), "safety_gate", "task_gate"),
     pa.field("case2", pa.float64()),
 )
-ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4
-"""Columns of METRICS, and the first version that has them."""
+ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4  # columns of METRICS, and the first version that has them
 RENAMED, RENAMED_IN = {"operator": "variant", "variant": "assistant_variant"}, 5
 """Columns of IDENTITY with their names before, and the first version that has today's."""
 THRESHOLDS = tuple(_optional(pa.float64(), "tau_c", "tau_r", "tau_q"))
 TIMES = tuple(_optional(pa.float32(), "decision_p50_ms", "decision_p95_ms"))
 STEP_TIME = pa.field("decision_ms", pa.float32(), nullable=False)
 
-SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})
-"""Of the episodes."""
+SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})  # of the episodes
 STEPS_SCHEMA = pa.schema([*IDENTITY, *STEP, STEP_TIME], {STEPS_KEY: str(VERSION).encode()})
 
-TIMING = (*(field.name for field in TIMES), STEP_TIME.name)
-"""Columns that differ between two computations of one cell."""
+TIMING = (*(field.name for field in TIMES), STEP_TIME.name)  # columns that differ between two computations of one cell
 
 
 @dataclass(frozen=True)
@@ -122,11 +116,9 @@ class CellIdentity:
 
     task: str
     method: str
-    variant: str
-    """of the method: `full`, or an ablation"""
+    variant: str  # of the method: `full`, or an ablation
     operator: str
-    value: float | None
-    """severity value of the operator; None for the unimpaired one"""
+    value: float | None  # severity value of the operator; None for the unimpaired one
     seed: int
 
 
@@ -140,12 +132,8 @@ class Thresholds:
 
 
 class Rows(NamedTuple):
-    """The rows of a cell."""
-
-    episodes: pa.Table
-    """of SCHEMA"""
-    steps: pa.Table
-    """of STEPS_SCHEMA"""
+    episodes: pa.Table  # of SCHEMA
+    steps: pa.Table  # of STEPS_SCHEMA
 
 
 def write_cell(
@@ -171,9 +159,6 @@ def write_cell(
         decision_ms: per episode [T], wall time of each decision in milliseconds.
         episode_seeds: the seed of each episode's world; operator and method have streams of their own.
         earlier: rows of the cell that come before these (`first_rows`).
-
-    Raises:
-        StoreError: a file cannot be written.
     """
     first = 0 if earlier is None else len(earlier.episodes)
     new = cell_tables(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds, first)
@@ -185,11 +170,6 @@ def write_cell(
 
 
 def write_episodes(episodes: pa.Table, path: Path) -> None:
-    """Write the first table of `cell_tables`.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
     # Reports open thousands of these: pages without dictionaries that unpack fast take half the time and no more space.
     write_table(episodes, path, compression="snappy", use_dictionary=False)
 
@@ -271,22 +251,14 @@ def cell_file(folder: Path) -> Path:
 
 
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
-    """Read the episode columns of many cells, one below the other in the order of `paths`.
-
-    Raises:
-        StoreError: a file is missing, damaged, of a newer version, or no cell table.
-    """
+    """Read the episode columns of many cells, one below the other in the order of `paths`."""
     schema = SCHEMA.remove_metadata()
     tables = [_read(path, SCHEMA.names).cast(schema) for path in paths]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
 
 
 def first_rows(folder: Path, batch: int) -> Rows:
-    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have.
-
-    Raises:
-        StoreError: as `read_episodes`, also of the file of the steps.
-    """
+    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have."""
     episodes = _read(folder / EPISODES_FILE, SCHEMA.names).cast(SCHEMA)
     whole = len(episodes) // batch * batch
     steps = _read_steps(folder / EPISODES_FILE, STEPS_SCHEMA.names).cast(STEPS_SCHEMA)
@@ -294,33 +266,21 @@ def first_rows(folder: Path, batch: int) -> Rows:
 
 
 def read_steps(path: Path) -> pa.Table:
-    """Read the steps of a cell: `episode`, then the fields of STEP.
-
-    Raises:
-        StoreError: as `read_episodes`, also of the file of the steps.
-    """
+    """Read the steps of a cell: `episode`, then the fields of STEP."""
     names = ["episode", *(field.name for field in STEP)]
     table = _read_steps(path, names)
     return pa.table([table[name] for name in names], names=names)
 
 
 def read_times(path: Path) -> list[NDArray[np.float64]]:
-    """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
-
-    Raises:
-        StoreError: as `read_steps`.
-    """
+    """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side."""
     table = _read_steps(path, ("episode", "decision_ms"))
     episode, times = np.asarray(table["episode"]), np.asarray(table["decision_ms"], np.float64)
     return [times[episode == number] for number in _read(path, ("episode",))["episode"].to_pylist()]
 
 
 def read_version(path: Path) -> int:
-    """Read the table version that a cell was written with: what later versions added is null in its rows.
-
-    Raises:
-        StoreError: as `read_episodes`.
-    """
+    """Read the table version that a cell was written with: what later versions added is null in its rows."""
     with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
         return int(file.schema_arrow.metadata[VERSION_KEY])
 
@@ -376,7 +336,6 @@ def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of the cell at `path`."""
     return [path, _steps_file(path)]
 
 
