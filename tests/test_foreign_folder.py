@@ -85,15 +85,6 @@ def test_no_command_imports_what_lies_there(arguments, theirs):
     assert imported(theirs) == []
 
 
-def test_neither_does_a_run_without_its_terminal(theirs):
-    said = json.loads(done(theirs, *RUN, "--detach"))
-    try:
-        assert Path(said["log"]).is_file(), "it has begun, with all that it imports for itself"
-    finally:
-        os.killpg(said["pid"], signal.SIGKILL)
-    assert imported(theirs) == []
-
-
 def test_neither_does_python_m(theirs):
     """What Python itself imports before the first line of ours is beyond us; none of DECOYS is among it."""
     done(theirs, "report", ".", "--no-films", "--no-trained", safe=False)

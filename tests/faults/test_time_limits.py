@@ -112,7 +112,7 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
 
     def work() -> None:
         try:
-            with interruptible(0.2, tmp_path / "cancel", tmp_path / "marker", own_process=False):
+            with interruptible(0.2, tmp_path / "marker", own_process=False):
                 while True:
                     time.sleep(0.01)
         except TimeLimitExceeded as error:

@@ -23,7 +23,7 @@ GROUPS = {  # all commands, as `wasp --help` lists them: each with the first sen
     "Start": ("run", "report", "view", "drive"),
     "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
     "Compare": ("sweep", "ablate", "severities", "compare"),
-    "Follow": ("status", "control", "logs"),
+    "Follow": ("status", "logs"),
     "Look into": ("show", "explain", "replay", "note", "export"),
     "Maintain": ("publish", "verify", "gc", "doctor"),
 }

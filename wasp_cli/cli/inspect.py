@@ -1,4 +1,4 @@
-"""The commands about runs, nodes and episodes: `wasp status`, `control`, `logs`, `show`, `explain`,
+"""The commands about runs, nodes and episodes: `wasp status`, `logs`, `show`, `explain`,
 `replay`, `view` and `note`."""
 
 from __future__ import annotations
@@ -6,7 +6,7 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import (
@@ -57,31 +57,6 @@ def status(results: Folder, run: RunOption = None, json: JsonOption = False) -> 
         print_json(as_json(states))
     else:
         show_status(states, out())
-
-
-@command(
-    "wasp control pause",
-    "wasp control resume --run 1a2b",
-    "wasp control cancel 'goal1 s1 wasp laggy=0.7'",
-    codes="0 done, 1 the results cannot be read, 2 no run goes on, or no such node runs or waits",
-)
-def control(
-    action: Annotated[
-        Literal["pause", "resume", "cancel"],
-        argument("pause|resume|cancel", "Begin nothing new; go on; or take a node back, and what needs it."),
-    ],
-    place: Whereabouts,
-    node: Annotated[str | None, argument("NODE", "What to cancel: a label, or the beginning of a key.")] = None,
-) -> None:
-    """Pause or resume active runs, or cancel a node.
-
-    A paused run finishes what runs and begins nothing new. Of a run with a cancelled node everything else goes on; the next run computes
-    it. A run that is over is continued by wasp run.
-    """
-    from wasp_cli.run.record import results_of
-    from wasp_cli.run.watch import control as asked
-
-    say(*asked(results_of(place.results), action, node, place.run))
 
 
 @command(

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-
-import typer
 
 from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import (
@@ -47,7 +43,6 @@ if TYPE_CHECKING:
 def run(
     asked: SelectedSpec,
     work: Work,
-    detach: Annotated[bool, flag("--detach", "Go on without this terminal; a line of JSON says where. See wasp status.")] = False,
 ) -> None:
     """Run a spec and print its tables.
 
@@ -55,18 +50,11 @@ def run(
     second stops at once. Finished nodes are kept either way.
     """
     from wasp_cli.run.session import planned
-    from wasp_cli.run.watch import detached
 
     loaded, options = asked.load(), work.options()
     if work.dry_run:
         plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, options.jobs)
-    elif detach:
-        said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
-        if said is None:
-            sys.stderr.write(printed)
-            raise typer.Exit(code or 1)
-        print(json.dumps(said))
     else:
         run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
 

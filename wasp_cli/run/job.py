@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
-import math
 import os
 import platform
 import resource
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
@@ -51,14 +49,14 @@ class NodeJob:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-State = Literal["done", "shared", "failed", "cancelled", "busy", "skipped", "unseen"]
+State = Literal["done", "shared", "failed", "busy", "skipped", "unseen"]
 
 
 @dataclass(frozen=True)
 class NodeResult:
     """How a node ended.
 
-    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `cancelled`: it was taken back; `skipped`: the run is
+    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is
     to end; `unseen`: its worker does not see the results folder.
     """
 
@@ -198,55 +196,44 @@ LOOK_SECONDS = 0.5
 HINT = "allow more time with --timeout; the log shows where it was"
 
 
-class Cancelled(BaseException):
-    """Its node was taken back. No `Exception`: what a stage catches must not keep it going."""
-
-
 class _Overdue(BaseException):
     """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
 
 
 @contextmanager
-def interruptible(limit: float | None, cancel: Path, marker: Path, own_process: bool) -> Iterator[None]:
-    """Raise TimeLimitExceeded in the block after `limit` seconds, and Cancelled soon after a file appears.
+def interruptible(limit: float | None, marker: Path, own_process: bool) -> Iterator[None]:
+    """Raise TimeLimitExceeded in the block after `limit` seconds.
 
     In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
     between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours;
     `marker` then has text, so that whoever finds it gone knows why.
     """
+    if limit is None:
+        yield
+        return
     over, thread = threading.Event(), threading.get_ident()
     main = threading.current_thread() is threading.main_thread()
-    reason: type[BaseException] = Cancelled
 
     def watch() -> None:
-        nonlocal reason
-        end = math.inf if limit is None else time.monotonic() + limit
-        while not cancel.exists():
-            left = end - time.monotonic()
-            if left <= 0:
-                reason = _Overdue
-                break
-            if over.wait(min(LOOK_SECONDS, left)):
-                return
+        if over.wait(limit):
+            return
         if main:
             signal.pthread_kill(thread, signal.SIGUSR1)
         else:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(reason))
-        if reason is Cancelled and not over.wait(GRACE) and own_process:
-            os.kill(os.getpid(), signal.SIGKILL)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(_Overdue))
 
     def ring(number: int, frame: object) -> None:
         if not over.is_set():
-            raise reason
+            raise _Overdue
 
     before = signal.signal(signal.SIGUSR1, ring) if main else None
     watcher = threading.Thread(target=watch, daemon=True, name="node-watch")
     watcher.start()
     try:
-        with _ended_over(limit, marker) if limit is not None and own_process else nullcontext():
+        with _ended_over(limit, marker) if own_process else nullcontext():
             yield
     except _Overdue:
-        raise TimeLimitExceeded(f"it took longer than the limit of {duration(limit or 0.0)}", HINT) from None
+        raise TimeLimitExceeded(f"it took longer than the limit of {duration(limit)}", HINT) from None
     finally:
         over.set()
         watcher.join()

@@ -46,8 +46,7 @@ class Summary:
     shared: int = 0
     failed: list[tuple[Node, NodeResult]] = field(default_factory=list)
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
-    """Nodes that could not run, each with the failed or cancelled node that it needs."""
-    cancelled: list[Node] = field(default_factory=list)
+    """Nodes that could not run, each with the failed node that it needs."""
     seconds: float = 0.0
     busy: float = 0.0  # seconds that workers spent on nodes, all together
     workers: int = 1
@@ -59,7 +58,7 @@ class Summary:
 
     @property
     def complete(self) -> bool:
-        return not self.failed and not self.blocked and not self.cancelled
+        return not self.failed and not self.blocked
 
 
 class Runner:
@@ -77,9 +76,7 @@ class Runner:
         self._deaths: list[tuple[Flight, bool]] = []  # what was lost with killed workers and is not in the journal yet, and whether it ran
         self._nodes: dict[str, Node] = {}
         self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
-        self._paused = False
         self._deserted = False
-        self._cancelling = layout.cancelled(run_id)
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
@@ -107,7 +104,6 @@ class Runner:
     def _carry_out(self, schedule: Schedule) -> None:
         """Keep every worker busy until nothing is left: what ends makes room, and makes ready what has waited for it."""
         while True:
-            self._obey(schedule)
             self._begin(schedule)
             if not self._flying and (self.stop.asked or not (self._elsewhere or len(schedule))):
                 return
@@ -116,27 +112,9 @@ class Runner:
             self._tell_deaths()
             self._tell_workers()
 
-    def _obey(self, schedule: Schedule) -> None:
-        """Do what was asked from another terminal: pause, go on, take nodes back. A running node hears of it from its worker."""
-        paused = self._layout.pause(self._run_id).exists()
-        if paused != self._paused:
-            self._paused = paused
-            self._journal.write("paused" if paused else "resumed")
-        flying = {flight.node.key for flight in self._flying.values()}
-        for path in self._cancelling.glob("*"):
-            node = self._nodes.get(path.name)
-            if node is not None and node.key not in flying and schedule.waits(node):
-                self._elsewhere.pop(node.key, None)
-                self._give_up(schedule, node)
-
-    def _give_up(self, schedule: Schedule, node: Node) -> None:
-        self.summary.cancelled.append(node)
-        self._journal.write("cancelled", key=node.key, label=node.label)
-        self._block(schedule.failed(node), node)
-
     def _begin(self, schedule: Schedule) -> None:
         jobs = self._pool.jobs
-        while len(self._flying) < jobs and not self.stop.asked and not self._paused:
+        while len(self._flying) < jobs and not self.stop.asked:
             if self._suspects:
                 flight = self._suspects.pop(0)
                 self._flying[self._pool.alone(replace(flight.job, wait=True))] = replace(flight, alone=True)
@@ -182,10 +160,7 @@ class Runner:
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
             result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
-        if result.state == "cancelled":
-            self.summary.busy += result.seconds
-            self._give_up(schedule, node)
-        elif result.state == "busy":
+        if result.state == "busy":
             self._elsewhere[node.key] = (time.monotonic(), flight)
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
@@ -225,8 +200,6 @@ class Runner:
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
             return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=self._log(job))
-        if self._layout.cancel(self._run_id, job.key).exists():
-            return NodeResult(job.key, "cancelled", 0.0)
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
             return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)

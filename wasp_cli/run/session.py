@@ -24,7 +24,6 @@ from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.show import board
-from wasp_cli.run.watch import announce
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec
@@ -93,7 +92,6 @@ def run_spec(
         if _without_slim_inputs(plan, layout):
             plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
         run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
-    announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options, {})
 
 
@@ -166,7 +164,7 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
 
 def _summary_line(plan: Plan, summary: Summary) -> str:
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
-    ended = {"failed": len(summary.failed), "cancelled": len(summary.cancelled), "blocked": len(summary.blocked)}
+    ended = {"failed": len(summary.failed), "blocked": len(summary.blocked)}
     parts += [f"{count} {how}" for how, count in ended.items() if count]
     busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
     return f"{', '.join(parts)} in {duration(summary.seconds)}{busy}"
@@ -182,8 +180,6 @@ def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
     for node, result in summary.failed:
         lines.append(f"  {names.get(node.key, node.label)}: {result.message}")
         lines += [f"      {text}" for text in (result.hint, result.log and f"log: {result.log}") if text]
-    if summary.cancelled:
-        lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
         named = [f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked]

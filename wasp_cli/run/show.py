@@ -35,8 +35,6 @@ from wasp_cli.store.published import FROM_PUBLISHED
 
 POLL_SECONDS = 0.25
 NOTES = {
-    "paused": "paused: running nodes finish, nothing new begins; wasp control resume goes on",
-    "resumed": "resumed",
     "workers back": "workers are back; the run goes on",
     "draining": "finishing running nodes; Ctrl-C again stops now",
 }
@@ -85,9 +83,6 @@ class Lines:
             plain(f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}" + (f"  {detail}" if detail else ""))
         elif kind == "blocked":
             plain(f"{self._counter()} blocked {name}  (needs {self._names.get(event['by'], event['by_label'])})")
-        elif kind == "cancelled":
-            self._shown.add(key)
-            plain(f"{self._counter()} cancelled {name}")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
@@ -216,7 +211,7 @@ def life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        endings = {"finishing running nodes": state.draining, "paused": state.paused, "no worker is left": state.deserted}
+        endings = {"finishing running nodes": state.draining, "no worker is left": state.deserted}
         ending = next((words for words, holds in endings.items() if holds), "")
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
@@ -238,7 +233,7 @@ def _progress(state: RunState) -> Text:
     counts = [f"{done} of {state.total} done"]
     if state.state == "running":
         counts.append(f"{state.running} running")
-    others = {"failed": len(state.failed), "blocked": state.blocked, "cancelled": state.cancelled, "retried": state.retried}
+    others = {"failed": len(state.failed), "blocked": state.blocked, "retried": state.retried}
     counts += [f"{count} {how}" for how, count in others.items() if count]
     if state.waiting:
         counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")

@@ -1,37 +1,27 @@
-"""How far a run is, from its plan, its journal and the small files of running nodes; and what is asked of it from elsewhere.
+"""How far a run is, from its plan, its journal and the small files of running nodes.
 
-Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death. What is asked (to
-pause, to go on, to take nodes back) is files in the folder of the run; a run looks for them twice a second. A run without its terminal is a
-child in a session of its own, which says where it is as soon as its folder is there.
+Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import platform
-import subprocess
-import sys
-import tempfile
-import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Literal
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs, upstream_first
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun, upstream_first
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.find import matching, only
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
-from wasp_cli.store.reached import reached
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
-ENDS = ("done", "shared", "failed", "blocked", "cancelled")  # events after which a node does not run any more
+ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does not run any more
 
 
 @dataclass(frozen=True)
@@ -67,10 +57,8 @@ class RunState:
     shared: int
     failed: tuple[Failed, ...]
     blocked: int
-    cancelled: int
     retried: int
     draining: bool
-    paused: bool
     deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
     left_seconds: float | None  # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
@@ -79,7 +67,7 @@ class RunState:
 
     @property
     def finished(self) -> int:
-        return self.done + self.shared + len(self.failed) + self.blocked + self.cancelled
+        return self.done + self.shared + len(self.failed) + self.blocked
 
     @property
     def running(self) -> int:
@@ -130,10 +118,8 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         shared=counts["shared"],
         failed=tuple(failed.values()),
         blocked=counts["blocked"],
-        cancelled=counts["cancelled"],
         retried=len(by_event.get("retry", ())),
         draining="draining" in by_event and going,
-        paused=layout.pause(run.run_id).exists() and going,
         deserted=deserted,
         active=active,
         left_seconds=seconds,
@@ -259,102 +245,3 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
     if not alone:
         return (0.0 if not members else None), unknown
     return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
-
-
-TOLD = "WASP_DETACHED"  # names, to the child, the file in which it says where it is
-POLL_SECONDS = 0.05
-
-
-def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
-    """Ask the runs that go on, or the one that is named, for something; return what each does now, in words.
-
-    `node` is what is cancelled: a label, or the beginning of a key.
-    """
-    if node is None and action == "cancel":
-        raise UsageError("cancel which node?", "wasp control cancel NODE; wasp status shows what runs")
-    if node is not None and action != "cancel":
-        raise UsageError(f"'{node}' is too much: {action} is for whole runs", "--run ID names a run, --results DIR a results folder")
-    planned = planned_runs(layout)
-    meant = planned if name is None else [named_run(planned, name)]
-    runs = [run for run in meant if state_of(layout, run).state == "running"]
-    if not runs:
-        what = "no run goes on" if name is None else f"the run '{meant[0].run_id}' is over"
-        raise UsageError(f"{what} in '{layout.root}'", "wasp status shows the runs")
-    if node is not None:
-        return _cancel(layout, runs, " ".join(node.split()))
-    answers = []
-    for run in runs:
-        pause = layout.pause(run.run_id)
-        if action == "pause":
-            pause.touch()
-            answer = "paused; running nodes finish"
-        else:
-            answer = "goes on" if pause.exists() else "was not paused"
-            pause.unlink(missing_ok=True)
-        answers.append(f"{run.spec}: {answer} (run {run.run_id})")
-    return answers
-
-
-def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
-    """Take a node back from every run that has it yet to compute, or computes it now."""
-    planned = [node for run in runs for node in run.nodes.values() if node.runs]
-    named = {node.key: node for node in matching(planned, text)}
-    node = only(list(named.values()), text, "nodes")
-    if node is None:
-        labels = {node.label for node in planned}
-        raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
-    key, taken_back = node.key, []
-    for run in runs:
-        ended = {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
-        if key in run.nodes and run.nodes[key].runs and key not in ended:
-            layout.cancelled(run.run_id).mkdir(exist_ok=True)
-            layout.cancel(run.run_id, key).touch()
-            count = len(_with_dependents(run, key) - {key} - ended)
-            also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
-            taken_back.append(f"{node.label} is taken back{also} (run {run.run_id})")
-    if not taken_back:
-        raise UsageError(f"'{node.label}' has ended", "wasp status shows what runs")
-    return taken_back
-
-
-def _with_dependents(run: PlannedRun, key: str) -> set[str]:
-    return reached([key], lambda needed: [node.key for node in run.nodes.values() if node.runs and needed in node.needs])
-
-
-def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, str]:
-    """Start this program again without the terminal, and wait until its run has begun or it has ended.
-
-    Returns what it says of its run (None where it ended without one), its exit code (0 while it goes on), and what it printed until then.
-    """
-    # As a module where it was started so: the folder of a package is no place to import from.
-    own = Path(sys.argv[0])
-    program = ["-m", "wasp_cli"] if own.name == "__main__.py" else [str(own)]
-    with tempfile.TemporaryDirectory(prefix="wasp-") as folder:
-        told, log = Path(folder) / "run.json", Path(folder) / "terminal.log"
-        with log.open("w", encoding="utf-8") as stream:
-            process = subprocess.Popen(
-                [sys.executable, "-P", *program, *arguments],
-                stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, TOLD: str(told)},
-            )  # fmt: skip
-        while not told.exists() and process.poll() is None:
-            time.sleep(POLL_SECONDS)
-        said = json.loads(told.read_text(encoding="utf-8")) if told.exists() else None
-        return said, process.poll() or 0, log.read_text(encoding="utf-8", errors="replace")
-
-
-def announce(layout: Layout, run_id: str, spec: str) -> None:
-    """Say where this run is, where somebody has started it without a terminal and waits to hear; from then on it prints to its folder."""
-    told = os.environ.pop(TOLD, None)
-    if told is None:
-        return
-    log = layout.run(run_id).absolute() / "terminal.log"
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    for number in (1, 2):
-        os.dup2(descriptor, number)
-    os.close(descriptor)
-    said = {"spec": spec, "run": run_id, "folder": str(log.parent), "pid": os.getpid(), "log": str(log)}
-    written = Path(told + ".part")
-    written.write_text(json.dumps(said), encoding="utf-8")
-    written.rename(told)  # whole, or not there

@@ -24,7 +24,7 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
-from wasp_cli.run.job import Cancelled, Heartbeat, NodeJob, NodeResult, State, interruptible
+from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
@@ -129,7 +129,7 @@ class Envelope:
         began = time.monotonic()
         self._note(f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
         try:
-            with interruptible(job.limit, layout.cancel(job.run_id, job.key), layout.overdue(job.run_id, job.key), self.own_process):
+            with interruptible(job.limit, layout.overdue(job.run_id, job.key), self.own_process):
                 require_whole(layout, job.inputs.values())
                 stage: Stage = load_target(job.stage)()
                 keep_memory()
@@ -147,9 +147,6 @@ class Envelope:
                 traceback.print_exception(error)
                 error = changed
             return self._explained(error)
-        except Cancelled:
-            discard(staging)
-            return self._result("cancelled")
         except BaseException:  # Ctrl-C in the process that runs nodes itself
             discard(staging)
             raise

@@ -117,17 +117,6 @@ class Layout:
         """Return the file that is there when a run was asked to end."""
         return self.run(run_id) / "stop"
 
-    def pause(self, run_id: str) -> Path:
-        """Return the file that is there while a run begins nothing new."""
-        return self.run(run_id) / "pause"
-
-    def cancelled(self, run_id: str) -> Path:
-        """Return the folder that has an empty file for each node that was taken back."""
-        return self.run(run_id) / "cancelled"
-
-    def cancel(self, run_id: str, key: str) -> Path:
-        return self.cancelled(run_id) / _key(key)
-
     def running(self, run_id: str, key: str) -> Path:
         """Return what a running node says of its progress."""
         return self.run(run_id) / "running" / f"{_key(key)}.json"

@@ -198,9 +198,9 @@ def first_difference(a: Episode, b: Episode) -> int | None:
 
 LISTED = 30  # runs on the first page; the newest ones
 TAIL = 200_000  # bytes of a log that are shown: its end
-STATE_OF = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked", "cancelled": "cancelled"}
+STATE_OF = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked"}
 UNNEEDED = "not needed"  # said of a node that is not in the store, since everything that needs it was there
-STATES = ("done", "running", "failed", "blocked", "cancelled", "waiting", "cached", UNNEEDED)
+STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
 def runs_of(site: Site) -> list[PlannedRun]:
