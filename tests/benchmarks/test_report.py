@@ -14,7 +14,7 @@ import pytest
 from tests.benchmarks import many
 from tests.report.invented import invent, write
 from wasp_cli.report.stats import Wanted, read_frame
-from wasp_cli.report.tables import main_table
+from wasp_cli.report.tables.main import main_table
 from wasp_cli.store.tables import STEPS_FILE, CellIdentity
 
 CELLS = 100

@@ -16,8 +16,8 @@ from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.report.stats import read_frame
-from wasp_cli.report.stats.summary import UNDEFINED
-from wasp_cli.report.tables import OF_COMMANDS, autonomy_table, detail_table, main_table
+from wasp_cli.report.summary import UNDEFINED
+from wasp_cli.report.tables.main import OF_COMMANDS, autonomy_table, detail_table, main_table
 from wasp_cli.store.tables import CellIdentity
 
 B, T = 6, 3

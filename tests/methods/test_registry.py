@@ -7,9 +7,9 @@ import pytest
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.configs import WASPVariant
 from wasp_cli.methods.registry import METHODS, MethodInfo
-from wasp_cli.report.explain import signal_of
+from wasp_cli.report.explain.episode import signal_of
 from wasp_cli.report.explain.layout import decider
-from wasp_cli.report.tables import variant_title, who_title
+from wasp_cli.report.tables.table import variant_title, who_title
 from wasp_cli.store.tables import Thresholds
 
 

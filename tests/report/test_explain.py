@@ -12,7 +12,7 @@ import pytest
 from tests.report.explained import KEY, NAN, PRINTED, Invented, decision_text, episode_text, text_of
 from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import Episode, read_episode
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.report.explain.facts import decision_json, decision_of, episode_json, exceeds, merged_runs, places_of, runs_of
 from wasp_cli.report.explain.text import MOST_RUNS, episode_lines
 from wasp_cli.store.find import FoundCell

@@ -10,7 +10,7 @@ import pytest
 from tests.report.explained import NAN, PRINTED, Invented, decision_text, episode_text
 from wasp_cli.methods.wasp import search
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK, episode_metrics
-from wasp_cli.report.explain import KEPT, Episode, timeline
+from wasp_cli.report.explain.episode import KEPT, Episode, timeline
 from wasp_cli.report.explain.facts import episode_json, places_of
 from wasp_cli.store.tables import Thresholds
 

@@ -10,9 +10,10 @@ import pytest
 
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Frame, Wanted, read_frame
-from wasp_cli.report.tables import Table, ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import BEST, HUMAN, comparison_tables
+from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.table import Table
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 

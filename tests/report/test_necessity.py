@@ -15,8 +15,8 @@ from tests.report.test_golden import golden
 from wasp_cli.report.figures import necessity_figure
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
+from wasp_cli.report.tables.table import Table
 
 Grid = Callable[..., list[Wanted]]
 

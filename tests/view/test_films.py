@@ -15,7 +15,7 @@ from tests.video.replayed import CELL, made_store
 from tests.view.conftest import brought
 from tests.view.test_walk import WASP
 from wasp_cli.errors import UsageError
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.video.film import film

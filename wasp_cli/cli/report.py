@@ -17,7 +17,7 @@ from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError,
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
-    from wasp_cli.compare import Compared
+    from wasp_cli.compare.runs import Compared
     from wasp_cli.report.films import Draw
     from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
@@ -186,8 +186,8 @@ def compare(
 
     What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
-    from wasp_cli.compare import compare as compared_runs
-    from wasp_cli.compare import pairs
+    from wasp_cli.compare.runs import compare as compared_runs
+    from wasp_cli.compare.runs import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():

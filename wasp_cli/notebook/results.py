@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.notebook import (
+from wasp_cli.notebook.cells import (
     BRANCH,
     EPISODE,
     STEPS,

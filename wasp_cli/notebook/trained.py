@@ -8,11 +8,11 @@ from typing import Any
 import pyarrow as pa
 
 from wasp_cli.errors import UnknownName
-from wasp_cli.notebook import chosen
+from wasp_cli.notebook.cells import chosen
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.render import data_columns
 from wasp_cli.report.summarize import report_run
-from wasp_cli.report.trained import NOT_TRAINED, Trained, scalars, trained_artifacts
+from wasp_cli.report.trained.parts import NOT_TRAINED, Trained, scalars, trained_artifacts
 from wasp_cli.run.record import read_run
 from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import KIND

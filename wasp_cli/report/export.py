@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 from wasp_cli.errors import UsageError
 from wasp_cli.report.summarize import Report
-from wasp_cli.report.tables import main_table
-from wasp_cli.report.trained import Floats
+from wasp_cli.report.tables.main import main_table
 from wasp_cli.report.trained.figures import driving_curves, loss_curves
+from wasp_cli.report.trained.parts import Floats
 
 
 class Series(NamedTuple):

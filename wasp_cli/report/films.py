@@ -17,11 +17,11 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain import Episode, Floats, read_episode, timeline
+from wasp_cli.report.explain.episode import Episode, Floats, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
-from wasp_cli.report.tables import operator_title
 from wasp_cli.report.tables.severity_check import MODERATE
+from wasp_cli.report.tables.table import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout

@@ -15,10 +15,10 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
+from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
-from wasp_cli.report.claims.text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, latency_figure, necessity_figure, profile_figure
-from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.provenance import (
@@ -32,23 +32,14 @@ from wasp_cli.report.provenance import (
 )
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
-from wasp_cli.report.tables import (
-    Table,
-    ablation_table,
-    autonomy_table,
-    detail_table,
-    latency_table,
-    main_table,
-    task_title,
-    threshold_table,
-)
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
+from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
-from wasp_cli.report.tables.words import in_words
-from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown
+from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
+from wasp_cli.report.trained.parts import Trained, duration, numbers_text, trained_artifacts, trained_markdown
 from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper

@@ -12,11 +12,10 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.figures.by_axis import sweep_figures
+from wasp_cli.report.axis_figures import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
 from wasp_cli.report.stats import Missing
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import (
     SWEEP_COLUMNS,
     SWEEP_OPERATOR_COLUMNS,
@@ -27,6 +26,7 @@ from wasp_cli.report.tables.by_axis import (
     sweep_operator_table,
     sweep_table,
 )
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import Sweep
 
 

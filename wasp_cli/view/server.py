@@ -30,7 +30,7 @@ from starlette.routing import Route
 
 from wasp_cli.console import following, plain, say
 from wasp_cli.errors import StoreError, UsageError, WaspError
-from wasp_cli.notebook import ListedCell
+from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.tables import cell_file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.report.claims.test_verdict import HUMAN, against, asked, cell, frame_of, paper_with
 from wasp_cli.report.claims import VerdictReport, judge
-from wasp_cli.report.claims.text import second_headlines, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims_text import second_headlines, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.stats import Frame
 from wasp_cli.spec.paper import Who
 

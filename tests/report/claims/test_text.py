@@ -8,11 +8,11 @@ from html.parser import HTMLParser
 import pytest
 
 from tests.report.claims.test_verdict import against, asked, cell, frame_of, paper_with
+from wasp_cli.report.bootstrap import mean_of
 from wasp_cli.report.claims import VerdictReport, judge
-from wasp_cli.report.claims.text import COLUMN_OF, headline, numbers_table, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims_text import COLUMN_OF, headline, numbers_table, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.render import csv_text
 from wasp_cli.report.stats import Frame, Wanted, read_frame
-from wasp_cli.report.stats.bootstrap import mean_of
 from wasp_cli.spec.paper import COLUMNS, load_paper
 
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.spec.good import GOOD
+from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Judged, Outcome, all_of, any_of, decide, judge
-from wasp_cli.report.claims.text import verdict_markdown
+from wasp_cli.report.claims_text import verdict_markdown
 from wasp_cli.report.stats import CellNumbers, Frame, Missing
-from wasp_cli.report.stats.bootstrap import Limits
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, paper_of

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.figures import LINES, PALETTE, STYLES, cost_return_figure, latency_figure, place_of_round, profile, profile_figure
-from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
 
 

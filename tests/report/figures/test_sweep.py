@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.report.swept import invent_sweep
-from wasp_cli.report.figures.by_axis import MOST, positions, sweep_curves, sweep_figure, sweep_figures
+from wasp_cli.report.axis_figures import MOST, positions, sweep_curves, sweep_figure, sweep_figures
 from wasp_cli.report.tables.by_axis import Swept
 from wasp_cli.store.tables import CellIdentity
 

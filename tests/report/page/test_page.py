@@ -15,8 +15,8 @@ from wasp_cli.report.claims import judge
 from wasp_cli.report.figures import latency_figure
 from wasp_cli.report.stats import Frame, Missing
 from wasp_cli.report.summarize import Report
-from wasp_cli.report.tables import detail_table, main_table
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.tables.main import detail_table, main_table
+from wasp_cli.report.trained.parts import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity

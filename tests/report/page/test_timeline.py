@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import CURVE, Episode, timeline
+from wasp_cli.report.explain.episode import CURVE, Episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.store.tables import Thresholds
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from jinja2 import UndefinedError
 
 from wasp_cli.report.render import data_uri, html, markdown_text, rendered
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Column, Row, Table
+from wasp_cli.report.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 ANY = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)
 

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from wasp_cli.report.render import ACCENTS, SPECIAL, escaped, latex
 from wasp_cli.report.stats import Frame
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Column, Row, Table, detail_table, main_table
+from wasp_cli.report.summary import Value
 from wasp_cli.report.tables.by_axis import operator_table
+from wasp_cli.report.tables.main import detail_table, main_table
+from wasp_cli.report.tables.table import Column, Row, Table
 
 NASTY = '50% of $x_1$ & #2 {a} ~ ^ \\input{/etc/passwd} [b] *c* <d> |e| "f" `g\' -- é ł \u202e\n% new line τ²'
 LITERAL = {text: character for character, text in SPECIAL.items() if ord(character) < 128 and character != '"'}

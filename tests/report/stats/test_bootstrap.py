@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
-from wasp_cli.report.stats.bootstrap import (
+from wasp_cli.report.bootstrap import (
     RESAMPLES,
     Estimate,
     _resampled,
@@ -27,7 +26,8 @@ from wasp_cli.report.stats.bootstrap import (
     mean_of,
     t_limits,
 )
-from wasp_cli.report.stats.summary import paired_difference, summarise
+from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
+from wasp_cli.report.summary import paired_difference, summarise
 from wasp_cli.store.tables import CellIdentity
 
 RNG = np.random.default_rng(3)

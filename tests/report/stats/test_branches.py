@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.report.branched import TAU_R, WINDOW, with_invented_branches
+from wasp_cli.report.bootstrap import mean_of
 from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, read_frame, with_branches
-from wasp_cli.report.stats.bootstrap import mean_of
 
 Grid = Callable[..., list[Wanted]]
 

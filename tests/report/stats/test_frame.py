@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
-from wasp_cli.report.stats.summary import distinct_resamples, over_episodes, over_seeds, paired_difference, spread_note, summarise
+from wasp_cli.report.summary import distinct_resamples, over_episodes, over_seeds, paired_difference, spread_note, summarise
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
 Grid = Callable[..., list[Wanted]]

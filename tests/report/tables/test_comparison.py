@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
-from wasp_cli.report.stats.bootstrap import difference_of, improvement_over, iqm_of
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Row, Table, latency_table, main_table
+from wasp_cli.report.summary import Value
 from wasp_cli.report.tables.by_axis import severity_table
 from wasp_cli.report.tables.comparison import BEST, HUMAN, MEASURES, comparison_tables
+from wasp_cli.report.tables.main import latency_table, main_table
+from wasp_cli.report.tables.table import Row, Table
 
 Grid = Callable[..., list[Wanted]]
 

@@ -13,10 +13,11 @@ from tests.report.claims.test_verdict import cell, frame_of
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.figures import cost_return_figure, latency_figure
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
-from wasp_cli.report.stats.summary import same_episodes
-from wasp_cli.report.tables import Table, ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.summary import same_episodes
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import ablation
 from wasp_cli.spec.model import validate
 

@@ -13,8 +13,8 @@ from rich.console import Console
 from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.sweep import SweepReport
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, Swept, lines, sweep_operator_table, sweep_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.store.tables import CellIdentity
 
 KEY = "diffusion.ratio"

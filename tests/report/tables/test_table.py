@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from wasp_cli.report.render import csv_text, markdown, terminal
-from wasp_cli.report.stats.summary import Interval, Value
-from wasp_cli.report.tables import Column, Row, Table
+from wasp_cli.report.summary import Interval, Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 RETURN = Column("return", "Return", "up")
 COST = Column("cost", "Cost", "down", digits=1)

@@ -14,9 +14,9 @@ from tests.report.trained.parts import QUALITY, artifact, diagnosed
 from wasp_cli.learning.contents import contents
 from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
-from wasp_cli.report.tables import Table
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.figures import STEPS
+from wasp_cli.report.trained.parts import Trained
 from wasp_cli.report.trained.tables import (
     contents_markdown,
     dataset_warnings,

@@ -14,9 +14,9 @@ from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import Constants, Episode
+from wasp_cli.report.explain.episode import Constants, Episode
 from wasp_cli.report.explain.facts import Range
-from wasp_cli.report.tables import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns

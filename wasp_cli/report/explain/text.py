@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import LOOKS, Episode, number
+from wasp_cli.report.explain.episode import LOOKS, Episode, number
 from wasp_cli.report.explain.facts import Decision, Gate, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,

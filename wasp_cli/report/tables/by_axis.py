@@ -9,25 +9,20 @@ from typing import Any
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
-from wasp_cli.report.stats.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables import (
+from wasp_cli.report.summary import Value, paired_difference, spread_note
+from wasp_cli.report.tables.main import (
     AUTONOMY,
     LABELS,
     MEANINGS,
     MORE_COLUMNS,
     PAPER_COLUMNS,
-    Column,
-    Row,
-    Table,
-    assistant_title,
     full_groups,
     labels_of,
     missing_notes,
-    operator_title,
     part_of,
-    task_title,
     values,
 )
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
 SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)

@@ -10,21 +10,11 @@ from typing import NamedTuple
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups, row_of
-from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
-from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
-from wasp_cli.report.tables import (
-    PAPER_COLUMNS,
-    Column,
-    Row,
-    Table,
-    assistant_title,
-    full_groups,
-    labels_of,
-    missing_notes,
-    part_of,
-    task_title,
-)
+from wasp_cli.report.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 HUMAN = "human"
 OURS = "wasp"

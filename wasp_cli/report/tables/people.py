@@ -17,10 +17,11 @@ import pyarrow as pa
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
-from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn, limits_of
-from wasp_cli.report.stats.summary import UNDEFINED, Interval, Value
-from wasp_cli.report.tables import PAPER_COLUMNS, Column, Row, Table, task_title, who_title
+from wasp_cli.report.summary import UNDEFINED, Interval, Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.study import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary

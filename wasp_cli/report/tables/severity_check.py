@@ -24,8 +24,9 @@ from wasp_cli.errors import NotAccepted
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, read_frame
-from wasp_cli.report.stats.summary import UNDEFINED, Value, spread_note, summarise
-from wasp_cli.report.tables import AUTONOMY, PAPER_COLUMNS, Column, Row, Table, missing_notes, operator_title, task_title
+from wasp_cli.report.summary import UNDEFINED, Value, spread_note, summarise
+from wasp_cli.report.tables.main import AUTONOMY, PAPER_COLUMNS, missing_notes
+from wasp_cli.report.tables.table import Column, Row, Table, operator_title, task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.tables import CellIdentity
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.report.figures import save
-from wasp_cli.report.trained import PIXELS, UNREADABLE, Floats, Trained, open_parquet, read_json, read_table
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
+from wasp_cli.report.trained.parts import PIXELS, UNREADABLE, Floats, Trained, open_parquet, read_json, read_table
 from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug

@@ -14,8 +14,8 @@ import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
-from wasp_cli.report.tables import task_title
-from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.report.tables.table import task_title
+from wasp_cli.report.trained.parts import UNREADABLE, Floats, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 

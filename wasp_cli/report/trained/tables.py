@@ -10,9 +10,9 @@ from typing import Any
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.render import markdown
-from wasp_cli.report.stats.summary import Value, over_seeds
-from wasp_cli.report.tables import Column, Row, Table, task_title
-from wasp_cli.report.trained import UNREADABLE, Trained, read_json
+from wasp_cli.report.summary import Value, over_seeds
+from wasp_cli.report.tables.table import Column, Row, Table, task_title
+from wasp_cli.report.trained.parts import UNREADABLE, Trained, read_json
 from wasp_cli.store.layout import Layout
 
 COLUMNS = (  # stage and the number of its summary. Stages that do not tell a number leave its column out.

@@ -27,9 +27,9 @@ from functools import cache
 from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups
-from wasp_cli.report.stats.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
-from wasp_cli.report.tables import task_title
+from wasp_cli.report.tables.table import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 

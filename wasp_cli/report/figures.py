@@ -18,9 +18,9 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
-from wasp_cli.report.stats.summary import summarise
-from wasp_cli.report.tables import Column, assistant_title, task_title
+from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
+from wasp_cli.report.tables.table import Column, assistant_title, task_title
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:

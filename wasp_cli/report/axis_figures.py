@@ -16,9 +16,10 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.figures import PALETTE, drawn, figure_files, legend, ruled, style_of
 from wasp_cli.report.stats import Frame, Group, groups
-from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
-from wasp_cli.report.tables import PAPER_COLUMNS, Column, task_title, who_title
+from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.report.stats import CellNumbers, Floats
-from wasp_cli.report.stats.summary import Interval, condition, paired_difference, summarise
+from wasp_cli.report.summary import Interval, condition, paired_difference, summarise
 
 Places = NDArray[np.intp]
 Limits = tuple[float, float]

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
+from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
 from wasp_cli.report.render import markdown_row, rendered
-from wasp_cli.report.stats.bootstrap import Limits
-from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS, Row, Table, task_title, who_title
+from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
+from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
+from wasp_cli.report.tables.table import Row, Table, task_title, who_title
 from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:
