@@ -64,7 +64,6 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
         "paper",
         "statistics",
         "severity",
-        "severity_check",
         "latency",
     }
     assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}

@@ -54,7 +54,7 @@ def report(
 
     claimed = None if paper == Path("none") else load_paper(paper)
     layout = results_of(results.path)
-    runs, damaged = last_runs(layout, aside=spec is not None)
+    runs, damaged = last_runs(layout)
     if not runs and not damaged:
         raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
     if spec is not None and runs and spec not in runs:
@@ -153,7 +153,7 @@ def export(
     if tensorboard is None and trackio is None:
         raise UsageError("nothing to write: neither --tensorboard nor --trackio is given", "wasp export results/ --tensorboard runs/")
     layout = results_of(results.path)
-    runs, damaged = last_runs(layout, aside=spec is not None)
+    runs, damaged = last_runs(layout)
     if spec is not None and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     for name, run_id in runs.items():

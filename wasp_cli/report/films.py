@@ -20,7 +20,6 @@ from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain.episode import Episode, Floats, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
-from wasp_cli.report.tables.severity_check import MODERATE
 from wasp_cli.report.tables.table import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
+MODERATE = "moderate"  # name of the severity whose episode is shown
 FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
 

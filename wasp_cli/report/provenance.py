@@ -37,12 +37,8 @@ NAMED = 12  # published cells that a report names
 Assumption = tuple[str, Any, str]  # dotted name, value, why
 
 
-def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read.
-
-    Without `aside` those that are set aside are left out, where there are others.
-    """
-    hidden: set[str] = set()
+def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
     runs: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
@@ -60,8 +56,7 @@ def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], li
             continue
         runs.pop(name, None)
         runs[name] = run_id
-        (hidden.add if record.get("aside") is True else hidden.discard)(name)
-    return {name: run for name, run in runs.items() if aside or name not in hidden} or runs, damaged
+    return runs, damaged
 
 
 @dataclass

@@ -36,7 +36,6 @@ from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.report.trained.parts import Trained, duration, numbers_text, trained_artifacts, trained_markdown
@@ -51,7 +50,7 @@ from wasp_cli.store.tables import CellIdentity
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
     "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
-    "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
+    "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(  # every file that a report can write
@@ -262,7 +261,6 @@ def report_run(
         *comparison_tables(frame),
         operator_table(frame),
         severity_table(frame),
-        _severity_check(spec, frame),
         autonomy_table(frame),
         detail_table(frame),
         latency_table(frame),
@@ -286,14 +284,6 @@ def report_run(
         keys=keys,
         notes=tuple(notes),
     )
-
-
-def _severity_check(spec: Spec, frame: Frame) -> Table | None:
-    """The operators alone, where cells without assistance stand beside the expert's."""
-    if not {"human", "expert"} <= {identity.method for identity in frame.order}:
-        return None
-    checks = checks_of(spec, frame)
-    return judged(check_table(checks, frame), checks)
 
 
 def wanted_cells(
