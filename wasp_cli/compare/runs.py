@@ -56,8 +56,6 @@ class Difference:
 
 @dataclass(frozen=True)
 class Paired:
-    """Two evaluations of a cell side by side."""
-
     differences: Mapping[str, Difference]  # by measure
     worlds: int  # n, those that both have
     episodes: tuple[int, int]
@@ -107,8 +105,6 @@ State = Literal["same", "same rows", "differs", "only first", "only second", "no
 
 @dataclass(frozen=True)
 class Side:
-    """One of two runs."""
-
     layout: Layout
     run_id: str
     spec: Spec
@@ -116,15 +112,12 @@ class Side:
 
     @classmethod
     def read(cls, layout: Layout, run_id: str) -> Side:
-        """Read a recorded run."""
         run = read_run(layout, run_id)
         return cls(layout, run.run_id, run.spec, run.cells)
 
 
 @dataclass(frozen=True)
 class ComparedCell:
-    """A cell of either side."""
-
     label: str
     identity: CellIdentity
     state: State
@@ -141,8 +134,6 @@ class ComparedCell:
 
 @dataclass(frozen=True)
 class Summary:
-    """An assistant on a task over all cells that both sides have."""
-
     task: str
     method: str
     variant: str
@@ -153,15 +144,12 @@ class Summary:
 
 @dataclass(frozen=True)
 class Compared:
-    """Two runs side by side."""
-
     first: Side
     second: Side
     cells: tuple[ComparedCell, ...]
     summary: tuple[Summary, ...]
 
     def having(self, *states: State) -> list[ComparedCell]:
-        """Return the cells in one of the given states."""
         return [cell for cell in self.cells if cell.state in states]
 
     @property
@@ -170,7 +158,6 @@ class Compared:
 
     @property
     def alike(self) -> bool:
-        """Whether both have the same cells, each readable and without a difference beyond noise."""
         return not self.beyond and not self.having("only first", "only second", "not compared")
 
     @property
@@ -202,7 +189,6 @@ def pairs(
 
 
 def compare(first: Side, second: Side) -> Compared:
-    """Compare two runs; nothing is executed and nothing is written."""
     sides = [_Read(first), _Read(second)]
     causes = Causes(first.layout, second.layout)
     identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
@@ -215,8 +201,6 @@ def compare(first: Side, second: Side) -> Compared:
 
 
 class _Read:
-    """What can be read of a side, by the identity of the cell."""
-
     def __init__(self, side: Side) -> None:
         self.layout = side.layout
         cells, _ = wanted_cells(side.layout, side.spec, side.cells)

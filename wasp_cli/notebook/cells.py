@@ -45,12 +45,10 @@ class ListedCell(CellIdentity):
 
     @property
     def label(self) -> str:
-        """As `wasp run` prints it."""
         return f"{self.task} s{self.seed} {cell_label(self.method, self.variant, self.operator, self.value)}"
 
     @property
     def identity(self) -> CellIdentity:
-        """As its rows name it."""
         return CellIdentity(self.task, self.method, self.variant, self.operator, self.value, self.seed)
 
 
@@ -64,7 +62,6 @@ def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
 
 
 def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
-    """List the cells of a run, computed or not."""
     try:
         judged = {_named(spec, entry): str(entry["key"]) for entry in plan.get("branched", ())}
         cells = [_named(spec, entry) for entry in plan["cells"]]
@@ -84,7 +81,6 @@ def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
 
 
 def stored_cells(layout: Layout) -> list[ListedCell]:
-    """List every cell in the store of a folder without runs; one whose manifest has another form is passed over."""
     judged: dict[str, str] = {}
     for key in sorted(filter(is_key, stored_keys(layout, BRANCHES))):
         with suppress(ArtifactError, KeyError, TypeError, AttributeError):
@@ -126,7 +122,6 @@ def _values(value: Any) -> Iterator[Any]:
 
 
 def table_of(layout: Layout, cell: ListedCell) -> Path | None:
-    """Return the table of a cell; None where it is not computed."""
     path = layout.within(cell_file(layout.artifact(KIND, cell.key)))
     return path if path.is_file() else None
 
@@ -180,7 +175,6 @@ def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Seq
 
 
 def episodes_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
-    """Read the episodes of a cell."""
     path = table_of(layout, cell)
     return None if path is None else _own_episodes(path, cell)
 
@@ -194,7 +188,6 @@ def _own_episodes(path: Path, cell: ListedCell) -> pa.Table:
 
 
 def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
-    """Read the steps of a cell."""
     path = table_of(layout, cell)
     if path is None:
         return None
@@ -203,7 +196,6 @@ def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
-    """Read the branched decisions of a cell."""
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)

@@ -22,7 +22,6 @@ MAIN = "main"  # the first table of a report, whatever its name
 
 
 def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
-    """Make a table of what cells were computed from and of further parts, needed ones first; without any of both, of all of the store."""
     roots = [*((KIND, key) for key in cells), *parts]
     if not roots:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
@@ -47,7 +46,6 @@ def _numbers(part: Trained, taken: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _array(values: Sequence[Any]) -> pa.Array:
-    """One column; where stages disagree on its type, as text."""
     kinds = {bool if isinstance(value, bool) else float if isinstance(value, int | float) else type(value) for value in values} - {
         type(None)
     }
@@ -57,7 +55,6 @@ def _array(values: Sequence[Any]) -> pa.Array:
 
 
 def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
-    """Make one table of the report of a spec's last run."""
     run = read_run(layout, last_runs(layout)[0][spec])
     paper = None
     if name == "paper":

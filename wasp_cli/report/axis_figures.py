@@ -40,8 +40,6 @@ CLEAR = {"markersize": 5, "markeredgecolor": "white", "markeredgewidth": 0.6, "l
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a panel."""
-
     label: str
     colour: str
     marker: str
@@ -52,7 +50,6 @@ class Curve:
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; by task. Returns the files."""
     assistants = [group for group in groups(frame) if group.variant == "full" and METHODS[group.method].impaired and group.cells]
     under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.operator != UNIMPAIRED)
     variants = list(dict.fromkeys(variant for variant, _ in under))
@@ -77,14 +74,12 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def sweep_figures(key: str, swept: Sequence[Swept], folder: Path) -> list[Path]:
-    """Write `sweep_<task>.png` and `.svg` for every task with a computed cell; returns the files."""
     tasks = dict.fromkeys(line.group.task for line in lines(swept))
     figures = {task: figure for task in tasks if (figure := sweep_figure(key, swept, task)) is not None}
     return [path for task, figure in figures.items() for path in figure_files(figure, folder, f"sweep_{slug(task)}")]
 
 
 def sweep_figure(key: str, swept: Sequence[Swept], task: str) -> Figure | None:
-    """Draw the curves of one task: four panels for each assistant that the setting touches. None where nothing has been computed."""
     assistants = sweep_curves(swept, task)
     curves = [curve for own in assistants.values() for curve in own]
     if all(curve.gaps == len(swept) for curve in curves):
@@ -110,7 +105,6 @@ def sweep_figure(key: str, swept: Sequence[Swept], task: str) -> Figure | None:
 
 
 def draw_curve(panel: Axes, curve: Curve, column: Column, look: dict[str, Any]) -> None:
-    """Draw a metric along the axis with the spread over seeds, and dashed that of Human-only."""
     order = sorted(range(len(curve.x)), key=lambda place: curve.x[place])
     x = [curve.x[place] for place in order]
 
@@ -186,7 +180,6 @@ def positions(values: Sequence[Any]) -> tuple[list[float], bool]:
 def _over_values(
     every: Sequence[Line], swept: Sequence[Swept], assistant: tuple[str, str], condition: Condition | None
 ) -> list[Line | None]:
-    """The line of an assistant under each value; an untouched one has the same under all."""
     own = [line for line in every if line.group.assistant[1:] == assistant and line.condition == condition]
     # A mean that leaves cells out would pass for another one.
     whole = [line for line in own if line.group.complete and line.group.cells]

@@ -38,8 +38,6 @@ Outcome = Literal["holds", "fails", "undecided", "untested"]
 
 @dataclass(frozen=True)
 class Answer:
-    """A comparison, asked of the rows."""
-
     asked: Comparison
     outcome: Outcome
     left: float | None = None
@@ -52,8 +50,6 @@ class Answer:
 
 @dataclass(frozen=True)
 class Judged:
-    """A claim and its outcome."""
-
     claim: Claim
     outcome: Outcome
     answers: tuple[tuple[Answer, ...], ...]  # per question; of the answers in a tuple one is enough
@@ -67,7 +63,6 @@ class Judged:
 
     @property
     def beyond_print(self) -> tuple[tuple[Answer, ...], ...]:
-        """The questions to which the paper's own numbers say no."""
         return tuple(answers for answers in self.answers if all(answer.shown_in_print is False for answer in answers))
 
 
@@ -86,8 +81,6 @@ class Beside:
 
 @dataclass(frozen=True)
 class VerdictReport:
-    """Everything that is said of a paper."""
-
     paper: Paper
     rows: tuple[Beside, ...]  # of the tasks that are here
     claims: tuple[Judged, ...]
@@ -98,7 +91,6 @@ class VerdictReport:
     others: tuple[Who, ...] = ()  # the rows that stand for a method as another recipe makes it, and that claims are judged by too
 
     def having(self, outcome: Outcome) -> list[Judged]:
-        """Return the claims with an outcome."""
         return [judged for judged in self.claims if judged.outcome == outcome]
 
 
@@ -157,8 +149,6 @@ def all_of(outcomes: Sequence[Outcome]) -> Outcome:
 
 
 class _Rows:
-    """The rows of a report by what a paper calls them, each number computed once."""
-
     def __init__(self, frame: Frame) -> None:
         rows = groups(frame)
         self.tasks = tuple(dict.fromkeys(group.task for group in rows))
@@ -181,7 +171,6 @@ class _Rows:
         return None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
 
     def lack(self, task: str, who: Who) -> str:
-        """Why a row says nothing, or not all; empty where it is complete."""
         group = self.group(task, who)
         if group is None:
             return f"{task_title(task)} has no {who}"
@@ -237,7 +226,6 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
 
 
 def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:
-    """Whether the printed means stand so, whatever their spread."""
     if left is None or (right is None and asked.right is not None):
         return None
     # To nine digits: 0.3 - 0.1 is not 0.2 to a computer.

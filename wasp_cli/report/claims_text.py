@@ -35,14 +35,12 @@ Cell = tuple[str, float | None]  # a text, and the number that it prints without
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
-    """Return the outcome of a claim; of one that is tested in part, the outcome of that part."""
     if judged.outcome != "untested" or judged.part == "untested":
         return PLAIN[judged.outcome] + _about(verdict, judged.outcome)
     return f"in part: {PLAIN[judged.part]}{_about(verdict, judged.part)}"
 
 
 def headline(verdict: VerdictReport) -> str:
-    """Count the claims by their outcome, in a sentence."""
     parts = [_counted(len(judged), outcome, verdict) for outcome in ("holds", "fails", "undecided") if (judged := verdict.having(outcome))]
     rest = Counter(judged.part for judged in verdict.having("untested"))
     partly = [_counted(rest[outcome], outcome, verdict) for outcome in ("holds", "undecided") if rest[outcome]]
@@ -56,7 +54,6 @@ def headline(verdict: VerdictReport) -> str:
 
 
 def second_headlines(verdict: VerdictReport) -> list[str]:
-    """Count the claims by their outcome with each further row in its method's place, in a sentence for each row."""
     sentences = []
     for i, who in enumerate(verdict.others):
         pairs = [(one.outcome, other.outcome) for one in verdict.claims if (other := one.others[i]) and other.outcome != "untested"]
@@ -69,7 +66,6 @@ def second_headlines(verdict: VerdictReport) -> list[str]:
 
 
 def _second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
-    """Return the outcome of a claim by a further row of its method; empty where that row cannot answer it."""
     other = judged.others[i]
     return "" if other is None or other.part == "untested" else label(verdict, other)
 
@@ -89,7 +85,6 @@ def _about(verdict: VerdictReport, outcome: Outcome) -> str:
 
 
 def untested(verdict: VerdictReport) -> str:
-    """Return one line about the claims of which nothing could be asked; empty when there are none."""
     untested = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
     if not untested:
         return ""
@@ -104,7 +99,6 @@ def _lacking(claims: Sequence[Judged]) -> list[str]:
 
 
 def sentence(answer: Answer) -> str:
-    """Put a tested comparison into words, with its numbers."""
     asked, column = answer.asked, COLUMN_OF[answer.asked.column]
     sides = [f"{title_of(asked.left)} {column.number(answer.left)}"]
     what = f"{task_title(asked.task)} {column.title}"
@@ -122,7 +116,6 @@ def _contrast_text(answer: Answer) -> str:
 
 
 def _t_text(answer: Answer) -> str:
-    """Print the t interval of the trainings; empty with one training."""
     return _limits(answer, answer.contrast.t if answer.contrast else None)
 
 
@@ -144,13 +137,11 @@ def _answered(answer: Answer) -> str:
 
 
 def printed(answer: Answer) -> str:
-    """Return the numbers of a comparison as the paper prints them; empty where it prints none."""
     numbers = [f"{number.mean:g}" for number in answer.printed if number is not None]
     return " and ".join(numbers) if answer.shown_in_print is not None else ""
 
 
 def beyond_print(judged: Judged) -> str:
-    """Say where a claim says more than the paper's own numbers; empty where it does not."""
     odd = [answer for answers in judged.beyond_print for answer in answers]
     shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in odd]
     return f"The paper's own means do not show it: {few(shown)}." if shown else ""
@@ -163,7 +154,6 @@ def verdict_terminal(verdict: VerdictReport) -> Text:
 
 
 def verdict_markdown(verdict: VerdictReport) -> str:
-    """Render a section: every claim with every comparison."""
     lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
     lines += _second_table(verdict)
     for judged in verdict.claims:
@@ -175,7 +165,6 @@ def verdict_markdown(verdict: VerdictReport) -> str:
 
 
 def _second_table(verdict: VerdictReport) -> Iterator[str]:
-    """Yield a table of all tested claims, with a column for each further row of a method; nothing where there is no such row."""
     told, titles = second_headlines(verdict), [title_of(who) for who in verdict.others]
     if told:
         yield from (*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles))))
@@ -201,7 +190,6 @@ def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
 
 
 def verdict_html(verdict: VerdictReport) -> Markup:
-    """Return every claim with every comparison; those of which nothing could be asked in one line."""
     claims = [_claim_html(verdict, judged) for judged in verdict.claims if judged.part != "untested"]
     told = {"title": TITLE, "headline": headline(verdict), "seconds": second_headlines(verdict), "untested": untested(verdict)}
     headings = (*HEADINGS, *map(title_of, verdict.others))
@@ -222,7 +210,6 @@ def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
 
 
 def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
-    """Yield the class and the cells of every comparison that was asked."""
     for place, answers in enumerate(judged.answers):
         for number, answer in enumerate(answers):
             if answer.outcome != "untested":
@@ -284,12 +271,10 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
 
 
 def title_of(who: Who) -> str:
-    """Return the name of a row in tables."""
     return who_title(who.method, who.variant)
 
 
 def _values(row: Beside, keys: list[str], seeds: int) -> tuple[Value, ...]:
-    """Each number of the paper, in the unit of the rows (its page has percent), and ours."""
     pairs = dict(zip(row.columns, zip(row.printed, row.ours, strict=True), strict=True))
     values: list[Value] = []
     for key in keys:

@@ -93,7 +93,6 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def style_of(method: str) -> tuple[str, str]:
-    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print."""
     return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
 
 
@@ -104,7 +103,6 @@ def place_of_round(method: str) -> int:
 
 
 def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    """Rule light lines behind what a panel shows."""
     panel.grid(axis=axis, color="#dddddd", linewidth=0.6)
     panel.set_axisbelow(True)
 
@@ -135,8 +133,6 @@ MARGIN = 0.97  # of a figure's width that a legend may take
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One line of a panel."""
-
     x: Floats  # [n]
     y: Floats  # [n]; NaN is left out
     label: str = ""
@@ -173,7 +169,6 @@ def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, flo
 
 
 def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
-    """Return the rows of the tables that have cells, by task."""
     rows: dict[str, list[Group]] = {}
     for group in groups(frame):
         if group.variant == "full" and group.cells:
@@ -182,7 +177,6 @@ def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
 
 
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `cost_return.png` and `.svg`: large marks are a method's mean, small ones its operator variants. Returns the files."""
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -200,7 +194,6 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def latency_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `latency.png` and `.svg`: median and 95th percentile of the time of a decision, a panel for each task. Returns the files."""
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -253,7 +246,6 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
 
 
 def _draw(panel: Axes, group: Group) -> None:
-    """One method: its operator variants small, their mean large with the spread over seeds."""
     colour, marker = style_of(group.method)
     x, y = _point(group.cells)
     for variant in dict.fromkeys(cell.identity.operator for cell in group.cells) if METHODS[group.method].impaired else ():
@@ -294,7 +286,6 @@ PANELS = {
 
 
 def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `figure3.png` and `.svg`: the risk at interventions, UIR, ΔC and ΔR of every method. Returns the files."""
     drawable = [group for group in judged_groups(frame) if _risks(frame, group).size]
     if not drawable:
         return []
@@ -325,7 +316,6 @@ def _risks(frame: Frame, group: Group) -> Floats:
 
 
 def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
-    """Stacked shares of the classes of risk; beside them how many interventions they are made from."""
     edges = np.array([0.0, 1 / 3, 2 / 3])
     for y, group in enumerate(own):
         risks = _risks(frame, group)

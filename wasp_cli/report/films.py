@@ -52,8 +52,6 @@ Draw = Callable[..., Sprite]  # draws an episode: `video.film.sprite_of`, which 
 
 @dataclass(frozen=True, eq=False)
 class MethodFilm:
-    """An episode under one method."""
-
     method: str
     episode: Episode
     sprite: Sprite | None
@@ -63,8 +61,6 @@ class MethodFilm:
 
 @dataclass(frozen=True)
 class TaskFilms:
-    """One episode of a task under every method."""
-
     task: str
     operator: str
     value: float | None
@@ -153,7 +149,6 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
 
 
 def film_page(films: TaskFilms) -> Markup:
-    """Return the content of a task's page (`templates/films.html`)."""
     operator = operator_title(films.operator) + ("" if films.value is None else f" {films.value:g}")
     told = (
         f"Episode {films.number} of seed {films.seed} under the operator {operator}: {films.how}. "

@@ -122,7 +122,6 @@ def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def node_lines(facts: Facts) -> Iterator[Text]:
-    """Yield the lines of a node, one section after the other; what is not known is left out."""
     yield Text(facts["label"], style="bold")
     yield _entry("kind", facts["kind"])
     yield _entry("key", facts["key"])

@@ -70,7 +70,6 @@ class Origins:
     halved: list[str] = field(default_factory=list)  # labels of the cells that were computed from parts in half precision
 
     def add(self, manifest: Mapping[str, Any]) -> None:
-        """Take one more artifact into account."""
         self.total += 1
         if manifest.get("kind") == KIND:
             for name, version in _versions(manifest):
@@ -81,7 +80,6 @@ class Origins:
             self.published.append(manifest)
 
     def facts(self) -> Iterator[str]:
-        """Yield one sentence for each version that computed published results, and which cells these are where not all are."""
         versions: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for manifest in self.published:
             version = str(manifest["provenance"].get("wasp", "of an unknown version"))
@@ -123,7 +121,6 @@ def _counted(counts: Counter[str]) -> str:
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:
-    """Return whether an artifact of the store was brought in from the published layer."""
     return manifest["provenance"].get(FROM_PUBLISHED) is True
 
 
@@ -180,7 +177,6 @@ def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Seq
 
 
 def absent_fact(absent: Sequence[Part]) -> str:
-    """Say why parts are not there."""
     kinds = ", ".join(dict.fromkeys(part.kind for part in absent))
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
@@ -201,7 +197,6 @@ READINGS = (
 
 
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
-    """Return the assumptions of the stages and methods that this spec uses: first what differs from the paper."""
     kinds: set[str] = set()
 
     def need(kind: str) -> None:
@@ -230,7 +225,6 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
 
 
 def _of_single_tasks(spec: Spec) -> list[Assumption]:
-    """The values that differ in the sections of single tasks, each with its task."""
     differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
@@ -245,7 +239,6 @@ def _of_single_tasks(spec: Spec) -> list[Assumption]:
 
 
 def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
-    """Render a Markdown section: every value in force that is not the paper's."""
     lines = [
         "## Assumptions in force",
         "",

@@ -52,8 +52,6 @@ WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps", **dict.fro
 
 @dataclass(frozen=True)
 class Wanted:
-    """A cell that the report should cover."""
-
     identity: CellIdentity
     label: str
     path: Path
@@ -90,8 +88,6 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class CellNumbers:
-    """One cell: its episodes, and the same pooled."""
-
     identity: CellIdentity
     severity: str | None
     pooled: Mapping[str, float]
@@ -133,8 +129,6 @@ class Judged:
 
 @dataclass(frozen=True)
 class Frame:
-    """What a report is made from."""
-
     cells: tuple[CellNumbers, ...]
     missing: tuple[Missing, ...] = ()
     order: tuple[CellIdentity, ...] = ()  # all wanted cells, as they were asked for
@@ -159,11 +153,9 @@ class Group:
 
     @property
     def complete(self) -> bool:
-        """Whether the row may be compared with others."""
         return self.absent == 0
 
     def of_variant(self, variant: str) -> list[CellNumbers]:
-        """Return the cells of one operator variant."""
         return [cell for cell in self.cells if cell.identity.operator == variant]
 
 
@@ -180,7 +172,6 @@ def groups(frame: Frame) -> list[Group]:
 
 
 def row_of(identity: CellIdentity) -> tuple[str, str, str]:
-    """Return what the cells of a row have in common: task, method, ablation."""
     return identity.task, identity.method, identity.variant
 
 
@@ -275,7 +266,6 @@ def _floats(table: pa.Table, name: str) -> Floats:
 
 
 def median_of(values: Floats) -> float:
-    """Return the median of the defined values; NaN without any."""
     defined = values[~np.isnan(values)]
     return float(np.median(defined)) if len(defined) else float("nan")
 

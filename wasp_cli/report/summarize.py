@@ -62,8 +62,6 @@ TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 
 @dataclass(frozen=True)
 class Report:
-    """What a run amounts to."""
-
     name: str
     layout: Layout
     facts: tuple[str, ...]  # one-line statements about the grid
@@ -81,7 +79,6 @@ class Report:
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        """Cells without readable rows, and branches of other cells that are not there, each with the reason."""
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
@@ -124,7 +121,6 @@ class Report:
         return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """Render the whole report as one Markdown page."""
         parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
@@ -145,7 +141,6 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """Render the whole report as one HTML page (`page/templates/page.html`) that needs no other file and no network."""
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
         page = rendered(
@@ -173,7 +168,6 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
@@ -183,7 +177,6 @@ def missing_words(frame: Frame) -> str:
 
 
 def name_missing(console: Console, missing: Sequence[Missing]) -> None:
-    """Print the first missing cells, each with its reason, and how many more there are."""
     for cell in missing[:NAMED]:
         console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
     if len(missing) > NAMED:
@@ -191,7 +184,6 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write every figure that has something to show, as PNG and SVG; returns the files."""
     of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
     for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
@@ -334,7 +326,6 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    """Return a cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
 
 

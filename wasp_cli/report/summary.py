@@ -66,7 +66,6 @@ def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
 
 
 def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
-    """Return mean and sample standard deviation of seed-level numbers."""
     numbers = list(means)
     if not numbers:
         return UNDEFINED
@@ -126,7 +125,6 @@ def distinct_resamples(seeds: int) -> int:
 
 
 def spread_note(cells: Sequence[CellNumbers]) -> str:
-    """Say what the ± of a table means, and how much it can be trusted."""
     seeds = len({cell.identity.seed for cell in cells})
     if not seeds:
         return "No cell has been computed yet."

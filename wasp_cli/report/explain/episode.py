@@ -65,8 +65,6 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One stored episode."""
-
     cell: FoundCell
     row: Mapping[str, Any]  # the episode columns of `store.tables`
     episodes: int  # in the cell, all decided side by side
@@ -95,7 +93,6 @@ class Episode:
 
     @property
     def label(self) -> str:
-        """Return the label of the cell, as its run printed it."""
         row = self.row
         who = cell_label(self.method, self.variant, row["operator"], row["value"])
         return printable(self.cell.label or f"{row['task']} s{row['seed']} {who}")
@@ -105,7 +102,6 @@ class Episode:
         return f"{self.label}, episode {self.row['episode']}"
 
     def require(self, t: int) -> None:
-        """Raise a UsageError where there is no decision t."""
         if not 0 <= t < self.decisions:
             raise UsageError(f"there is no decision {t}", f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}")
 
@@ -115,12 +111,10 @@ class Episode:
 
     @property
     def signal(self) -> Signal:
-        """Return what the method decides by; of one that no registry knows, a signal without a meaning."""
         return signal_of(self.method)
 
     @property
     def signal_limit(self) -> float | None:
-        """Return the value above which the method's own signal calls for a correction; None where there is no such value."""
         limit = self.signal.limit
         if limit in THRESHOLDS:
             return number(self.row[limit])
@@ -128,7 +122,6 @@ class Episode:
         return float(stated) if isinstance(stated, (int, float)) and not isinstance(stated, bool) else None
 
     def at(self, name: str, t: int) -> float | None:
-        """Return a number of decision t; None where it is undefined."""
         return number(float(self.numbers[name][t]))
 
     @property
@@ -148,13 +141,11 @@ class Episode:
 
     @property
     def missed(self) -> Bools:
-        """Return where there was cost and no gate fired [T]."""
         missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
         return missed
 
     @property
     def late(self) -> Bools:
-        """Return where there was cost while the assistant was late [T]."""
         late: Bools = self.costly & (self.gate == GATE_LATE)
         return late
 
@@ -210,7 +201,6 @@ def _read(cell: FoundCell, episode: int) -> Episode:
 
 
 def _floats(values: list[float | None]) -> Floats:
-    """Real numbers; null and infinities are NaN."""
     numbers = np.array(values, np.float64)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
@@ -253,7 +243,6 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 
 
 def imagines_expert(cell: FoundCell) -> bool:
-    """Tell whether the method imagines the expert behind every command, as WASP does."""
     config = cell.setting("axes", "method_config")
     return isinstance(config, dict) and type(config.get("search_rollouts")) is int
 
@@ -268,13 +257,10 @@ def _batches(of: Callable[[str, type], Any], candidates: int | None, *, takeover
 
 
 def number(value: float | None) -> float | None:
-    """Return a number; None where it is undefined."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 class Look(NamedTuple):
-    """How a gate is shown."""
-
     kind: str  # its name in rows and JSON, and its class on a page
     words: str
     colour: str  # of Okabe and Ito; `page/style.css` has it too, and a lighter one for dark pages
@@ -305,7 +291,6 @@ class Lane(NamedTuple):
 
 
 def timeline(episode: Episode) -> list[Lane]:
-    """Return a row for each gate's curve, with its threshold, one for the interventions and one for the costs."""
     lanes = [_lane(*curve) for curve in curves(episode)]
     acts = episode.intervened | (episode.gate == GATE_LATE)  # what was late is to be seen, though it did nothing
     if acts.any():
@@ -316,8 +301,6 @@ def timeline(episode: Episode) -> list[Lane]:
 
 
 class Curve(NamedTuple):
-    """What a method looks at over an episode."""
-
     name: str
     values: Floats  # [T]
     limit: float | None

@@ -43,7 +43,6 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
-    """Set out an episode, in lines of at most `width` columns; the last line says how `command` explains one decision."""
     telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
     place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
     hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"
@@ -103,7 +102,6 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    """How often each gate fired, and above which value it does."""
     thresholds, signal, off = episode.thresholds, episode.signal, "off in this variant"
     late = bool((episode.gate == GATE_LATE).any())
     above = "-" if episode.gated or episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
@@ -199,7 +197,6 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
-    """Set out one decision, in lines of at most `width` columns; a UsageError where the episode has no such decision."""
     return set_out(_decision_parts(episode, decision_of(episode, t)), width)
 
 

@@ -38,7 +38,6 @@ Condition = tuple[str, float | None]  # operator variant and severity value
 
 
 def operator_table(frame: Frame) -> Table:
-    """Tabulate return and cost per operator variant, over its severities."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
     columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
@@ -56,7 +55,6 @@ def operator_table(frame: Frame) -> Table:
 
 
 def severity_table(frame: Frame) -> Table | None:
-    """Tabulate per task, operator and method intervention rate, cost and return at every severity; None where no operator has two."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
@@ -81,7 +79,6 @@ def severity_table(frame: Frame) -> Table | None:
 
 
 def level(cell: CellNumbers) -> str:
-    """Return the severity as the spec names it, otherwise its value."""
     return cell.severity or f"{cell.identity.value:g}"
 
 
@@ -117,7 +114,6 @@ class Line:
         )
 
     def as_json(self, columns: Sequence[Column]) -> dict[str, Any]:
-        """Return plain values, unscaled; None is undefined."""
         facts: dict[str, Any] = {
             "task": self.group.task, "method": self.group.method, "variant": self.group.variant,
             "touched": self.swept is not None, "value": None if self.swept is None else self.swept.value,
@@ -157,7 +153,6 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
 
 
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, method and value the mean over all operator variants and severities."""
     rows_of = lines(swept)
     rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in rows_of]
     frame = combined(key, swept)
@@ -171,7 +166,6 @@ def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
 
 
 def sweep_operator_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, operator variant and severity what each value gains for this operator, or costs it."""
     rows = []
     for line in operator_lines(swept, lines(swept)):
         assert line.condition is not None
@@ -196,7 +190,6 @@ def combined(key: str, swept: Sequence[Swept]) -> Frame:
 
 
 def condition_title(condition: Condition) -> str:
-    """Return an operator with its severity, in tables and legends."""
     variant, value = condition
     return operator_title(variant) if value is None else f"{operator_title(variant)} {value:g}"
 
@@ -206,7 +199,6 @@ def _condition(identity: CellIdentity) -> Condition:
 
 
 def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
-    """Whether any cell of an assistant differs between two values."""
     key_sets = {
         frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.variant) == assistant)
         for each in swept

@@ -32,8 +32,6 @@ MEANINGS = (
 
 
 class _Line(NamedTuple):
-    """A measure of a method on a task, whatever it is compared with."""
-
     group: Group
     measure: Column
     marked: Value  # as in the main table
@@ -156,7 +154,6 @@ NECESSITY_MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
-    """Make table `figure3`; None where no interventions were to be branched."""
     judged = list(judged_groups(frame))
     if not judged:
         return None
@@ -175,14 +172,12 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
 
 
 def estimated(group: Group, column: Column) -> Value:
-    """Return a column of a row with its interval."""
     estimate = mean_of(group.cells, column.key) if group.cells else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)
 
 
 def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
-    """Interventions of the row, and how many of them were branched."""
     if not group.cells:
         return UNDEFINED, UNDEFINED
     seeds = len({cell.identity.seed for cell in group.cells})

@@ -70,7 +70,6 @@ def main_table(frame: Frame) -> Table:
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
-    """Return the numbers of a row."""
     return tuple(part_of(group, group.cells, column) for column in columns)
 
 
@@ -91,7 +90,6 @@ def missing_notes(frame: Frame) -> list[str]:
 
 
 def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
-    """Summarise a column over some of the cells of a row."""
     if not cells or (column.key in OF_COMMANDS and not METHODS[group.method].attended):
         return UNDEFINED
     value = summarise(cells, column.key)
@@ -101,12 +99,10 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 
 def full_groups(frame: Frame) -> list[Group]:
-    """List the rows of assistants as a whole."""
     return [group for group in groups(frame) if group.variant == "full"]
 
 
 def labels_of(group: Group) -> tuple[str, str]:
-    """Return task and method of a row."""
     return task_title(group.task), assistant_title(group)
 
 
@@ -117,7 +113,6 @@ def ablation_table(frame: Frame) -> Table | None:
     tasks = list(dict.fromkeys(group.task for group in every))
 
     def place(group: Group) -> tuple[int, str, int, str]:
-        """Tasks as they come, variants as the registry lists them."""
         variants = list(METHODS[group.method].variants)
         known = variants.index(group.variant) if group.variant in variants else len(variants)
         return tasks.index(group.task), group.method, known, group.variant
@@ -172,7 +167,6 @@ REDUCE: dict[str, Callable[[Floats], float]] = {"median": np.median, "worst": np
 
 
 def detail_table(frame: Frame) -> Table:
-    """Tabulate the stored columns that Table 1 leaves out."""
     rows = []
     for group in full_groups(frame):
         spread = (over_episodes(group.cells, "cost", np.median), over_episodes(group.cells, "cost", np.max))
@@ -185,7 +179,6 @@ def detail_table(frame: Frame) -> Table:
 
 
 def autonomy_table(frame: Frame) -> Table:
-    """Tabulate per task and method how often and how far the operator is corrected, as commanded and in force, and how abruptly."""
     columns = tuple(replace(column, optional=False) for column in AUTONOMY_COLUMNS)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     meanings = (
@@ -200,7 +193,6 @@ def autonomy_table(frame: Frame) -> Table:
 
 
 def latency_table(frame: Frame) -> Table | None:
-    """Tabulate per task and method median and 95th percentile of the time of a decision (ms); None where nothing has been timed."""
     rows = [
         Row(labels_of(group), tuple(over_episodes(group.cells, name, REDUCE[over]) for name in TIMES for over in REDUCE))
         for group in full_groups(frame)
@@ -216,7 +208,6 @@ def latency_table(frame: Frame) -> Table | None:
 
 
 def threshold_table(frame: Frame) -> Table:
-    """Tabulate per task and assistant the mean threshold over seeds; without rows when no method has one."""
     rows = []
     for group in groups(frame):
         numbers = tuple(_threshold(group.cells, column.key) for column in THRESHOLD_COLUMNS)

@@ -18,8 +18,6 @@ MISSING = "n/a"  # printed where a number is undefined or its cells are missing
 
 @dataclass(frozen=True)
 class Column:
-    """A numeric column."""
-
     key: str  # name in data files
     title: str
     better: Literal["up", "down"] | None = None
@@ -36,7 +34,6 @@ class Column:
         return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
 
     def number(self, value: float | None, sign: bool = False) -> str:
-        """Print a number; no negative zero."""
         if value is None or not math.isfinite(value):
             return MISSING
         rounded = round(value * self.scale, self.digits) + 0.0
@@ -96,15 +93,12 @@ class Table:
         object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
 
     def group(self, row: int) -> tuple[str, ...]:
-        """Return what a row is compared within."""
         return self.rows[row].labels[: self.grouping] if self.grouped else ()
 
     def starts_group(self, row: int) -> bool:
-        """Return whether a row is the first of its group."""
         return row == 0 or self.group(row) != self.group(row - 1)
 
     def text(self, row: int, column: int, spread: bool = True, delta: bool = True) -> str:
-        """Print a value."""
         return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
 
     def shown_labels(self, row: int) -> list[str]:
@@ -134,12 +128,10 @@ class Table:
 
 
 def task_title(task: str) -> str:
-    """Return the name of a task in tables."""
     return TASKS[task].title
 
 
 def operator_title(variant: str) -> str:
-    """Return the name of an operator variant in tables."""
     return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
 
 
@@ -163,5 +155,4 @@ def who_title(method: str, variant: str) -> str:
 
 
 def variant_title(method: str, variant: str) -> str:
-    """Return the title of an ablation; of an unknown one its name."""
     return METHODS[method].variants.get(variant, variant) if method in METHODS else variant

@@ -54,7 +54,6 @@ class Window(NamedTuple):
 
 
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
-    """Read the decoded frames and the imagined windows of a `diagnostics` artifact."""
     table = read_table(layout, artifact, "images.parquet", COLUMNS)
     of = np.asarray(table["window"], np.int64)
     rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
@@ -92,14 +91,12 @@ def _strip(window: Window, word: str) -> Image.Image:
 
 
 def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw true and decoded images of filtered states."""
     decoded, _ = read_windows(layout, artifact)
     if decoded is not None:
         _strip(decoded, "decoded").save(path, format="PNG")
 
 
 def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw a block per imagined window: true and imagined images, and predicted and real cost of each step."""
     _, windows = read_windows(layout, artifact)
     if not windows:
         return
@@ -126,7 +123,6 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
 
 
 def draw_open_loop_film(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw the imagined windows side by side as an animated GIF, step by step."""
     _, windows = read_windows(layout, artifact)
     if not windows:
         return
@@ -188,7 +184,6 @@ def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
 
 
 def _steps(layout: Layout, shards: list[Path]) -> Steps:
-    """Everything but the images, shard after shard."""
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in Steps._fields[:-1]}
     sources: tuple[str, ...] = ()
     for shard in shards:
@@ -301,7 +296,6 @@ def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tel
 
 
 def _own_folder(root: Path, name: str) -> Path:
-    """Make a folder that is no link, nor below one."""
     for folder in (root, root / name):
         if folder.is_symlink() or folder.is_file():
             folder.unlink()

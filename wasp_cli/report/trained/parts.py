@@ -35,8 +35,6 @@ NOT_TRAINED = ("evaluate", *stages_of("cell"))  # kinds whose results are tables
 
 @dataclass(frozen=True)
 class Trained:
-    """One artifact."""
-
     stage: str
     task: str
     seed: int
@@ -90,7 +88,6 @@ def trained_artifacts(
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
-    """Lay out a Markdown section; the rows keep their order."""
     lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
     for artifact in artifacts:
         numbers, time = numbers_text(artifact.summary), duration(artifact.seconds)
@@ -99,7 +96,6 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
 
 
 def numbers_text(summary: Mapping[str, Any]) -> str:
-    """Write the scalar numbers of a summary on one line, nested ones with dotted names."""
     numbers = list(scalars(summary))
     text = ", ".join(f"{name} {short(value)}" for name, value in numbers[:SHOWN])
     return text + (f", and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else "")
@@ -118,7 +114,6 @@ def duration(seconds: float | None) -> str:
 
 
 def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
-    """Iterate over the numbers and words of a summary, nested ones with dotted names."""
     for name, value in summary.items():
         if isinstance(value, Mapping):
             yield from scalars(value, f"{prefix}{name}.")
@@ -127,7 +122,6 @@ def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str,
 
 
 def short(value: int | float | bool | str) -> str:
-    """Write a number as a table has it."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -146,13 +140,11 @@ def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
 
 @contextmanager
 def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file of an artifact; one of UNREADABLE where it is no plain file or damaged."""
     with open_plain(layout.within(path)) as plain, pq.ParquetFile(plain) as file:
         yield file
 
 
 def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str]) -> pa.Table:
-    """Read columns of a Parquet file of an artifact; one of UNREADABLE where it is damaged."""
     with open_parquet(layout, layout.artifact(artifact.kind, artifact.key) / name) as file:
         return file.read(columns=list(columns), use_threads=False)
 

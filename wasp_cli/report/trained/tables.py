@@ -60,7 +60,6 @@ class _Training:
         return self.wanted.get((task, stage), [])
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
-        """The mean over the seeds whose part is there and tells the number."""
         told = (self.summaries.get(part, {}).get(name) for part in parts)
         numbers = [float(number) for number in told if isinstance(number, int | float) and math.isfinite(number)]
         return over_seeds(numbers, ranked=False)
@@ -76,7 +75,6 @@ class _Training:
 def training_tables(
     parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
 ) -> list[Table]:
-    """Make the tables that have something to show; `failures` say by key why parts are not there, where that is known."""
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
     by_stage: dict[Key, list[Part]] = {}
     for part, _ in parts:
@@ -188,7 +186,6 @@ Document = Mapping[str, Any]
 
 
 def dataset_warnings(contents: Document) -> list[str]:
-    """Say what is wrong with a dataset; a task without cost sources has nothing to warn of."""
     sources, share = contents[ALL]["sources"], contents[ALL]["costly_share"]
     if not sources:
         return []
@@ -215,7 +212,6 @@ def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, 
 
 
 def contents_markdown(contents: Document) -> str:
-    """Lay out what a dataset holds: a row per behaviour, the whole first; shares in percent."""
     sources = [_percent(kind, kind, 2) for kind in contents[ALL]["sources"]]
     rows = [((name,), {**row, **row["sources"]}) for name, row in contents.items()]
     notes = [
@@ -227,7 +223,6 @@ def contents_markdown(contents: Document) -> str:
 
 
 def open_loop_markdown(sets: Document) -> str:
-    """Lay out the tables of every set of episodes: steps 1..H, whole windows, the filtered state, what each cost source allows."""
     parts = ["# What the world model foresees\n"]
     for name, table in sets.items():
         named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
@@ -275,7 +270,6 @@ def _foreseen(table: Document) -> Iterator[str]:
 
 
 def quality_markdown(quality: Document) -> str:
-    """Lay out the distances of denoised commands: a row for each kind of command and ratio."""
     columns = (Column("conformity", "to the expert's action", digits=3), Column("fidelity", "to the command", digits=3))
     rows = [((kind, ratio), row) for kind, by_ratio in quality.items() for ratio, row in by_ratio.items()]
     return _table("What denoising does to commands", ("Command", "Ratio"), columns, rows)
@@ -288,6 +282,5 @@ def _table(
     rows: Iterable[tuple[tuple[str, ...], Document]],
     notes: Sequence[str] = (),
 ) -> str:
-    """A Markdown table, from labels and numbers by the keys of the columns."""
     filled = tuple(Row(names, tuple(Value(numbers[column.key]) for column in columns)) for names, numbers in rows)
     return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouped=False, ranked=False))
