@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.bootstrap import Limits
-from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
+from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictReport, signed_margin, stood_for
 from wasp_cli.report.render import markdown_row, rendered
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
@@ -29,9 +29,7 @@ SIDES = {
     "lower": "below", "not_higher": "at most", "at_most": "at most",
     "higher": "above", "not_lower": "at least", "at_least": "at least",
 }  # fmt: skip
-HEADINGS = ("Task", "Measure", "Left", "Right", "Contrast (interval)", "t interval", "Needed", "Outcome", "In the paper")
 SAID = 70  # characters of a claim that is only named
-Cell = tuple[str, float | None]  # a text, and the number that it prints without rounding
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
@@ -104,7 +102,7 @@ def sentence(answer: Answer) -> str:
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
         sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
-    t = f"; t {limits}" if (limits := _t_text(answer)) else ""
+    t = f"; t {limits}" if (limits := _limits(answer, answer.contrast.t if answer.contrast else None)) else ""
     return f"{what}: {', '.join(sides)}; {_contrast_text(answer)}{t}, needed: {needed(answer)}"
 
 
@@ -113,10 +111,6 @@ def _contrast_text(answer: Answer) -> str:
         return ""
     value = COLUMN_OF[answer.asked.column].number(answer.contrast.value, True)
     return f"{value} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
-
-
-def _t_text(answer: Answer) -> str:
-    return _limits(answer, answer.contrast.t if answer.contrast else None)
 
 
 def _limits(answer: Answer, limits: Limits | None) -> str:
@@ -158,7 +152,9 @@ def verdict_markdown(verdict: VerdictReport) -> str:
     lines += _second_table(verdict)
     for judged in verdict.claims:
         if judged.outcome != "untested" or judged.part != "untested":
-            lines += _claim(verdict, judged)
+            claim = judged.claim
+            lines.append(f"- **{label(verdict, judged)}**: {claim.says} (`{claim.id}`, section {claim.section})")
+            lines += [f"  - {text}" for text in _told(judged)]
     if text := untested(verdict):
         lines += ["", text]
     return "\n".join(lines) + "\n"
@@ -175,68 +171,30 @@ def _second_table(verdict: VerdictReport) -> Iterator[str]:
         yield ""
 
 
-def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
-    claim = judged.claim
-    yield f"- **{label(verdict, judged)}**: {claim.says} (`{claim.id}`, section {claim.section})"
-    if claim.reading:
-        yield f"  - Read as: {claim.reading}"
+def _told(judged: Judged) -> Iterator[str]:
+    """Yield what stands below a claim: how it is read, every comparison, and what is missing."""
+    if judged.claim.reading:
+        yield f"Read as: {judged.claim.reading}"
     for answers in judged.answers:
         asked = [answer for answer in answers if answer.outcome != "untested"]
         if asked:
-            yield f"  - {'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(_answered, asked))}"
-    for text in (f"Not tested: {few(_lacking([judged]))}." if _lacking([judged]) else "", beyond_print(judged)):
-        if text:
-            yield f"  - {text}"
+            yield f"{'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(_answered, asked))}"
+    if lacking := _lacking([judged]):
+        yield f"Not tested: {few(lacking)}."
+    if beyond := beyond_print(judged):
+        yield beyond
 
 
 def verdict_html(verdict: VerdictReport) -> Markup:
-    claims = [_claim_html(verdict, judged) for judged in verdict.claims if judged.part != "untested"]
+    claims = []
+    for judged in verdict.claims:
+        if judged.part != "untested":
+            shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
+            labels = (_second_label(verdict, judged, i) for i in range(len(verdict.others)))
+            seconds = [(title_of(who), text) for who, text in zip(verdict.others, labels, strict=True) if text]
+            claims.append((judged.claim, shade, label(verdict, judged), seconds, list(_told(judged))))
     told = {"title": TITLE, "headline": headline(verdict), "seconds": second_headlines(verdict), "untested": untested(verdict)}
-    headings = (*HEADINGS, *map(title_of, verdict.others))
-    return rendered("claims.html", verdict=verdict, headings=headings, claims=claims, **told)
-
-
-def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
-    claim, absent = judged.claim, few(_lacking([judged]))
-    remarks = (
-        ("reading", claim.reading and f"Read as: {claim.reading}"),
-        ("beyond", beyond_print(judged)),
-        ("lacking", absent and f"Not tested: {absent}"),
-    )
-    shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
-    facts = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
-    seconds = [(title_of(who), text) for i, who in enumerate(verdict.others) if (text := _second_label(verdict, judged, i))]
-    return {**facts, "seconds": seconds, "remarks": remarks, "rows": list(_rows(judged))}
-
-
-def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
-    for place, answers in enumerate(judged.answers):
-        for number, answer in enumerate(answers):
-            if answer.outcome != "untested":
-                aside = "" if any_of(answers) == answer.outcome else " aside"
-                seconds = [("" if other is None else _second(other.answers[place][number]), None) for other in judged.others]
-                yield answer.outcome + aside, [*_cells(answer, "or " if number else ""), *seconds]
-
-
-def _second(answer: Answer) -> str:
-    if answer.outcome == "untested":
-        return ""
-    return f"{PLAIN[answer.outcome]}: {_contrast_text(answer)}"
-
-
-def _cells(answer: Answer, before: str) -> list[Cell]:
-    asked, column = answer.asked, COLUMN_OF[answer.asked.column]
-    return [
-        (before + task_title(asked.task), None),
-        (column.title, None),
-        (f"{title_of(asked.left)} {column.number(answer.left)}", answer.left),
-        ("" if asked.right is None else f"{title_of(asked.right)} {column.number(answer.right)}", answer.right),
-        (_contrast_text(answer), answer.contrast.value if answer.contrast else None),
-        (_t_text(answer), None),
-        (needed(answer), None),
-        (PLAIN[answer.outcome], None),
-        (printed(answer), None),
-    ]
+    return rendered("claims.html", verdict=verdict, claims=claims, **told)
 
 
 COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}

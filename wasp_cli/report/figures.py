@@ -1,6 +1,6 @@
 """How all figures of a report look and are written, and those with a mark for each method.
 
-Cost against return, what interventions were worth (Figure 3), decision times, profiles. A figure that has nothing to show writes no file.
+Cost against return, and what interventions were worth (Figure 3). A figure that has nothing to show writes no file.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import groupby, product
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,7 +37,6 @@ ENDINGS = ("png", "svg")
 STYLES = {  # colour and marker of a method, the same in every figure; the marker also tells them apart in print
     name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
 }
-LINES = ("-", "--", ":")  # of methods with one colour, in their rounds
 LOOK: dict[Any, Any] = {  # settings of matplotlib for every figure
     "font.size": 9,
     "svg.hashsalt": "wasp",
@@ -51,9 +50,6 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
     "are the limits of the table.",
     "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
-    "profile": "Performance profiles: the share of episodes that return at least x, and that cost at most x; every operator and seed "
-    "weighs the same.",
-    "latency": "Time of a decision: the median, and the 95th percentile as a bar. The episodes of a cell are decided side by side.",
     "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
     "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
 }
@@ -94,12 +90,6 @@ def save(figure: Figure, path: Path) -> None:
 
 def style_of(method: str) -> tuple[str, str]:
     return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
-
-
-def place_of_round(method: str) -> int:
-    """Return in which round of the colours a method is, for LINES."""
-    known = list(METHODS)
-    return known.index(method) // len(PALETTE) % len(LINES) if method in known else 0
 
 
 def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
@@ -193,58 +183,6 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
         return figure_files(figure, folder, "cost_return")
 
 
-def latency_figure(frame: Frame, folder: Path) -> list[Path]:
-    tasks = rows_by_task(frame)
-    if not tasks:
-        return []
-    with drawn((1.4 + 3.0 * len(tasks), 0.9 + 0.32 * max(map(len, tasks.values())))) as figure:
-        panels = figure.subplots(1, len(tasks), squeeze=False)[0]
-        for panel, (task, rows) in zip(panels, tasks.items(), strict=True):
-            for y, group in enumerate(rows):
-                _latency(panel, group, y)
-            panel.set_yticks(range(len(rows)), [assistant_title(group) for group in rows])
-            panel.invert_yaxis()
-            panel.set_xscale("log")
-            panel.set_title(task_title(task), loc="left", fontweight="bold")
-            panel.set_xlabel("ms per decision: median (mark), 95 % (bar)")
-            ruled(panel, "x")
-        return figure_files(figure, folder, "latency")
-
-
-def profile_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
-    tasks = rows_by_task(frame)
-    if not tasks:
-        return []
-    with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
-        panels = figure.subplots(2, len(tasks), squeeze=False, sharey=True)
-        for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
-            for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
-                x, share = profile(group, key, at_least=key == "return")
-                look = {"color": style_of(group.method)[0], "linestyle": LINES[place_of_round(group.method)], "linewidth": 1.3}
-                panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
-            column[0].set_title(task_title(task), loc="left", fontweight="bold")
-            column[0].set_xlabel("return x of an episode (better: up)")
-            column[1].set_xlabel("cost x of an episode (better: up)")
-            for panel in column:
-                panel.set_ylim(0.0, 1.02)
-                ruled(panel)
-        column = panels[:, 0]
-        column[0].set_ylabel("share of episodes that return ≥ x")
-        column[1].set_ylabel("share of episodes that cost ≤ x")
-        legend(figure, panels[0], loc="outside right upper")
-        return figure_files(figure, folder, "profile")
-
-
-def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
-    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at most x; every cell weighs the same."""
-    values = np.concatenate([cell.episodes[key] for cell in group.cells])
-    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(group.cells)
-    order = np.argsort(values, kind="stable")
-    x, reached = values[order], np.cumsum(weights[order])
-    return x, 1.0 - reached + weights[order] if at_least else reached
-
-
 def _draw(panel: Axes, group: Group) -> None:
     colour, marker = style_of(group.method)
     x, y = _point(group.cells)
@@ -264,16 +202,6 @@ def _draw(panel: Axes, group: Group) -> None:
 def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
     cost, reward = summarise(cells, "cost").mean, summarise(cells, "return").mean
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
-
-
-def _latency(panel: Axes, group: Group, y: int) -> None:
-    median, late = (summarise(group.cells, f"decision_{share}_ms").mean for share in ("p50", "p95"))
-    if median is None or late is None or median <= 0:
-        return
-    colour, marker = style_of(group.method)
-    panel.plot([median, max(late, median)], [y, y], color=colour, linewidth=1.6)
-    panel.plot([late], [y], "|", color=colour, markersize=9)
-    panel.plot([median], [y], marker, color=colour, markersize=6)
 
 
 CLASSES = (("no cost", "#f2f2f2"), ("up to 1/3", "#bdbdbd"), ("up to 2/3", "#737373"), ("more", "#1a1a1a"))

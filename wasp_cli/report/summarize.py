@@ -18,7 +18,7 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, latency_figure, necessity_figure, profile_figure
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.provenance import (
@@ -184,7 +184,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
+    of_cells = (cost_return_figure, necessity_figure, severity_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
     for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
         files += [] if figure is None else figure_files(figure, folder, name)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.report.claims import judge
-from wasp_cli.report.figures import latency_figure
+from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import Frame, Missing
 from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import detail_table, main_table
@@ -66,7 +66,7 @@ def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
         assumptions=(("wasp.tau_c", 0.3, word),),
         verdict=judge(frame, load_paper()),
     )
-    return report.html(latency_figure(frame, folder))
+    return report.html(cost_return_figure(frame, folder))
 
 
 def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     outline = Outline(page)
     assert outline.open == []
     assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}
-    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-latency"}
+    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-cost_return"}
     assert len(set(outline.ids)) == len(outline.ids)
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)

@@ -11,7 +11,7 @@ import pytest
 
 from tests.report.claims.test_verdict import cell, frame_of
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.report.figures import cost_return_figure, latency_figure
+from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
 from wasp_cli.report.summary import same_episodes
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
@@ -43,8 +43,8 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: C
         assert TITLE not in labels(table)
     assert {"WASP, full", TITLE} <= set(labels(ablation_table(frame)))
     assert {"WASP", TITLE} <= set(labels(threshold_table(frame)))
-    pictures = [path for path in (*cost_return_figure(frame, tmp_path), *latency_figure(frame, tmp_path)) if path.suffix == ".svg"]
-    assert len(pictures) == 2
+    pictures = [path for path in cost_return_figure(frame, tmp_path) if path.suffix == ".svg"]
+    assert len(pictures) == 1
     assert not any(TITLE in path.read_text() for path in pictures)
 
 
