@@ -174,6 +174,7 @@ WINDOW = tuple(
     Column(key, title, digits=3)
     for key, title in (
         ("base", "Base rate"), ("auprc", "AUPRC"), ("recall", "Recall"), ("foreseen", "Foreseen"), ("false_alarms", "False alarms"),
+        ("persistence", "Persistence, AUPRC"), ("cost_correlation", "Summed cost, correlation with the real sum"),
     )
 )  # fmt: skip
 FILTERED = (
@@ -245,13 +246,10 @@ def _foreseen(table: Document) -> Iterator[str]:
     by_step = [((str(row["k"]),), row) for row in steps]
     yield _table("Step by step", ("k",), FORESEEN, by_step)
     starts = [
-        ((title,), {column.key: window[f"{prefix}{column.key}"] for column in WINDOW})
+        ((title,), {column.key: window.get(f"{prefix}{column.key}") for column in WINDOW})
         for title, prefix in (("all", ""), ("onset", "onset_"))
     ]
-    summed = Column("cost_correlation", "Correlation of the summed cost with the real sum", digits=3)
-    persistence = Column("persistence", "Persistence, AUPRC", digits=3)
     yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
-    yield _table("The whole window", ("Starts",), (persistence, summed), [(("all",), window)])
     yield _table("The filtered state itself (k = 0)", ("Cost",), FILTERED, [(("all",), table["filter"])])
     told = table.get("readout")
     if told:  # older diagnostics have none
