@@ -90,10 +90,6 @@ def test_only_worlds_in_common_are_paired_in_any_order() -> None:
         assert found.differences[name].p == pytest.approx(plain.differences[name].p)
 
 
-def test_without_a_world_in_common_nothing_is_compared() -> None:
-    assert paired_episodes(cell(rows(1, 4)), cell(rows(2, 5, 6.0), np.arange(5) + 900.0)) is None
-
-
 def test_no_difference_has_p_1_and_one_world_no_interval() -> None:
     same = paired_episodes(cell(rows(1, 4)), cell(rows(1, 4)))
     assert {each.p for each in same.differences.values()} == {1.0}

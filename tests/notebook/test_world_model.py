@@ -155,6 +155,7 @@ def test_changed_bytes_are_not_loaded(tmp_path: Path, model: LoadedWorldModel) -
         wasp_cli.load_world_model(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_example_runs() -> None:
     done = subprocess.run(
         [sys.executable, "docs/examples/world_model.py"], cwd=ROOT, capture_output=True, text=True, timeout=600, check=False

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import SMALL, Fakes, fakes, prepared, run
-from wasp_cli.console import size
+from tests.run.harness import SMALL, Fakes, fakes, run
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
@@ -88,25 +87,6 @@ def test_the_text_says_the_same(results: Path) -> None:
     assert "  data.bin  32 bytes\n" in text
 
 
-def test_folders_with_its_pictures_are_named(results: Path) -> None:
-    facts = shown(results, "goal1 s0 world_model")
-    assert facts["pictures"] == []
-    for key in (facts["key"], "0" * 20):
-        (results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{key[:8]}").mkdir(parents=True)
-    folder = str(results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{facts['key'][:8]}")
-    assert shown(results, "goal1 s0 world_model")["pictures"] == [folder]
-    assert folder in run_here("show", facts["key"], "--results", results, columns=300).stdout
-
-
-@pytest.mark.parametrize("kind", ["evaluate", "world_model", "calibration", "expert"])
-def test_a_node_of_any_kind_is_found_by_its_key(kind: str, results: Path, tmp_path: Path) -> None:
-    layout = Layout(results)
-    _, _, plan = prepared(tmp_path / "small.yaml", results)
-    node = next(step.node for step in plan.steps if step.node.kind == kind and step.state == "cached")
-    found = find_node(layout, node.key)
-    assert (found.kind, found.label, found.path) == (kind, node.label, layout.artifact(kind, node.key))
-
-
 def test_names_of_several_nodes_and_of_none(results: Path) -> None:
     layout = Layout(results)
     keys = [path.name for path in layout.store.glob("*/*")]
@@ -117,8 +97,3 @@ def test_names_of_several_nodes_and_of_none(results: Path) -> None:
     with pytest.raises(UnknownName) as caught:
         find_node(layout, "goal1 s0 world_modal")
     assert "did you mean 'goal1 s0 world_model'" in str(caught.value.hint)
-
-
-@pytest.mark.parametrize(("count", "text"), [(None, "?"), (7, "7 bytes"), (1500, "1.5 kB"), (2 * 10**9, "2.0 GB"), (10**16, "10000.0 TB")])
-def test_sizes(count: int | None, text: str) -> None:
-    assert size(count) == text

@@ -52,14 +52,6 @@ def test_rows_that_are_not_here_are_undefined_and_tables_of_ablations_need_one()
     assert numbers_table(judge(frame_of(cell("wasp", [1.0, 2.0], task="goal2")), load_paper())) is None
 
 
-def test_an_empty_report_tests_nothing() -> None:
-    verdict = judge(Frame(()), load_paper())
-    assert {found.outcome for found in verdict.claims} == {"untested"}
-    assert headline(verdict) == f"Of {len(verdict.claims)} claims {len(verdict.claims)} are not tested."
-    assert numbers_table(verdict) is None
-    assert verdict_html(verdict).count('<details class="claim') == 0
-
-
 def test_claims_of_other_tasks_are_one_line(verdict: VerdictReport) -> None:
     text = verdict_markdown(verdict)
     whole = [found.claim for found in verdict.claims if found.part == "untested"]

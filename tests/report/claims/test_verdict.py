@@ -207,11 +207,6 @@ def test_claims_about_the_counterfactual_evaluation_are_answered_where_it_ran() 
     assert (answer.outcome, answer.reason) == ("untested", "Race1 ida has no `uir`")
 
 
-def test_one_world_of_one_seed_has_no_interval() -> None:
-    (answer,) = judged(frame_of(cell("human", [40.0]), cell("wasp", [1.0])), asked("lower")).answers[0]
-    assert (answer.outcome, answer.contrast and answer.contrast.bootstrap) == ("undecided", None)
-
-
 def spec(tmp_path: Any, more: str = "") -> Spec:
     path = tmp_path / "spec.yaml"
     path.write_text(GOOD + more, encoding="utf-8")
@@ -237,8 +232,3 @@ def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note
     assert any(note in each for each in verdict.notes)
     assert all(each in text for each in verdict.notes)
     assert ("; t " in text) == (words == "holds")
-
-
-def test_the_preset_of_the_paper_is_no_note(tmp_path: Any) -> None:
-    found = spec(tmp_path).model_copy(update={"preset": "paper"})
-    assert not any("smaller" in note for note in judge(against(1, 2, 3), paper_with(asked("lower")), found).notes)

@@ -131,9 +131,3 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title[1] == "told true true true true true"
     assert ":CONSOLE" not in done.stderr
-
-
-def test_no_backtick_is_shown(frame: Frame, tmp_path: Path) -> None:
-    page = page_of(frame, tmp_path, word="of `quick`")
-    assert "a third: of quick" in page
-    assert "<td>of quick</td>" in page

@@ -71,20 +71,3 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
     (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["vote"])
     # It takes over above a share of the votes; tau_Q is the margin of each vote.
     assert [t for t, y in heights(drawn["vote"]) if y < float(limit)] == [6, 7]
-
-
-def test_a_signal_that_is_a_cost_is_held_against_tau_c(tmp_path: Path) -> None:
-    it = Invented(method="filter", thresholds=Thresholds(tau_c=0.3), config={})
-    it.signal = np.array([0.0, 0.1, 0.2, 0.25, 0.3, 0.4, 0.1, 0.5])
-    drawn = lanes(it.read(tmp_path))
-    (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["Q_c"])
-    assert [t for t, y in heights(drawn["Q_c"]) if y < float(limit)] == [5, 7]
-
-
-def test_a_method_that_blends_shows_its_deviation_and_nobody_shows_nothing(tmp_path: Path) -> None:
-    it = Invented(method="diffusion", thresholds=Thresholds())
-    it.gate[:] = GATE_METHOD
-    it.a = it.a_h + 0.1
-    assert list(lanes(it.read(tmp_path))) == ["|a−aᴴ|", "acts", "cost"]
-    alone = Invented(method="human", thresholds=Thresholds())
-    assert list(lanes(alone.read(tmp_path))) == ["cost"]

@@ -101,11 +101,6 @@ def test_severities_are_columns(frame: Frame) -> None:
     assert not any("Expert" in row.labels for row in table.rows)
 
 
-def test_one_severity_is_no_table(grid: Grid) -> None:
-    frame = read_frame([cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5, None)])
-    assert severity_table(frame) is None
-
-
 def test_latency_is_over_episodes(frame: Frame) -> None:
     wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.variant == "full"]
     times = np.arange(4.0)

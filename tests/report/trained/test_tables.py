@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from tests.learning.recordings import SOURCES, recording
-from tests.report.trained.parts import QUALITY, artifact, diagnosed
+from tests.report.trained.parts import artifact, diagnosed
 from wasp_cli.learning.contents import contents
 from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
@@ -21,7 +20,6 @@ from wasp_cli.report.trained.tables import (
     contents_markdown,
     dataset_warnings,
     open_loop_markdown,
-    quality_markdown,
     training_tables,
     with_warnings,
 )
@@ -95,12 +93,6 @@ def test_what_is_missing_is_named_and_never_a_number() -> None:
     assert all(value.mean is None for value in ahead.rows[0].values)
 
 
-def test_nothing_to_tell_is_no_table() -> None:
-    assert training_tables([], []) == []
-    part = (Part("goal1", "residual", 0), "key")
-    assert training_tables([part], [Trained("residual", "goal1", 0, "key", 1.0, {"number": 1})]) == []
-
-
 def test_a_dataset_has_a_row_for_each_behaviour() -> None:
     page = contents_markdown(contents(recording(), SOURCES))
     assert "| noisy | 1 | 33 | 8 |" in page
@@ -155,17 +147,3 @@ def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined()
     earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
     assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"
-
-
-def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:
-    page = quality_markdown(QUALITY)
-    assert sum(line.startswith("| ") for line in page.splitlines()) == 2 + 4
-    assert "| recorded | 0.4 | 0.250 | 0.300 |" in page
-
-
-@pytest.mark.parametrize("name", ["a|b", "a\nb"])
-def test_names_cannot_break_a_table(name: str) -> None:
-    table = contents(recording(), SOURCES)
-    page = contents_markdown({**table, name: table["noisy"]})
-    (line,) = [line for line in page.splitlines() if line.startswith("| a") and "| all |" not in line]
-    assert line.replace("\\|", "").count("|") == page.splitlines()[2].count("|")

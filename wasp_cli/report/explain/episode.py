@@ -11,7 +11,7 @@ Letters: T decisions of the episode, A actions, L residual steps, I iterations o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -39,9 +39,6 @@ GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHO
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
 THRESHOLDS = ("tau_c", "tau_r", "tau_q")
 PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
-KEPT = 6
-"""Elites that WASP's search classifies again beside the candidates of the next iteration (`methods.wasp.search`, which needs torch)."""
-MOST_ITERATIONS = 32
 
 
 @dataclass(frozen=True)
@@ -50,10 +47,9 @@ class Constants:
 
     horizon: int | None = None  # H
     residual_steps: int | None = None  # L
-    candidates: int | None = None  # N
+    candidates: int | None = None  # N of the first iteration
     probe: int | None = None  # N_probe: random corrections that the task gate judges
     feasible: int | None = None  # N_f
-    batches: tuple[int, ...] | None = None  # candidates that each iteration of the search classifies
     takeover: bool = False
     """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
     bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
@@ -232,7 +228,6 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
         **counts,
-        batches=_batches(of, counts["candidates"], takeover=takeover, printed=printed),
         takeover=takeover,
         bootstrap_cost=bootstrap,
         gamma_c=gamma_c if isinstance(gamma_c, float) else None,
@@ -245,15 +240,6 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 def imagines_expert(cell: FoundCell) -> bool:
     config = cell.setting("axes", "method_config")
     return isinstance(config, dict) and type(config.get("search_rollouts")) is int
-
-
-def _batches(of: Callable[[str, type], Any], candidates: int | None, *, takeover: bool, printed: bool) -> tuple[int, ...] | None:
-    """How many candidates each iteration of the search classifies, if there are so many; None where the file does not say."""
-    if candidates is None or not (takeover or printed):
-        return None
-    elites = [count for name in ("elites", "feasible") if (count := of(name, int)) is not None]
-    kept = min(KEPT, max(elites, default=0)) if takeover else 0
-    return (candidates, *[candidates + kept] * MOST_ITERATIONS)
 
 
 def number(value: float | None) -> float | None:

@@ -274,15 +274,10 @@ def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
         yield fields([("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")])
         return
     if plan.searched:
-        known = episode.constants.batches
-        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made; how many candidates these had is not recorded
-        made = len(plan.safe) - cut
-        sizes = [None] * made if known is None or cut else known[:made]
-        rows = [
-            [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
-            for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe[cut:], plan.case2[cut:], strict=True))
-        ]
-        yield table(["iteration", "candidates", "safe (|F_s|)", "case"], rows)
+        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made
+        made = zip(plan.safe[cut:], plan.case2[cut:], strict=True)
+        rows = [[str(i), str(safe), "II" if case2 else "I"] for i, (safe, case2) in enumerate(made, 1)]
+        yield table(["iteration", "safe (|F_s|)", "case"], rows)
         yield from notes(*(_case(episode, case2) for case2 in sorted(set(plan.case2[cut:]))))
         yield from notes(f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
     else:
