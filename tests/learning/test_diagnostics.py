@@ -26,7 +26,7 @@ from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import save_world_model
-from wasp_cli.report.trained.tables import open_loop_markdown
+from wasp_cli.report.trained.evidence import open_loop_markdown
 from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 

@@ -7,7 +7,6 @@ names of its cell.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.node import cell_label
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
@@ -147,8 +146,6 @@ BRANCH = (  # a branched decision: sums of cost and reward over the window of bo
     pa.field("tau_R", pa.float64()),
 )
 
-THREADS = 4  # that read cells side by side
-
 Read = Callable[[Layout, ListedCell], pa.Table | None]  # reads the rows of one cell; None where it is not computed
 
 
@@ -169,8 +166,7 @@ def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Seq
         named = [pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows) for field in NAMES]
         return pa.table([*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema)
 
-    with ThreadPoolExecutor(THREADS) as threads:
-        tables = [table for table in threads.map(one, cells) if table is not None]
+    tables = [table for cell in cells if (table := one(cell)) is not None]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
 
 
@@ -215,3 +211,51 @@ def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
         "window": np.full(count, stored.cell.window), "tau_R": np.full(count, stored.cell.tau_R),
     }  # fmt: skip
     return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})
+
+
+def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
+    # Imported here: what a report needs is not needed for rows.
+    from wasp_cli.report.trained.parts import NOT_TRAINED, scalars, trained_artifacts
+
+    roots = [*((KIND, key) for key in cells), *parts]
+    if not roots:
+        kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
+        roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
+    shown = chosen(trained_artifacts(layout, roots)[0], wanted)
+    columns: dict[str, list[Any]] = {
+        "key": [part.key for part in shown],
+        "kind": [part.kind for part in shown],
+        "task": [part.task for part in shown],
+        "seed": [part.seed for part in shown],
+        "seconds": [part.seconds for part in shown],
+        "folder": [str(layout.artifact(part.kind, part.key)) for part in shown],
+    }
+    numbers = [{f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)} for part in shown]
+    for name in dict.fromkeys(name for each in numbers for name in each):
+        columns[name] = [each.get(name) for each in numbers]
+    return pa.table({name: _array(values) for name, values in columns.items()})
+
+
+def _array(values: Sequence[Any]) -> pa.Array:
+    kinds = {bool if isinstance(value, bool) else float if isinstance(value, int | float) else type(value) for value in values} - {
+        type(None)
+    }
+    if kinds == {float} and not all(isinstance(value, int | None) for value in values):
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array(values) if len(kinds) == 1 else pa.array([None if value is None else str(value) for value in values], pa.string())
+
+
+def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
+    from wasp_cli.report.render import data_columns
+    from wasp_cli.report.summarize import report_run
+    from wasp_cli.run.record import read_run
+    from wasp_cli.spec.paper import load_paper
+
+    run = read_run(layout, last_runs(layout)[0][spec])
+    paper = load_paper() if name == "paper" else None
+    report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent)
+    tables = {table.name: table for table in report.tables}
+    known = {"main": report.tables[0], **tables} if tables else {}
+    if name not in known:
+        raise UnknownName("table", name, known)
+    return pa.table(data_columns(known[name]))

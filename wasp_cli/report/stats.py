@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -35,10 +34,6 @@ POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")  # co
 TIMES = ("decision_p50_ms", "decision_p95_ms")  # columns of which a cell has the median over its episodes
 
 COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
-
-THREADS = 4  # that read cells side by side: a disk answers several, and unpacking a column holds up no other thread
-
-TOGETHER = 50  # cells that a thread reads in one go: handing them over one by one would cost half as much as reading them
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`with_branches`)."""
@@ -178,9 +173,7 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
     """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
-    parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
-    with ThreadPoolExecutor(THREADS) as threads:
-        results = [numbers for part in threads.map(lambda part: list(map(_read, part)), parts) for numbers in part]
+    results = [_read(cell) for cell in wanted]
     read = [(cell, numbers) for cell, numbers in zip(wanted, results, strict=True) if not isinstance(numbers, Missing)]
     missing = tuple(gap for gap in results if isinstance(gap, Missing))
     return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))

@@ -33,13 +33,20 @@ from wasp_cli.report.provenance import (
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
+from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
-from wasp_cli.report.trained.parts import Trained, duration, numbers_text, trained_artifacts, trained_markdown
-from wasp_cli.report.trained.tables import training_tables, with_warnings
+from wasp_cli.report.trained.parts import (
+    Trained,
+    duration,
+    numbers_text,
+    trained_artifacts,
+    trained_markdown,
+    training_tables,
+    with_warnings,
+)
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -49,7 +56,7 @@ from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "operators", "severity",
     "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
@@ -250,7 +257,7 @@ def report_run(
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
-        *comparison_tables(frame),
+        comparison_table(frame),
         operator_table(frame),
         severity_table(frame),
         autonomy_table(frame),

@@ -15,7 +15,7 @@ from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
 from wasp_cli.report.summary import same_episodes
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.comparison import comparison_table
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.model import validate
@@ -35,7 +35,7 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: C
     frame = read_frame(grid(ablations=("no-case2",)))
     tables = [
         main_table(frame), detail_table(frame), latency_table(frame), operator_table(frame), severity_table(frame),
-        *comparison_tables(frame),
+        comparison_table(frame),
     ]  # fmt: skip
     for table in tables:
         assert "WASP" in labels(table)

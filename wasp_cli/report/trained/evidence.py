@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,9 +15,22 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.report.figures import save
+from wasp_cli.report.render import markdown
+from wasp_cli.report.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.parts import PIXELS, UNREADABLE, Floats, Trained, open_parquet, read_json, read_table
-from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
+from wasp_cli.report.trained.parts import (
+    ALL,
+    PIXELS,
+    UNREADABLE,
+    Document,
+    Floats,
+    Trained,
+    dataset_warnings,
+    open_parquet,
+    read_json,
+    read_table,
+)
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
@@ -179,6 +192,114 @@ def _images(layout: Layout, shards: list[Path], rows: set[int]) -> dict[int, Ima
                     images[row] = np.frombuffer(batch.column(0)[row - begin].as_py(), np.uint8).reshape(PIXELS)
                 begin += len(batch)
     return images
+
+
+SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
+
+
+def _percent(key: str, title: str, digits: int = 0) -> Column:
+    return Column(key, f"{title} (%)", digits=digits, scale=100.0)
+
+
+CONTENTS = (
+    Column("episodes", "Episodes", digits=0), _percent("share", "Share"), Column("steps", "Steps", digits=0),
+    Column("return_per_episode", "Return"), Column("goals_per_episode", "Goals"), _percent("with_goal", "With a goal"),
+    _percent("terminal", "Ended by rule"), Column("cost_per_episode", "Cost", digits=1), _percent("costly_share", "Costly steps", 2),
+)  # fmt: skip
+FORESEEN = tuple(
+    Column(key, title, digits=digits)
+    for key, title, digits in (
+        ("base", "Base rate", 3), ("auprc", "AUPRC", 3), ("auprc_low", "from", 3), ("auprc_high", "to", 3),
+        ("persistence", "Persistence", 3), ("recall", "Recall", 3), ("predicted_over_base", "Predicted / base", 2),
+        ("calibration_error", "ECE", 3), ("onset_base", "Onset base", 3), ("onset_auprc", "Onset AUPRC", 3), ("foreseen", "Foreseen", 3),
+        ("onset_foreseen", "Onset foreseen", 3), ("reward_r2", "Reward R2", 2), ("image_error", "Image error", 4),
+        ("copy_error", "Copy error", 4), ("image_over_copy", "Image / copy", 2),
+    )
+)  # fmt: skip
+WINDOW = tuple(
+    Column(key, title, digits=3)
+    for key, title in (
+        ("base", "Base rate"), ("auprc", "AUPRC"), ("recall", "Recall"), ("foreseen", "Foreseen"), ("false_alarms", "False alarms"),
+        ("persistence", "Persistence, AUPRC"), ("cost_correlation", "Summed cost, correlation with the real sum"),
+    )
+)  # fmt: skip
+FILTERED = (
+    Column("auprc", "AUPRC", digits=3), Column("base", "Base rate", digits=3), Column("predicted_over_base", "Predicted / base"),
+    Column("image_error", "Image error", digits=4), Column("image_variance", "of the mean image", digits=4),
+)  # fmt: skip
+ENDS = (Column("ends_base", "Base rate", digits=3), Column("ends_auprc", "AUPRC", digits=3), Column("ends_over_base", "Predicted / base"))
+
+
+def contents_markdown(contents: Document) -> str:
+    sources = [_percent(kind, kind, 2) for kind in contents[ALL]["sources"]]
+    rows = [((name,), {**row, **row["sources"]}) for name, row in contents.items()]
+    notes = [
+        "Return, goals and cost (env steps that cost) are means per episode; costly steps and the cost sources are shares of the decision "
+        "steps, and one step may cost by several sources.",
+        *(f"Warning: {text}." for text in dataset_warnings(contents)),
+    ]
+    return _table("What the dataset holds", ("Behaviour",), (*CONTENTS, *sources), rows, notes)
+
+
+def open_loop_markdown(sets: Document) -> str:
+    parts = ["# What the world model foresees\n"]
+    for name, table in sets.items():
+        named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
+        total, moments = sum(table["episodes"].values()), f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments"
+        parts += [f"# {SETS.get(name, name)}\n", f"{total} episodes ({named}), {moments}.\n", *_foreseen(table)]
+    window = next(iter(sets.values()))["window"]
+    parts.append(
+        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now, copy "
+        "that the image does. Recall is at 10 % false alarms. Onset counts only starts that do not cost themselves. Foreseen is the share "
+        "of the real costs before which the safety gate would have fired: the expected costly steps of the window, discounted by "
+        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is the share of windows without a cost in which "
+        "they were too. ECE is the mean distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in "
+        "[0, 1].\n"
+    )
+    return "\n".join(parts)
+
+
+def _foreseen(table: Document) -> Iterator[str]:
+    steps, window = table["steps"], table["window"]
+    by_step = [((str(row["k"]),), row) for row in steps]
+    yield _table("Step by step", ("k",), FORESEEN, by_step)
+    starts = [
+        ((title,), {column.key: window.get(f"{prefix}{column.key}") for column in WINDOW})
+        for title, prefix in (("all", ""), ("onset", "onset_"))
+    ]
+    yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
+    yield _table("The filtered state itself (k = 0)", ("Cost",), FILTERED, [(("all",), table["filter"])])
+    told = table.get("readout")
+    if told:  # older diagnostics have none
+        places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
+        note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
+        columns = [Column(group, group) for group in told["filtered"]]
+        yield _table("What is read from the latent", ("read from",), columns, [((title,), told[key]) for title, key in places], [note])
+    sources = list(steps[0]["foreseen_by_source"]) if steps else []
+    if len(sources) > 1:
+        rows = [((str(row["k"]),), row["foreseen_by_source"]) for row in steps]
+        yield _table(
+            "Share of the costs of each source that were foreseen", ("k",), [Column(kind, kind, digits=3) for kind in sources], rows
+        )
+    if any((row["ends_base"] or 0) > 0 for row in steps):
+        yield _table("Episodes that end there by the task's own rule", ("k",), ENDS, by_step)
+
+
+def quality_markdown(quality: Document) -> str:
+    columns = (Column("conformity", "to the expert's action", digits=3), Column("fidelity", "to the command", digits=3))
+    rows = [((kind, ratio), row) for kind, by_ratio in quality.items() for ratio, row in by_ratio.items()]
+    return _table("What denoising does to commands", ("Command", "Ratio"), columns, rows)
+
+
+def _table(
+    title: str,
+    labels: tuple[str, ...],
+    columns: Sequence[Column],
+    rows: Iterable[tuple[tuple[str, ...], Document]],
+    notes: Sequence[str] = (),
+) -> str:
+    filled = tuple(Row(names, tuple(Value(numbers[column.key]) for column in columns)) for names, numbers in rows)
+    return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouped=False, ranked=False))
 
 
 FOLDER = "trained"  # below the folder of a report
