@@ -69,20 +69,6 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     assert cell.label in text
 
 
-def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> None:
-    """Only timing differs: the bytes are others, the rows are not."""
-    second = copied(first, tmp_path / "copy")
-    key = first.cells[0][1]
-    path = second.layout.artifact("evaluate", key) / EPISODES_FILE
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
-    index = table.schema.get_field_index("decision_p50_ms")
-    pq.write_table(table.set_column(index, table.schema.field(index), pa.array([99.0] * len(table), pa.float32())), path)
-    assert states(compare(first, second)) == NONE | {"same": 8}
-
-
 @pytest.mark.parametrize(
     ("changes", "cause", "reached"),
     [({"wasp": {"tau_c": 0.9}}, "wasp.tau_c 1.0 -> 0.9", 4), ({"world_model": {"updates": 30}}, "world_model.updates 20 -> 30", 8)],

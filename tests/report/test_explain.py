@@ -210,15 +210,6 @@ def test_a_gate_may_fire_and_the_command_stand(variant: str, alone: float, safe:
     assert "command kept: a gate fired, and the command was executed as it was" in episode_text(episode)
 
 
-def test_a_critic_beyond_the_horizon_counts_otherwise(tmp_path: Path) -> None:
-    text = decision_text(Invented(method="printed", config=dict(PRINTED)).read(tmp_path), 0)
-    assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
-    assert "observed" not in text  # two different counts
-    one_step = Invented(variant="no-rollout").read(tmp_path)
-    assert (one_step.constants.horizon, one_step.constants.bootstrap_cost) == (1, True)
-    assert decision_of(one_step, 0).window == 15
-
-
 def test_without_a_manifest_constants_are_unknown_and_costs_are_counted_over_15(tmp_path: Path) -> None:
     made = Invented(steps=30)
     made.fire(2, GATE_SAFETY)

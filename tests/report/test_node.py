@@ -11,8 +11,6 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import SMALL, Fakes, fakes, run
-from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
@@ -78,22 +76,3 @@ def test_what_failed_says_why(results: Path) -> None:
     assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
     text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
     assert "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
-
-
-def test_the_text_says_the_same(results: Path) -> None:
-    text = run_here("show", "goal1 s0 world_model", "--results", results, columns=80).stdout
-    assert text.startswith("goal1 s0 world_model\n  kind      world_model\n")
-    assert "  deter             32  (default 256)\n" in text
-    assert "  data.bin  32 bytes\n" in text
-
-
-def test_names_of_several_nodes_and_of_none(results: Path) -> None:
-    layout = Layout(results)
-    keys = [path.name for path in layout.store.glob("*/*")]
-    (layout.kind("expert") / (keys[0][:6] + "0" * 14)).mkdir()
-    shutil.copy(next(layout.store.glob(f"*/{keys[0]}/_manifest.json")), layout.kind("expert") / (keys[0][:6] + "0" * 14))
-    with pytest.raises(UsageError, match=f"'{keys[0][:6]}' names 2 nodes, newest first:"):
-        find_node(layout, keys[0][:6])
-    with pytest.raises(UnknownName) as caught:
-        find_node(layout, "goal1 s0 world_modal")
-    assert "did you mean 'goal1 s0 world_model'" in str(caught.value.hint)

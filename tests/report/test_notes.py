@@ -98,14 +98,6 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     assert "<b>wrong</b>" not in after.html()
 
 
-def test_every_episode_invalid_is_the_cell_invalid(results: Path) -> None:
-    before = report_of(results)
-    cell = before.frame.cells[0]
-    for number in range(cell.count):
-        add_note(Layout(results), Note(before.keys[cell.identity], "x", number, "", "invalid"))
-    assert [gap.identity for gap in report_of(results).frame.missing] == [cell.identity]
-
-
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
     key = next(iter(report_of(results).keys.values()))
     done = run_here("note", key, "worth a look", "--results", results, columns=200)

@@ -19,7 +19,7 @@ from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
 from wasp_cli.report.tables.main import ablation_table
-from wasp_cli.report.trained.parts import duration, numbers_text, trained_artifacts
+from wasp_cli.report.trained.parts import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
@@ -120,17 +120,6 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
     assert {path.name for path in report.write(tmp_path / "out")} == {"report.md", "report.html"} | tables
 
 
-def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
-    record = {"task": "goal1", "seed": 0, "axes": {}, "summary": {}, "provenance": {}}
-    write_record(layout.manifest("dataset", key("dataset", 0)), {**record, "upstream": {}, "axes": {"method": "wasp"}})
-    names = {"upstream": {"recorded": key("dataset", 0)}, "upstream_kinds": {"recorded": "dataset"}}
-    write_record(layout.manifest("critics", key("critics", 0)), {**record, **names})
-    found, damaged = trained_artifacts(layout, [("critics", key("critics", 0))])
-    assert [artifact.stage for artifact in found] == ["dataset of WASP", "critics"]
-    assert not damaged
-
-
 def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
     (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
@@ -145,16 +134,6 @@ def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp
         assert named in page
         assert named in text
     assert "Human-only [2 of 4 cells]" in page
-
-
-def test_an_empty_store_reads(spec: Spec, tmp_path: Path) -> None:
-    cells = [(cell, key("evaluate", number)) for number, cell in enumerate(cells_of(spec))]
-    report = report_run(tmp_path, spec, cells)
-    assert len(report.missing) == len(cells)
-    files = report.write(tmp_path / "out")
-    assert not [path for path in files if path.suffix == ".png"]
-    assert "Human-only [0 of 4 cells]" in terminal(report)
-    assert "No cell has been computed yet" in files[0].read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("text", "fact"), [("{", "is damaged"), ("{}", "is damaged: no 'upstream'")])
@@ -181,13 +160,6 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["world_model.free_nats"][1].startswith("differs from the paper: ")
     differs = [why.startswith("differs from the paper") for _, why in found.values()]
     assert differs == sorted(differs, reverse=True)  # what differs comes first
-
-
-def test_what_a_task_has_of_its_own_is_listed_with_its_task(spec: Spec) -> None:
-    own = spec.model_copy(update={"by_task": {spec.tasks[0]: {"wasp": {"alpha": 0.2, "candidates": 8}}}})
-    before = assumptions_in_force(spec)
-    added = [one for one in assumptions_in_force(own) if one not in before]
-    assert [(name, value, why[-len("(on goal1 alone)") :]) for name, value, why in added] == [("wasp.alpha", 0.2, "(on goal1 alone)")]
 
 
 def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells, tmp_path: Path) -> None:

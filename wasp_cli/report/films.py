@@ -17,7 +17,7 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain.episode import Episode, Floats, read_episode, timeline
+from wasp_cli.report.explain.episode import LOOKS, Episode, Floats, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
 from wasp_cli.report.tables.table import operator_title
@@ -157,4 +157,6 @@ def film_page(films: TaskFilms) -> Markup:
     seconds = films.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
     things = next((film.sprite.things for film in films.films if film.sprite is not None), ())
-    return rendered("films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline)
+    return rendered(
+        "films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline, looks=LOOKS.values()
+    )

@@ -195,18 +195,6 @@ def test_one_of_two_columns_is_enough() -> None:
     assert judged(frame_of(*cells), asked("higher", columns="either: [cost, mag]")).outcome == "holds"
 
 
-def test_claims_about_the_counterfactual_evaluation_are_answered_where_it_ran() -> None:
-    """Its means weigh an episode by its branched interventions, and cells without any say nothing."""
-    low, high, branches = [0.1, 0.2, 0.1], [0.6, 0.7, 0.5], [2.0, 4.0, 3.0]
-    cells = [cell("wasp", [1.0, 2.0, 3.0], task="race1", uir=low, branches=branches)]
-    cells += [cell("ida", [1.0, 2.0, 3.0], task="race1", uir=high, branches=branches)]
-    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
-    assert (answer.outcome, answer.reason) == ("holds", "")
-    cells[1] = cell("ida", [1.0, 2.0, 3.0], task="race1", uir=[np.nan] * 3, branches=[0.0] * 3)
-    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
-    assert (answer.outcome, answer.reason) == ("untested", "Race1 ida has no `uir`")
-
-
 def spec(tmp_path: Any, more: str = "") -> Spec:
     path = tmp_path / "spec.yaml"
     path.write_text(GOOD + more, encoding="utf-8")

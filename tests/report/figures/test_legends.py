@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -15,7 +14,6 @@ from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import axis_figures as by_axis
 from wasp_cli.report import figures as methods
-from wasp_cli.report.figures import Line, draw_lines, drawn, legend
 from wasp_cli.report.stats import Frame
 
 ROWS = [name for name, info in METHODS.items() if info.impaired][:9]
@@ -73,13 +71,3 @@ def test_the_legend_of_a_sweep_is_whole(tmp_path: Path, conditions: int) -> None
     figure = by_axis.sweep_figure("diffusion.ratio", invent_sweep(tmp_path, NUMBERS, operators, (0,)), "goal1")
     figure.draw_without_rendering()
     assert faults(figure, conditions + 1) == []
-
-
-def test_entries_too_wide_for_a_row_stand_in_several() -> None:
-    ends = np.array([0.0, 1.0])
-    with drawn((4.0, 3.0)) as figure:
-        panel = figure.subplots()
-        draw_lines(panel, [Line(ends, ends, "a rather long title " + "x" * number) for number in range(6)])
-        legend(figure, [panel], loc="outside lower center", most=6)
-        figure.draw_without_rendering()
-        assert faults(figure, 6) == []

@@ -51,15 +51,6 @@ def test_a_curve_is_above_its_threshold_exactly_where_the_gate_fired(tmp_path: P
     assert all(0 <= y <= CURVE for _, y in heights(svg))
 
 
-def test_what_is_undefined_is_a_gap(tmp_path: Path) -> None:
-    it = Invented()
-    it.fire(1, GATE_SAFETY)
-    it.delta_g[1] = np.nan  # the printed task gate is not asked then
-    svg = lanes(it.read(tmp_path))["ΔG"]
-    assert [t for t, _ in heights(svg)] == [0, 2, 3, 4, 5, 6, 7]
-    assert svg.count("<polyline") == 2
-
-
 def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
     it = Invented(method="ida", thresholds=Thresholds(tau_q=0.1), config={"vote": 0.5})
     it.signal = np.linspace(-1, 1, it.steps)

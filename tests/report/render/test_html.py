@@ -44,13 +44,6 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.found if name == tag]
 
 
-def test_a_group_is_a_body() -> None:
-    rows = tuple(Row((task, method), ()) for task in "ab" for method in "xyz")
-    assert len(Reader(html(Table("t", "T", ("Task", "Method"), (), rows))).all("tbody")) == 2
-    assert len(Reader(html(Table("t", "T", ("Task", "Method"), (), rows, grouped=False))).all("tbody")) == 1
-    assert Reader(html(Table("t", "T", ("Task", "Method"), (), ()))).all("tbody") == []
-
-
 @given(title=ANY, label=ANY, heading=ANY, note=ANY)
 def test_all_text_is_escaped(title: str, label: str, heading: str, note: str) -> None:
     reader = Reader(html(Table(title, title, (heading,), (Column("k", heading),), (Row((label,), (Value(1.0),)),), (note,), (note,))))

@@ -79,13 +79,6 @@ def test_mean_and_spread_by_hand() -> None:
     assert value.sd == pytest.approx(math.sqrt(8))  # of the seed means 2 and 6, not of the four cells
 
 
-def test_undefined_cells_are_left_out() -> None:
-    value = summarise([cell(0, 0.2, math.nan), cell(0, 0.4, 3.0), cell(1, 0.2, math.nan)], "return")
-    assert (value.mean, value.n) == (3.0, 1)
-    nothing = summarise([cell(0, 0.2, math.nan)], "return")
-    assert (nothing.mean, nothing.ranked) == (None, False)
-
-
 def test_paired_difference_uses_what_both_have() -> None:
     reference = [cell(0, 0.2, 1.0), cell(0, 0.4, 10.0), cell(1, 0.2, 2.0)]
     assert paired_difference([cell(0, 0.2, 4.0), cell(1, 0.2, 3.0), cell(2, 0.2, 99.0)], reference, "return") == 2.0

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.report.claims.test_verdict import cell, frame_of
-from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
 from wasp_cli.report.summary import same_episodes
@@ -18,7 +17,6 @@ from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_table
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.table import Table
-from wasp_cli.spec.model import validate
 
 TITLE = "WASP, no Case II recovery"
 SPEC = {
@@ -47,12 +45,6 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: C
     assert not any(TITLE in path.read_text() for path in pictures)
 
 
-def test_it_has_the_thresholds_of_the_whole_and_the_printed_one_its_own() -> None:
-    cells = {(cell.method, cell.assistant): node.needs["calibration"] for cell, node in lay_out(validate(SPEC)).cells}
-    assert list(cells) == [("wasp", "full"), ("wasp", "no-case2"), ("printed", "full"), ("printed", "no-case2")]
-    assert cells["wasp", "full"].key == cells["wasp", "no-case2"].key != cells["printed", "full"].key
-
-
 def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellNumbers:
     return cell("wasp", costs, seed, variant=variant, **{"mag": [0.1] * len(costs), **more})
 
@@ -65,11 +57,6 @@ def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (2, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
-
-
-def test_undefined_twice_is_equal_and_gates_may_differ() -> None:
-    full = wasp([1.0, 2.0], mag=[0.1, np.nan], safety_gate=[0.5, 0.5])
-    assert same_episodes([wasp([1.0, 2.0], "task-only", mag=[0.1, np.nan], safety_gate=[0.0, 0.0])], [full]) == (2, 2)
 
 
 @pytest.mark.parametrize(("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")])

@@ -38,17 +38,6 @@ def enlarged(image: Array) -> Array:
     return np.asarray(shown.resize((pictures.SIDE,) * 2, Image.Resampling.NEAREST))
 
 
-def test_windows_are_read_as_they_were_left(layout: Layout, diagnostics: Trained) -> None:
-    data = recording()
-    decoded, windows = pictures.read_windows(layout, diagnostics)
-    np.testing.assert_array_equal(decoded.true, data.pixels[:10])
-    assert [window.title for window in windows] == ["expert, episode 0, step 1", "expert, episode 2, step 1"]
-    for window, start in zip(windows, (1, 22), strict=True):
-        np.testing.assert_array_equal(window.true, data.pixels[start : start + 1 + HORIZON])
-        np.testing.assert_array_equal(window.model, 255 - window.true)
-        np.testing.assert_array_equal(window.cost, data.cost[start : start + 1 + HORIZON])
-
-
 def test_the_strip_shows_true_and_imagined_frames_in_their_rows(layout: Layout, diagnostics: Trained, tmp_path: Path) -> None:
     data, pitch = recording(), pictures.SIDE + pictures.GAP
     pictures.draw_open_loop(layout, diagnostics, tmp_path / "sheet.png")

@@ -64,14 +64,6 @@ def test_a_chain_is_one_row_of_what_its_stages_tell() -> None:
     assert csv_text(ahead).splitlines()[0] == "task,measure,step_1,step_5,seeds"
 
 
-def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
-    stages, _ = training_tables(*chain(seeds=(0, 1)))
-    value = stages.rows[0].values[0]
-    assert (value.mean, value.n) == (20.5, 2)
-    assert value.sd is not None
-    assert abs(value.sd - 0.5**0.5) < 1e-12
-
-
 def test_what_is_missing_is_named_and_never_a_number() -> None:
     parts, trained = chain(seeds=(0, 1))
     there = [one for one in trained if one.stage not in ("critics", "diagnostics") and not (one.stage == "expert" and one.seed == 1)]
