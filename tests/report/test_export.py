@@ -22,7 +22,7 @@ def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Pa
     done = run_here("export", results, "--tensorboard", tmp_path / "runs", columns=200)
     assert done.exit_code == 0, done.stderr
     runs = {str(path.parent.relative_to(tmp_path / "runs/golden")): path.parent for path in (tmp_path / "runs").rglob("events.*")}
-    assert {"goal1/table/IDA", "goal1/table/Human-only", "goal1/s0/Latent expert"} <= runs.keys()
+    assert {"goal1/table/IDA", "goal1/table/Human-only", "goal1/s0/Expert"} <= runs.keys()
     numbers = EventAccumulator(str(runs["goal1/table/IDA"]))
     numbers.Reload()
     from wasp_cli.notebook.results import open_results
@@ -30,7 +30,7 @@ def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Pa
     rows = open_results(results).table().to_pylist()
     (row,) = [row for row in rows if row["method"] == "IDA"]
     assert numbers.Scalars("cost")[0].value == pytest.approx(row["cost"])
-    curve = EventAccumulator(str(runs["goal1/s0/Latent expert"]))
+    curve = EventAccumulator(str(runs["goal1/s0/Expert"]))
     curve.Reload()
     steps = [point.step for point in curve.Scalars("return")]
     assert len(steps) > 1
@@ -47,7 +47,7 @@ def test_trackio_reads_them_too(results: Path, tmp_path: Path, monkeypatch: pyte
     assert done.exit_code == 0, done.stderr
     assert "Trackio metrics" not in done.stdout
     names = {run.name for run in trackio.Api().runs("golden")}
-    assert {"goal1/table/IDA", "goal1/s0/Latent expert"} <= names
+    assert {"goal1/table/IDA", "goal1/s0/Expert"} <= names
 
 
 def test_bad_calls_are_told(results: Path, tmp_path: Path) -> None:

@@ -299,20 +299,16 @@ class Causes:
         yield from _precision(*manifests)
         old, new = (mapping(each.get("provenance")) for each in manifests)
         versions = [mapping(each.get("versions")) for each in (old, new)]
-        pairs = [(name, old.get(name), new.get(name)) for name in MACHINE]
-        pairs += [(name, versions[0].get(name), versions[1].get(name)) for name in (*versions[0], *versions[1])]
-        yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(map(_shown, pairs)) if one != two)
+        pairs = [(name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in MACHINE]
+        libraries = dict.fromkeys((*versions[0], *versions[1]))
+        pairs += [(name, str(versions[0].get(name) or "unknown"), str(versions[1].get(name) or "unknown")) for name in libraries]
+        yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(pairs) if one != two)
 
 
 def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
     before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
     if before != after:
         yield f"inputs in half precision {before} -> {after}"
-
-
-def _shown(pair: tuple[str, Any, Any]) -> tuple[str, str, str]:
-    name, one, two = pair
-    return name, "unknown" if one is None else str(one), "unknown" if two is None else str(two)
 
 
 def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:

@@ -125,11 +125,6 @@ def needed(answer: Answer) -> str:
     return f"left - {other}{margin} {SIDES[asked.relation]} 0"
 
 
-def _answered(answer: Answer) -> str:
-    theirs = printed(answer)
-    return f"{sentence(answer)}: {PLAIN[answer.outcome]}{f' (paper: {theirs})' if theirs else ''}"
-
-
 def printed(answer: Answer) -> str:
     numbers = [f"{number.mean:g}" for number in answer.printed if number is not None]
     return " and ".join(numbers) if answer.shown_in_print is not None else ""
@@ -176,9 +171,13 @@ def _told(judged: Judged) -> Iterator[str]:
     if judged.claim.reading:
         yield f"Read as: {judged.claim.reading}"
     for answers in judged.answers:
-        asked = [answer for answer in answers if answer.outcome != "untested"]
+        asked = [
+            f"{sentence(answer)}: {PLAIN[answer.outcome]}{f' (paper: {theirs})' if (theirs := printed(answer)) else ''}"
+            for answer in answers
+            if answer.outcome != "untested"
+        ]
         if asked:
-            yield f"{'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(_answered, asked))}"
+            yield f"{'one is enough: ' * (len(answers) > 1)}{'; or '.join(asked)}"
     if lacking := _lacking([judged]):
         yield f"Not tested: {few(lacking)}."
     if beyond := beyond_print(judged):

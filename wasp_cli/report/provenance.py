@@ -97,7 +97,10 @@ class Origins:
         """Yield what the keys of cells do not tell apart."""
         mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
         if mixed:
-            said = [f"{name} {_counted(counts)}" for name, counts in mixed.items()]
+            said = [
+                f"{name} " + ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
+                for name, counts in mixed.items()
+            ]
             yield f"The cells were not computed with the same versions: {'; '.join(said)}."
         if self.halved:
             cells = "1 cell was" if len(self.halved) == 1 else f"{len(self.halved)} cells were"
@@ -114,10 +117,6 @@ def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "Python", printable(python)
     for name, version in (libraries if isinstance(libraries, Mapping) else {}).items():
         yield printable(str(name)), printable(str(version))
-
-
-def _counted(counts: Counter[str]) -> str:
-    return ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:

@@ -240,7 +240,9 @@ def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         return []
     rows = pa.concat_tables([numbers.table for _, numbers in stored])
     sizes = np.array([numbers.table.num_rows for _, numbers in stored])
-    columns = {name: _floats(rows, name) for name in COLUMNS}
+    columns: dict[str, Floats] = {
+        name: np.asarray(rows[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64) for name in COLUMNS
+    }
     columns |= {"jumps": columns["decisions"] - 1.0, "world": columns.pop("episode_seed")}
     pooled = pool(columns, np.repeat(np.arange(len(stored)), sizes))
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -252,10 +254,6 @@ def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         of_cell |= {name: median_of(episodes[name]) for name in TIMES}
         cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds, cell.chain_seed))
     return cells
-
-
-def _floats(table: pa.Table, name: str) -> Floats:
-    return np.asarray(table[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
 
 
 def median_of(values: Floats) -> float:

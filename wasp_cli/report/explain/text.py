@@ -129,11 +129,18 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
+    gates, changed, actions = [], [], []
+    for run in runs:
+        gate = {"none": "-", "method": decider(episode.method)}.get(run.gate, run.gate)
+        gates.append(gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}")  # of merged runs `safety 12/15`
+        by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
+        changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
+        actions.append(f"{action(run.command)} {f'→ {action(run.executed)}' if run.intervened else 'as commanded'}")
     columns = [
         ("decisions", [span(run.first, run.last) for run in runs]),
-        ("gate", [_gate(run, episode.method) if episode.selective else "-" for run in runs]),
-        ("changed", [_changed(run) for run in runs]),
-        ("command → executed (means)", [_change(run) for run in runs]),
+        ("gate", gates if episode.selective else ["-"] * len(runs)),
+        ("changed", changed),
+        ("command → executed (means)", actions),
         (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
         (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
         (episode.signal.name, [between(run.signal, None) for run in runs]),
@@ -149,22 +156,6 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
     return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
-
-
-def _gate(run: Run, method: str) -> str:
-    """`safety`, or of merged runs `safety 12/15`."""
-    name = {"none": "-", "method": decider(method)}.get(run.gate, run.gate)
-    return name if len(run.gates) == 1 else f"{name} {run.gates[run.gate]}/{run.decisions}"
-
-
-def _changed(run: Run) -> str:
-    if not run.intervened:
-        return "-"
-    return f"{run.intervened} of {run.decisions}, by {plain(run.deviation * run.decisions / run.intervened)}"
-
-
-def _change(run: Run) -> str:
-    return f"{action(run.command)} → {action(run.executed)}" if run.intervened else f"{action(run.command)} as commanded"
 
 
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
+from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summary import Value, paired_difference, spread_note
 from wasp_cli.report.tables.main import (
     AUTONOMY,
@@ -130,7 +130,8 @@ def lines(swept: Sequence[Swept]) -> list[Line]:
     by_value = [{group.assistant: group for group in groups(each.frame)} for each in swept]
     result = []
     for assistant in dict.fromkeys(assistant for by_assistant in by_value for assistant in by_assistant):
-        same = not _touched(swept, assistant)
+        keys = [frozenset(key for identity, key in each.keys.items() if row_of(identity) == assistant) for each in swept]
+        same = len(set(keys)) == 1
         for each, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
             if assistant in by_assistant:
                 alone = by_assistant.get((assistant[0], REFERENCE, "full"))
@@ -196,14 +197,6 @@ def condition_title(condition: Condition) -> str:
 
 def _condition(identity: CellIdentity) -> Condition:
     return identity.operator, identity.value
-
-
-def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
-    key_sets = {
-        frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.variant) == assistant)
-        for each in swept
-    }
-    return len(key_sets) > 1
 
 
 def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:
