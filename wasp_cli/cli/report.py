@@ -47,37 +47,30 @@ def report(
     trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
-    from wasp_cli.report.provenance import last_runs
     from wasp_cli.report.summarize import missing_words
-    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.run.record import read_run
     from wasp_cli.spec.paper import load_paper
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout = results_of(results.path)
-    runs, damaged = last_runs(layout)
-    if not runs and not damaged:
-        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
-    if spec is not None and runs and spec not in runs:
-        raise UnknownName("spec in these results", spec, runs)
+    layout, runs, damaged = _reported(results.path, spec)
     gaps: list[str] = []
     missing: list[str] = []
     changed: list[str] = []
     unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
-        if spec in (None, name):
-            try:
-                recorded = read_run(layout, run_id)
-                changed += _changed(layout, recorded) if verify else []
-                to = None if out is None else out / slug(name)
-                shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
-                damaged += shown.damaged
-                gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
-                missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
-                gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
-            except NotWritten as error:
-                unwritten.append(error)
-            except WaspError as error:  # the other specs are still worth seeing
-                damaged.append(error.message)
+        try:
+            recorded = read_run(layout, run_id)
+            changed += _changed(layout, recorded) if verify else []
+            to = None if out is None else out / slug(name)
+            shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            damaged += shown.damaged
+            gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
+            missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+            gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
+        except NotWritten as error:
+            unwritten.append(error)
+        except WaspError as error:  # the other specs are still worth seeing
+            damaged.append(error.message)
     if changed:
         damaged += changed
         hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
@@ -91,6 +84,20 @@ def report(
         raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
     if strict and gaps:
         raise CellsFailed("\n".join([f"{'; '.join(gaps)}:", *first([f"  {cell}" for cell in missing], 10)]), "run the spec again")
+
+
+def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
+    """The last run of each spec, or of one; and what is wrong with those that do not read."""
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(results)
+    runs, damaged = last_runs(layout)
+    if not runs and not damaged:
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
+    if spec is not None and runs and spec not in runs:
+        raise UnknownName("spec in these results", spec, runs)
+    return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged
 
 
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:
@@ -146,23 +153,18 @@ def export(
     Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR trackio show`.
     """
     from wasp_cli.report.export import to_tensorboard, to_trackio
-    from wasp_cli.report.provenance import last_runs
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:
         raise UsageError("nothing to write: neither --tensorboard nor --trackio is given", "wasp export results/ --tensorboard runs/")
-    layout = results_of(results.path)
-    runs, damaged = last_runs(layout)
-    if spec is not None and spec not in runs:
-        raise UnknownName("spec in these results", spec, runs)
+    layout, runs, damaged = _reported(results.path, spec)
     for name, run_id in runs.items():
-        if spec in (None, name):
-            ran = read_run(layout, run_id)
-            report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
-            for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
-                if folder is not None:
-                    say(f"{name}: {write(report, folder)} runs in {folder}")
+        ran = read_run(layout, run_id)
+        report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
+        for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
+            if folder is not None:
+                say(f"{name}: {write(report, folder)} runs in {folder}")
     if damaged:
         raise ArtifactError("\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)]))
 

@@ -19,10 +19,6 @@ from wasp_cli.report.tables.main import ablation_table, detail_table, latency_ta
 from wasp_cli.report.tables.table import Table
 
 TITLE = "WASP, no Case II recovery"
-SPEC = {
-    "name": "both", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp", "printed"], "variants": ["full", "no-case2"],
-    "operators": {"laggy": {"moderate": 0.7}}, "seeds": [1],
-}  # fmt: skip
 
 
 def labels(table: Table | None) -> list[str]:
