@@ -11,7 +11,7 @@ from pathlib import Path
 
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.claims import Answer, Judged, VerdictReport, any_of, judge
-from wasp_cli.report.claims.text import PLAIN, sentence
+from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
 from wasp_cli.spec.load import load

@@ -19,9 +19,9 @@ from wasp_cli.spec.derived import restricted, sized
 from wasp_cli.spec.load import load
 
 SHARED = [
-    (["run", "ablate", "sweep", "severities"], {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"}),
-    (["run", "plan", "ablate", "sweep", "severities", "publish", "clone"], {"--task", "--preset", "--set", "--results"}),
-    (["control", "logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
+    (["run", "ablate", "sweep"], {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"}),
+    (["run", "plan", "ablate", "sweep", "publish", "clone"], {"--task", "--preset", "--set", "--results"}),
+    (["logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
 ]
 NO_PICTURES = ("--no-films", "--no-trained")
 

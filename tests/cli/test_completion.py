@@ -50,7 +50,7 @@ def offered(line: str) -> list[str]:
         ("wasp run --task g", ["goal0", "goal1", "goal1-two", "goal2"]),
         ("wasp run specs/smoke.yaml -t ", list(TASKS)),
         ("wasp list ", ["methods", "operators", "tasks"]),
-        ("wasp s", ["schema", "severities", "show", "status", "sweep"]),
+        ("wasp s", ["schema", "show", "status", "sweep"]),
         ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
@@ -70,7 +70,7 @@ def test_specs_are_offered_from_here_and_from_their_folder(tmp_path: Path, monke
         (tmp_path / name).touch()
     assert offered("wasp run ") == ["mine.yaml", "specs/quick.yaml", *shipped_names()]
     assert offered("wasp check mine.yaml s") == ["specs/quick.yaml", *(name for name in shipped_names() if name[0] == "s")]
-    assert offered("wasp severities specs/deep/") == ["specs/deep/far.yaml"]
+    assert offered("wasp check specs/deep/") == ["specs/deep/far.yaml"]
     assert offered(f"wasp plan {tmp_path}/m") == [f"{tmp_path}/mine.yaml"]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.compare.two_runs import episodes, write_results
-from wasp_cli.compare import MEASURES, Compared, Side, State, compare
+from wasp_cli.compare.runs import MEASURES, Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes
@@ -69,20 +69,6 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     assert cell.label in text
 
 
-def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> None:
-    """Only timing differs: the bytes are others, the rows are not."""
-    second = copied(first, tmp_path / "copy")
-    key = first.cells[0][1]
-    path = second.layout.artifact("evaluate", key) / EPISODES_FILE
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
-    index = table.schema.get_field_index("decision_p50_ms")
-    pq.write_table(table.set_column(index, table.schema.field(index), pa.array([99.0] * len(table), pa.float32())), path)
-    assert states(compare(first, second)) == NONE | {"same": 8}
-
-
 @pytest.mark.parametrize(
     ("changes", "cause", "reached"),
     [({"wasp": {"tau_c": 0.9}}, "wasp.tau_c 1.0 -> 0.9", 4), ({"world_model": {"updates": 30}}, "world_model.updates 20 -> 30", 8)],
@@ -113,13 +99,6 @@ def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path
     assert compared.causes == [("processor one -> two", 8)]
 
 
-def test_a_cause_without_its_record_is_told(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", world_model={"updates": 30})
-    for path in second.layout.kind("world_model").glob("*/_manifest.json"):
-        path.unlink()
-    assert ("another world_model, of which not both folders have the record", 8) in compare(first, second).causes
-
-
 def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
     second = write_results(tmp_path / "results", operators={"noisy": {"mild": 0.2}}, seeds=[0, 2])
     compared = compare(first, second)
@@ -141,18 +120,6 @@ def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp
     assert "not computed yet" in compared.cells[0].reason
     assert "damaged" in compared.cells[1].reason
     assert not compared.alike
-
-
-def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Side, tmp_path: Path) -> None:
-    few = write_results(tmp_path / "one", lambda identity: episodes(identity, count=5))
-    many = write_results(tmp_path / "two", lambda identity: episodes(identity, count=5, risk=0.9))
-    compared = compare(few, many)
-    assert (len(compared.having("differs")), compared.beyond) == (8, [])
-    table, summary = cells_table(compared), summary_table(compared)
-    assert table.notes[0].startswith("Too few episodes in 8 of 8 cells to differ by more than noise")
-    cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
-    assert all(each.interval is not None and each.interval.low > 0 for each in cost)
-    assert {each.interval.unit for each in cost if each.interval} == {"training"}
 
 
 def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:

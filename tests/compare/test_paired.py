@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wasp_cli.compare import EXACT, MEASURES, corrected, paired_episodes
+from wasp_cli.compare.runs import EXACT, MEASURES, corrected, paired_episodes
+from wasp_cli.report.bootstrap import difference_of
 from wasp_cli.report.stats import CellNumbers, Floats
-from wasp_cli.report.stats.bootstrap import difference_of
 from wasp_cli.store.tables import CellIdentity
 
 IDENTITY = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 0)
@@ -88,10 +88,6 @@ def test_only_worlds_in_common_are_paired_in_any_order() -> None:
     for name in MEASURES:
         assert found.differences[name].value == pytest.approx(plain.differences[name].value)
         assert found.differences[name].p == pytest.approx(plain.differences[name].p)
-
-
-def test_without_a_world_in_common_nothing_is_compared() -> None:
-    assert paired_episodes(cell(rows(1, 4)), cell(rows(2, 5, 6.0), np.arange(5) + 900.0)) is None
 
 
 def test_no_difference_has_p_1_and_one_world_no_interval() -> None:

@@ -15,7 +15,7 @@ from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.errors import UsageError
 from wasp_cli.report.summarize import TABLES
-from wasp_cli.report.tables import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 

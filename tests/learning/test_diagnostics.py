@@ -20,7 +20,7 @@ from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behavio
 from wasp_cli.learning.shards import Recording
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
-from wasp_cli.report.trained.tables import open_loop_markdown
+from wasp_cli.report.trained.evidence import open_loop_markdown
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5

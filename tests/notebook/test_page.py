@@ -28,10 +28,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_the_page_shows_lines() -> None:
-    assert len(LINES) >= 9
-
-
 @pytest.mark.parametrize("line", LINES)
 def test_lines_run(line: str, folder: Path) -> None:
     pytest.importorskip("pandas")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -11,7 +9,6 @@ import numpy as np
 
 from tests.plans import plans_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.plan.node import Cell
 from wasp_cli.report.stats import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.registry import TASKS
@@ -75,12 +72,3 @@ def write_grid(folder: Path, seeds: tuple[int, ...] = (0, 1, 2), ablations: tupl
         trajectories = [invent(17 * seed + 5 * e, 12, 0.0, 0.02) for e in range(episodes)]
         wanted.append(write(folder, CellIdentity("goal1", "expert", "full", "none", None, seed), trajectories))
     return wanted
-
-
-def write_returns(folder: Path, cell: Cell, returns: Sequence[float]) -> Wanted:
-    """A cell in `folder` as the store has it, with an episode for each return."""
-    identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-    like = invent(0, 0, 0.0, 0.3)
-    rewards = [np.eye(1, like.steps)[0] * value for value in returns]
-    path = write_rows(folder, identity, [replace(like, reward=reward) for reward in rewards])
-    return Wanted(identity, str(cell), path, cell.severity)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.report.explained import KEY, NAN, PRINTED, Invented, decision_text, episode_text, text_of
-from wasp_cli.errors import UsageError
+from tests.report.explained import NAN, PRINTED, Invented, decision_text, episode_text, text_of
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import Episode, read_episode
-from wasp_cli.report.explain.facts import decision_json, decision_of, episode_json, exceeds, merged_runs, places_of, runs_of
+from wasp_cli.report.explain.episode import Episode
+from wasp_cli.report.explain.facts import decision_json, decision_of, exceeds, merged_runs, places_of, runs_of
 from wasp_cli.report.explain.text import MOST_RUNS, episode_lines
-from wasp_cli.store.find import FoundCell
 from wasp_cli.store.tables import Thresholds
 
 
@@ -89,10 +86,10 @@ Gates
   ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
 
 Plan
-  iteration  candidates  safe (|F_s|)  case
-  1                  30             3  II
-  2                  36            12  I
-  3                  36            30  I
+  iteration  safe (|F_s|)  case
+  1                     3  II
+  2                    12  I
+  3                    30  I
   Case I: at least N_f = 10 candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)
   Case II: fewer than N_f = 10 are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)
 
@@ -157,13 +154,6 @@ def test_a_correction_without_a_search_is_the_one_that_the_gates_looked_at(mixed
     assert "Case II   33%" in episode_text(mixed), "of the two decisions that searched"
 
 
-def test_a_gain_that_is_not_taken_is_not_safe_or_changes_nothing(tmp_path: Path) -> None:
-    made = Invented()
-    made.delta_g[1] = 0.75
-    episode = made.read(tmp_path)
-    assert "  task    ΔG 0.750   τ_r 0.500  no: the correction is not predicted safe, or changes no force" in decision_text(episode, 1)
-
-
 @pytest.mark.parametrize(("residual", "executed", "how"), [
     ((-0.5, 0.5), (0.02, 0.25), "command and first correction, as the least action of that force (Eq. 18)"),
     ((-0.5, 0.5), (0.0, 0.25), "command and first correction (Eq. 18)"),
@@ -220,15 +210,6 @@ def test_a_gate_may_fire_and_the_command_stand(variant: str, alone: float, safe:
     assert "command kept: a gate fired, and the command was executed as it was" in episode_text(episode)
 
 
-def test_a_critic_beyond_the_horizon_counts_otherwise(tmp_path: Path) -> None:
-    text = decision_text(Invented(method="printed", config=dict(PRINTED)).read(tmp_path), 0)
-    assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
-    assert "observed" not in text  # two different counts
-    one_step = Invented(variant="no-rollout").read(tmp_path)
-    assert (one_step.constants.horizon, one_step.constants.bootstrap_cost) == (1, True)
-    assert decision_of(one_step, 0).window == 15
-
-
 def test_without_a_manifest_constants_are_unknown_and_costs_are_counted_over_15(tmp_path: Path) -> None:
     made = Invented(steps=30)
     made.fire(2, GATE_SAFETY)
@@ -256,14 +237,6 @@ def test_methods_without_a_choice_miss_nothing(method: str, gate: int, moved: fl
     assert "Plan\n" not in decision_text(episode, 2)
 
 
-def test_another_methods_signal_is_shown_as_it_is(tmp_path: Path) -> None:
-    made = Invented(method="theirs", thresholds=Thresholds(), config={})
-    made.signal[:] = np.arange(8) / 8
-    episode = made.read(tmp_path)
-    assert "  signal  0.250  no\n  signal: the method's own decision value" in decision_text(episode, 2)
-    assert "not described: see the documentation of 'theirs'" in episode_text(episode)
-
-
 def test_gates_compare_in_single_precision() -> None:
     assert not exceeds(float(np.float32(0.3)), 0.3)
     assert exceeds(float(np.nextafter(np.float32(0.3), np.float32(1))), 0.3)
@@ -277,8 +250,8 @@ def test_a_value_and_its_threshold_never_print_alike(tmp_path: Path) -> None:
     assert "G^c 0.29999  τ_c 0.30000" in decision_text(made.read(tmp_path), 0)
 
 
-@pytest.mark.parametrize("steps", [250, 1000])
-def test_a_long_restless_episode_stays_readable(steps: int, tmp_path: Path) -> None:
+def test_a_long_restless_episode_stays_readable(tmp_path: Path) -> None:
+    steps = 250
     made = Invented(steps=steps)
     for t in range(steps):
         if t % 3:
@@ -291,14 +264,6 @@ def test_a_long_restless_episode_stays_readable(steps: int, tmp_path: Path) -> N
     assert f"{len(runs_of(episode))} runs in {MOST_RUNS} rows" in " ".join(text_of(lines).split())
 
 
-@pytest.mark.parametrize("width", [40, 60, 80, 100, 160])
-def test_a_narrow_terminal_loses_columns_not_facts(width: int, mixed: Episode) -> None:
-    text = episode_text(mixed, width)
-    assert "missed" in text
-    assert ("ΔG (τ_r" in text) == (width > 120 or "G^c (τ_c 0.300)  ΔG" in text)
-    assert max(map(len, text.splitlines()[:-1])) <= width
-
-
 def test_a_short_quiet_run_joins_the_gate_around_it(tmp_path: Path) -> None:
     made = Invented(steps=20)
     for t in (5, 6, 8, 9):
@@ -307,43 +272,3 @@ def test_a_short_quiet_run_joins_the_gate_around_it(tmp_path: Path) -> None:
     assert [(run.first, run.last, run.gate) for run in pieces] == [(0, 4, "none"), (5, 9, "safety"), (10, 19, "none")]
     assert pieces[1].gates == {"safety": 4, "none": 1}
     assert pieces[1].intervened == 4
-
-
-@pytest.mark.parametrize("episode", [-1, 3, 99])
-def test_episodes_that_are_not_there(episode: int, tmp_path: Path) -> None:
-    path = Invented().write(tmp_path)
-    with pytest.raises(UsageError, match=f"there is no episode {episode}") as caught:
-        read_episode(FoundCell(path), episode)
-    assert caught.value.hint == "this cell has the episodes 0 to 2"
-
-
-@pytest.mark.parametrize("t", [-1, 8])
-def test_decisions_that_are_not_there(t: int, mixed: Episode) -> None:
-    with pytest.raises(UsageError, match=f"there is no decision {t}") as caught:
-        decision_of(mixed, t)
-    assert caught.value.hint == "episode 0 has the decisions 0 to 7"
-
-
-def test_json_has_no_nan_and_the_same_facts(mixed: Episode) -> None:
-    summary = json.loads(json.dumps(episode_json(mixed), allow_nan=False))
-    assert summary["who"]["key"] == KEY
-    assert summary["totals"]["return"] == 3.5
-    assert summary["totals"]["missed"] == [5]
-    assert len(summary["series"]["gate"]) == 8
-    assert [run["gates"] for run in summary["runs"]][1] == {"safety": 2}
-    decision = json.loads(json.dumps(decision_json(mixed, 2), allow_nan=False))
-    assert decision["plan"]["residuals"] == [[-0.5, 0.5], [0.25, 0.0]]
-    assert decision["plan"]["return"] == 1.5
-    assert decision["safety"] == {"state": "fired", "value": 0.5, "threshold": 0.3}
-    assert decision["signal"] is None
-
-
-def test_under_one_gate_the_runs_are_of_costs(tmp_path: Path) -> None:
-    made = Invented()
-    made.pay(3)
-    episode = made.read(tmp_path)
-    assert [(run.first, run.last, run.gate) for run in runs_of(episode)] == [(0, 2, "none"), (3, 3, "none"), (4, 7, "none")]
-    assert episode_json(episode)["totals"]["gate_share"] == {"none": 1.0}
-    assert "the gate never changed, so the rows are stretches with and without cost" in " ".join(
-        text_of(episode_lines(episode, 120)).split()
-    )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -40,11 +38,6 @@ def test_the_command_by_key_label_and_path(results: Path) -> None:
     assert said[0].stdout.endswith(hint)
     done = wasp(*hint.split()[5:], "--json")
     assert json.loads(done.stdout)["plan"]["safe"] == [3, 12, 30]
-
-
-def test_the_command_prints_json_alone(results: Path) -> None:
-    done = wasp("explain", "0123", "--episode", "1", "--results", results, "--json")
-    assert json.loads(done.stdout)["who"]["episode"] == 1
     assert done.stderr == ""
 
 
@@ -73,14 +66,3 @@ def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> N
     assert done.exit_code == 1
     assert "is damaged or was cut off" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_explaining_imports_neither_torch_nor_mujoco(results: Path) -> None:
-    code = (
-        "import sys\nfrom wasp_cli.cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
-        "try: main()\nexcept SystemExit: pass\n"
-        "print('IMPORTED', [name for name in ('torch', 'mujoco', 'joblib', 'gymnasium') if name in sys.modules])"
-    )
-    arguments = ["explain", "0123", "-e", "0", "--results", str(results)]
-    done = subprocess.run([sys.executable, "-c", code, "wasp", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr

@@ -28,7 +28,7 @@ def cells(draw: st.DrawFn) -> Invented:
     variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
     limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
     config = draw(st.sampled_from([{}, WASP, PRINTED, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))
-    made = Invented(draw(st.integers(1, 12)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
+    made = Invented(draw(st.integers(1, 6)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
 
     def series(elements: Callable[[], Any]) -> Any:
         return np.array([elements() for _ in range(made.steps)])
@@ -53,7 +53,7 @@ def cells(draw: st.DrawFn) -> Invented:
     return made
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(made=cells(), manifest=st.booleans(), width=st.integers(30, 140))
 def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int) -> None:
     with tempfile.TemporaryDirectory() as folder:

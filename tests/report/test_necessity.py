@@ -11,12 +11,10 @@ from PIL import Image
 
 from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
-from tests.report.test_golden import golden
 from wasp_cli.report.figures import necessity_figure
-from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Frame, Wanted, read_frame, with_branches
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
+from wasp_cli.report.tables.table import Table
 
 Grid = Callable[..., list[Wanted]]
 
@@ -39,13 +37,6 @@ def table_of(frame: Frame) -> Table:
 def row(table: Table, method: str) -> dict[str, float | None]:
     values = next(row.values for row in table.rows if row.labels[1].startswith(method))
     return {column.key: value.mean for column, value in zip(table.columns, values, strict=True)}
-
-
-@pytest.mark.parametrize("ending", RENDERERS)
-def test_the_table(judged: Frame, ending: str) -> None:
-    table = table_of(judged)
-    text = RENDERERS[ending](table)
-    assert text == golden(f"{table.name}.{ending}", text)
 
 
 def test_a_row_is_the_mean_over_seeds_of_its_cells(judged: Frame) -> None:
@@ -79,16 +70,6 @@ def test_rows_without_all_branches_are_partial_and_never_best(grid: Grid) -> Non
     assert any(note.startswith("INCOMPLETE: 1 cell has no counterfactual branches") for note in partial.notes)
 
 
-def test_where_all_branches_are_missing_the_rows_say_so(grid: Grid) -> None:
-    wanted = with_invented_branches(grid(seeds=(0,)))
-    for cell in wanted:
-        if cell.branches is not None:
-            cell.branches.path.unlink()
-    table = table_of(frame_of(wanted))
-    assert {row.labels[1] for row in table.rows} == {f"{name} [0 of 4 cells]" for name in ("IDA", "Diffusion", "SafeRL-Res", "WASP")}
-    assert all(value.mean is None for row in table.rows for value in row.values)
-
-
 def test_without_counterfactuals_there_is_neither_table_nor_figure(grid: Grid, tmp_path: Path) -> None:
     frame = frame_of(grid(seeds=(0,)))
     assert necessity_table(frame) is None
@@ -108,9 +89,3 @@ def test_the_figure_says_what_it_is_made_from_and_is_the_same_twice(judged: Fram
     with Image.open(files[0]) as picture:
         assert picture.width >= 1200
         assert len(set(picture.convert("L").resize((200, 80)).tobytes())) > 10
-
-
-def test_one_intervention_of_one_method_is_drawn(grid: Grid, tmp_path: Path) -> None:
-    one = next(cell for cell in grid(seeds=(0,)) if cell.identity.method == "ida")
-    files = necessity_figure(frame_of(with_invented_branches([one], stride=10**6)), tmp_path)
-    assert "n = 1<" in files[1].read_text(encoding="utf-8")

@@ -10,10 +10,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import SMALL, Fakes, fakes, prepared, run
-from wasp_cli.console import size
-from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.store.find import find_node
+from tests.run.harness import SMALL, Fakes, fakes, run
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
@@ -79,46 +76,3 @@ def test_what_failed_says_why(results: Path) -> None:
     assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
     text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
     assert "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
-
-
-def test_the_text_says_the_same(results: Path) -> None:
-    text = run_here("show", "goal1 s0 world_model", "--results", results, columns=80).stdout
-    assert text.startswith("goal1 s0 world_model\n  kind      world_model\n")
-    assert "  deter             32  (default 256)\n" in text
-    assert "  data.bin  32 bytes\n" in text
-
-
-def test_folders_with_its_pictures_are_named(results: Path) -> None:
-    facts = shown(results, "goal1 s0 world_model")
-    assert facts["pictures"] == []
-    for key in (facts["key"], "0" * 20):
-        (results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{key[:8]}").mkdir(parents=True)
-    folder = str(results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{facts['key'][:8]}")
-    assert shown(results, "goal1 s0 world_model")["pictures"] == [folder]
-    assert folder in run_here("show", facts["key"], "--results", results, columns=300).stdout
-
-
-@pytest.mark.parametrize("kind", ["evaluate", "world_model", "calibration", "expert"])
-def test_a_node_of_any_kind_is_found_by_its_key(kind: str, results: Path, tmp_path: Path) -> None:
-    layout = Layout(results)
-    _, _, plan = prepared(tmp_path / "small.yaml", results)
-    node = next(step.node for step in plan.steps if step.node.kind == kind and step.state == "cached")
-    found = find_node(layout, node.key)
-    assert (found.kind, found.label, found.path) == (kind, node.label, layout.artifact(kind, node.key))
-
-
-def test_names_of_several_nodes_and_of_none(results: Path) -> None:
-    layout = Layout(results)
-    keys = [path.name for path in layout.store.glob("*/*")]
-    (layout.kind("expert") / (keys[0][:6] + "0" * 14)).mkdir()
-    shutil.copy(next(layout.store.glob(f"*/{keys[0]}/_manifest.json")), layout.kind("expert") / (keys[0][:6] + "0" * 14))
-    with pytest.raises(UsageError, match=f"'{keys[0][:6]}' names 2 nodes, newest first:"):
-        find_node(layout, keys[0][:6])
-    with pytest.raises(UnknownName) as caught:
-        find_node(layout, "goal1 s0 world_modal")
-    assert "did you mean 'goal1 s0 world_model'" in str(caught.value.hint)
-
-
-@pytest.mark.parametrize(("count", "text"), [(None, "?"), (7, "7 bytes"), (1500, "1.5 kB"), (2 * 10**9, "2.0 GB"), (10**16, "10000.0 TB")])
-def test_sizes(count: int | None, text: str) -> None:
-    assert size(count) == text

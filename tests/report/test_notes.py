@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from tests.commands import run_here
 from tests.report.golden_store import STORE
@@ -79,7 +81,9 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     assert "[invalid] it starts within a &lt;b&gt;hazard" in page
     assert "[invalid, taken back] it starts within a &lt;b&gt;hazard" in again.html()
     assert "\\[invalid, taken back\\] it starts within a &lt;b>hazard" in again.markdown()
-    assert "[invalid]" not in run_here("report", results, "--no-films", "--no-trained", columns=200).output
+    console = Console(record=True, file=io.StringIO(), width=200)
+    again.terminal(console)
+    assert "[invalid]" not in console.export_text()
     assert [each.pooled for each in again.frame.cells] == [pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells]
 
 
@@ -96,14 +100,6 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     assert "INCOMPLETE" in after.markdown()
     assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()
     assert "<b>wrong</b>" not in after.html()
-
-
-def test_every_episode_invalid_is_the_cell_invalid(results: Path) -> None:
-    before = report_of(results)
-    cell = before.frame.cells[0]
-    for number in range(cell.count):
-        add_note(Layout(results), Note(before.keys[cell.identity], "x", number, "", "invalid"))
-    assert [gap.identity for gap in report_of(results).frame.missing] == [cell.identity]
 
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:

@@ -11,7 +11,7 @@ from tests.store.former import with_former_names
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.report.stats import Wanted, read_frame
-from wasp_cli.report.tables import autonomy_table
+from wasp_cli.report.tables.main import autonomy_table
 from wasp_cli.store import tables
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import (

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tests.video.replayed import CELL, made_store
 from wasp_cli.errors import ArtifactError, UsageError
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.video.film import film

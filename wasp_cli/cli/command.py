@@ -22,7 +22,7 @@ PIPE_CLOSED = 141
 GROUPS = {  # all commands, as `wasp --help` lists them: each with the first sentence of its docstring
     "Start": ("run", "report", "view", "drive"),
     "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
-    "Compare": ("sweep", "ablate", "severities", "compare"),
+    "Compare": ("sweep", "ablate", "compare"),
     "Follow": ("status", "logs"),
     "Look into": ("show", "explain", "replay", "note", "export"),
     "Maintain": ("publish", "verify", "gc", "doctor"),

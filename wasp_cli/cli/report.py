@@ -17,7 +17,7 @@ from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError,
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
-    from wasp_cli.compare import Compared
+    from wasp_cli.compare.runs import Compared
     from wasp_cli.report.films import Draw
     from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
@@ -47,37 +47,30 @@ def report(
     trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
-    from wasp_cli.report.provenance import last_runs
     from wasp_cli.report.summarize import missing_words
-    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.run.record import read_run
     from wasp_cli.spec.paper import load_paper
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout = results_of(results.path)
-    runs, damaged = last_runs(layout, aside=spec is not None)
-    if not runs and not damaged:
-        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
-    if spec is not None and runs and spec not in runs:
-        raise UnknownName("spec in these results", spec, runs)
+    layout, runs, damaged = _reported(results.path, spec)
     gaps: list[str] = []
     missing: list[str] = []
     changed: list[str] = []
     unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
-        if spec in (None, name):
-            try:
-                recorded = read_run(layout, run_id)
-                changed += _changed(layout, recorded) if verify else []
-                to = None if out is None else out / slug(name)
-                shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
-                damaged += shown.damaged
-                gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
-                missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
-                gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
-            except NotWritten as error:
-                unwritten.append(error)
-            except WaspError as error:  # the other specs are still worth seeing
-                damaged.append(error.message)
+        try:
+            recorded = read_run(layout, run_id)
+            changed += _changed(layout, recorded) if verify else []
+            to = None if out is None else out / slug(name)
+            shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            damaged += shown.damaged
+            gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
+            missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+            gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
+        except NotWritten as error:
+            unwritten.append(error)
+        except WaspError as error:  # the other specs are still worth seeing
+            damaged.append(error.message)
     if changed:
         damaged += changed
         hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
@@ -93,6 +86,20 @@ def report(
         raise CellsFailed("\n".join([f"{'; '.join(gaps)}:", *first([f"  {cell}" for cell in missing], 10)]), "run the spec again")
 
 
+def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
+    """The last run of each spec, or of one; and what is wrong with those that do not read."""
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(results)
+    runs, damaged = last_runs(layout)
+    if not runs and not damaged:
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
+    if spec is not None and runs and spec not in runs:
+        raise UnknownName("spec in these results", spec, runs)
+    return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged
+
+
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:
     """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
     from wasp_cli.plan.grid import COUNTERFACTUAL
@@ -106,7 +113,14 @@ def _changed(layout: Layout, recorded: Recorded) -> list[str]:
 
 
 def show_report(
-    layout: Layout, recorded: Recorded, paper: Paper | None, *, films: bool = False, trained: bool = False, to: Path | None = None
+    layout: Layout,
+    recorded: Recorded,
+    paper: Paper | None,
+    *,
+    films: bool = False,
+    trained: bool = False,
+    redraw: bool = True,
+    to: Path | None = None,
 ) -> Report:
     """Write the report of one run, then print it. Where the files cannot be written, what is printed is there all the same.
 
@@ -123,7 +137,7 @@ def show_report(
             if films:
                 from wasp_cli.video.film import sprite_of as draw  # needs MuJoCo
             folder = layout.reports(spec.name) if to is None else to
-            _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
+            _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained, redraw=redraw)
     except (OSError, StoreError) as error:
         report.terminal(console())
         refused = error if isinstance(error, WaspError) else refusal(error)
@@ -146,23 +160,18 @@ def export(
     Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR trackio show`.
     """
     from wasp_cli.report.export import to_tensorboard, to_trackio
-    from wasp_cli.report.provenance import last_runs
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:
         raise UsageError("nothing to write: neither --tensorboard nor --trackio is given", "wasp export results/ --tensorboard runs/")
-    layout = results_of(results.path)
-    runs, damaged = last_runs(layout, aside=spec is not None)
-    if spec is not None and spec not in runs:
-        raise UnknownName("spec in these results", spec, runs)
+    layout, runs, damaged = _reported(results.path, spec)
     for name, run_id in runs.items():
-        if spec in (None, name):
-            ran = read_run(layout, run_id)
-            report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
-            for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
-                if folder is not None:
-                    say(f"{name}: {write(report, folder)} runs in {folder}")
+        ran = read_run(layout, run_id)
+        report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
+        for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
+            if folder is not None:
+                say(f"{name}: {write(report, folder)} runs in {folder}")
     if damaged:
         raise ArtifactError("\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)]))
 
@@ -186,8 +195,8 @@ def compare(
 
     What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
-    from wasp_cli.compare import compare as compared_runs
-    from wasp_cli.compare import pairs
+    from wasp_cli.compare.runs import compare as compared_runs
+    from wasp_cli.compare.runs import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():

@@ -1,4 +1,4 @@
-"""The commands that compute: `wasp run`, `plan`, `ablate`, `sweep` and `severities`."""
+"""The commands that compute: `wasp run`, `plan`, `ablate` and `sweep`."""
 
 from __future__ import annotations
 
@@ -143,48 +143,6 @@ def sweep(
     require_cells(report.missing, layout)
 
 
-@command(
-    "wasp severities specs/severity.yaml --task goal1",
-    "wasp severities specs/quickstart.yaml --set 'operators={laggy: {mild: 0.5, moderate: 0.7}}'",
-    codes="0 no operator is rejected, 1 an operator is rejected or some cells failed, 2 usage, 3 invalid spec, 130 interrupted",
-)
-def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: JsonOption = False) -> None:
-    """Check that a severer operator does worse.
-
-    Operators are measured without assistance. One is accepted if its return falls with every severity, and its moderate severity loses
-    at least a quarter of the expert's return. Missing cells are computed; `wasp run` with the same spec uses them.
-    """
-    from wasp_cli.plan.plan import with_keys
-    from wasp_cli.report.render import make_own, terminal, write_pages
-    from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.tables.severity_check import as_json, check_table, judged, read_checks, require_accepted, verdict_lines
-    from wasp_cli.run.record import reported
-    from wasp_cli.run.session import planned, run_spec
-    from wasp_cli.spec.derived import operators_alone, restricted
-
-    loaded, options = restricted(operators_alone(asked.spec, asked.settings), asked.task), work.options()
-    if work.dry_run:
-        print_plan(planned(loaded.spec, asked.results, reuse=reuse), loaded.spec.name, options.jobs, json=json)
-        return
-    session = run_spec(loaded, asked.results, options, reuse=reuse, aside=True)
-    # Also after failures: what is there is worth seeing.
-    cells, _ = wanted_cells(session.layout, loaded.spec, with_keys(session.plan.grid.cells))
-    checks, frame = read_checks(loaded.spec, cells)
-    table = check_table(checks, frame)
-    folder = session.layout.reports(loaded.spec.name)
-    make_own(folder)
-    files = write_pages(folder, {}, [judged(table, checks)])
-    reported(session.layout, session.run_id)
-    if json:
-        print_json(as_json(loaded.spec.name, checks, frame))
-    else:
-        out().print(terminal(table, out().width))
-        say("", *verdict_lines(checks), f"table: {', '.join(map(str, files))}")
-    session.require_complete()
-    require_cells(frame.missing, session.layout)
-    require_accepted(checks)
-
-
 def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
     from wasp_cli.plan.plan import show
@@ -208,7 +166,7 @@ def run_and_report(
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
-    report = show_report(session.layout, ran, paper)
+    report = show_report(session.layout, ran, paper, redraw=False)
     reported(session.layout, session.run_id)
     say_next(results, {node.label: cell.method for cell, node in grid.cells})
     session.require_complete()

@@ -10,13 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
-from wasp_cli.report.claims.text import title_of
+from wasp_cli.compare.runs import LEVEL, MEASURES, Compared, Difference, Side, State
+from wasp_cli.report.bootstrap import Estimate
+from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
-from wasp_cli.report.stats.bootstrap import Estimate
-from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables import PAPER_COLUMNS, Row, Table, task_title
+from wasp_cli.report.summary import UNDEFINED, Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12  # cells that a terminal names of each kind
@@ -41,7 +42,6 @@ MEANINGS = (
 
 
 def headline(compared: Compared) -> str:
-    """Count the cells by their state."""
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
     counted = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
@@ -49,7 +49,6 @@ def headline(compared: Compared) -> str:
 
 
 def cells_table(compared: Compared) -> Table | None:
-    """Tabulate every cell that differs, those with the smallest p-values first; None where none does."""
     cells = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
     beyond = (", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-" for cell in cells)
     rows = [
@@ -63,7 +62,6 @@ def cells_table(compared: Compared) -> Table | None:
 
 
 def summary_table(compared: Compared) -> Table | None:
-    """Tabulate every assistant of which some cell differs, over all cells that both have; None where no cell differs."""
     rows = []
     for assistant in compared.summary:
         if assistant.differing:
@@ -80,7 +78,6 @@ def summary_table(compared: Compared) -> Table | None:
 
 
 def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Value, ...]:
-    """The numbers of a row, each with its interval, by the measures of the columns."""
     row = (numbers.get(column.key) for column in COLUMNS)
     return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
@@ -131,7 +128,6 @@ def _named(side: Side) -> str:
 
 
 def show(compared: Compared, console: Console) -> None:
-    """Print the comparison; of many cells the ones with the smallest p-values."""
     for line in remarks(compared):
         console.print(Text(line), soft_wrap=True)
     for table in (cells_table(compared), summary_table(compared)):
@@ -143,7 +139,6 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
-    """Write all comparisons as one page of Markdown."""
     parts = ["# Comparison\n"]
     for each in compared:
         parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in remarks(each, shown=None)))
@@ -152,19 +147,16 @@ def page(compared: Sequence[Compared]) -> str:
 
 
 def tables(compared: Compared) -> list[Table]:
-    """Return the tables that a comparison has, under names with the spec."""
     made = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
     return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in made]
 
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
-    """Write `compare.md` and every table in every format; returns the files, `compare.md` first."""
     folder.mkdir(parents=True, exist_ok=True)
     return write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
-    """Return everything as plain values; what is undefined is null."""
     sides = {
         name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id}
         for name, side in (("first", compared.first), ("second", compared.second))

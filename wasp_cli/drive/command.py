@@ -23,7 +23,7 @@ from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.tables import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.derived import sized

@@ -38,7 +38,6 @@ class Commanded(gymnasium.Wrapper):
 
 
 def written(name: str, env_id: str, recorded: Any, action_repeat: int, observation: str, description: str) -> Any:
-    """Write recorded episodes; returns the dataset."""
     commanded = Commanded(gymnasium.make(env_id, observation=observation, action_repeat=action_repeat))
     env = minari.DataCollector(commanded, record_infos=True, jpeg_encoding=False)
     for e, (layout, actions, rewards) in enumerate(zip(recorded.layouts, recorded.a, recorded.reward, strict=True)):

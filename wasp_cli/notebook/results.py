@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.notebook import (
+from wasp_cli.notebook.cells import (
     BRANCH,
     EPISODE,
     STEPS,
@@ -33,10 +33,12 @@ from wasp_cli.notebook import (
     episodes_of,
     planned_cells,
     recorded_plans,
+    report_table,
     stacked,
     steps_of,
     stored_cells,
     table_of,
+    trained_table,
 )
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell, matching
@@ -154,8 +156,6 @@ class Results:
         Raises:
             UnknownName: no part has such a task, kind or seed.
         """
-        from wasp_cli.notebook.trained import trained_table
-
         parts = [(part["kind"], part["key"]) for name in self._named for part in self._plans[name].get("parts", ())]
         return trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
 
@@ -171,8 +171,6 @@ class Results:
         """
         if len(self._named) != 1:
             raise UsageError("a table is of one spec", f"wasp_cli.results(folder, spec=...) with one of: {', '.join(self.specs) or 'none'}")
-        from wasp_cli.notebook.trained import report_table
-
         return report_table(self._layout, self._named[0], name)
 
     def cell(self, label: str) -> StoredCell:

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 from wasp_cli.errors import UsageError
 from wasp_cli.report.summarize import Report
-from wasp_cli.report.tables import main_table
-from wasp_cli.report.trained import Floats
+from wasp_cli.report.tables.main import main_table
 from wasp_cli.report.trained.figures import driving_curves, loss_curves
+from wasp_cli.report.trained.parts import Floats
 
 
 class Series(NamedTuple):
@@ -30,7 +30,6 @@ class Series(NamedTuple):
 
 
 def series_of(report: Report) -> Iterator[Series]:
-    """Return the learning curves behind a report, then the rows of its main table; what is undefined is left out."""
     runs: dict[str, dict[int, dict[str, float]]] = {}
     for curve in driving_curves(report.layout, report.trained):
         _add(runs.setdefault(f"{curve.task}/s{curve.seed}/{curve.name}", {}), curve.x, curve.y)
@@ -53,7 +52,6 @@ def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]
 
 
 def to_tensorboard(report: Report, folder: Path) -> int:
-    """Write event files below `folder`, one folder a run; returns the number of runs. Raises UsageError without the package."""
     try:
         from tensorboard.compat.proto.event_pb2 import Event
         from tensorboard.compat.proto.summary_pb2 import Summary
@@ -73,7 +71,6 @@ def to_tensorboard(report: Report, folder: Path) -> int:
 
 
 def to_trackio(report: Report, folder: Path) -> int:
-    """Write a Trackio project named after the spec into `folder`; returns the number of runs. Raises UsageError without the package."""
     _new(folder / f"{report.name}.db")
     os.environ["TRACKIO_DIR"] = str(folder.resolve())  # read when the package is imported
     try:

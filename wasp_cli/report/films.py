@@ -17,11 +17,10 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain import Episode, Floats, read_episode, timeline
+from wasp_cli.report.explain.episode import LOOKS, Episode, Floats, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
-from wasp_cli.report.tables import operator_title
-from wasp_cli.report.tables.severity_check import MODERATE
+from wasp_cli.report.tables.table import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
+MODERATE = "moderate"  # name of the severity whose episode is shown
 FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
 
@@ -52,8 +52,6 @@ Draw = Callable[..., Sprite]  # draws an episode: `video.film.sprite_of`, which 
 
 @dataclass(frozen=True, eq=False)
 class MethodFilm:
-    """An episode under one method."""
-
     method: str
     episode: Episode
     sprite: Sprite | None
@@ -63,8 +61,6 @@ class MethodFilm:
 
 @dataclass(frozen=True)
 class TaskFilms:
-    """One episode of a task under every method."""
-
     task: str
     operator: str
     value: float | None
@@ -153,7 +149,6 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
 
 
 def film_page(films: TaskFilms) -> Markup:
-    """Return the content of a task's page (`templates/films.html`)."""
     operator = operator_title(films.operator) + ("" if films.value is None else f" {films.value:g}")
     told = (
         f"Episode {films.number} of seed {films.seed} under the operator {operator}: {films.how}. "
@@ -162,4 +157,6 @@ def film_page(films: TaskFilms) -> Markup:
     seconds = films.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
     things = next((film.sprite.things for film in films.films if film.sprite is not None), ())
-    return rendered("films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline)
+    return rendered(
+        "films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline, looks=LOOKS.values()
+    )

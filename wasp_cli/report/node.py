@@ -14,7 +14,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained import duration, scalars, short
+from wasp_cli.report.trained.parts import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -122,7 +122,6 @@ def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def node_lines(facts: Facts) -> Iterator[Text]:
-    """Yield the lines of a node, one section after the other; what is not known is left out."""
     yield Text(facts["label"], style="bold")
     yield _entry("kind", facts["kind"])
     yield _entry("key", facts["key"])

@@ -34,8 +34,6 @@ Mark = Literal["", "invalid", "valid"]
 
 @dataclass(frozen=True)
 class Note:
-    """What somebody said of a cell or an episode."""
-
     key: str  # of the cell
     label: str
     episode: int | None  # None: the cell
@@ -50,7 +48,6 @@ class Note:
 
 
 def one_line(note: Note, *, past: bool = False) -> str:
-    """Return a note as a line: where, what, who and when; `past`: a later one took its mark back."""
     text = " ".join(note.text.split())
     mark = f"[{note.mark}{', taken back' if past else ''}]" if note.mark else ""
     return f"{note.where}: {' '.join(filter(None, (mark, text)))} ({note.author}, {note.at[:10]})"
@@ -63,7 +60,6 @@ def lines_of(notes: Sequence[Note]) -> list[str]:
 
 
 def author_name() -> str:
-    """Return who is at the keyboard, as far as the system knows."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -71,7 +67,6 @@ def author_name() -> str:
 
 
 def add_note(layout: Layout, note: Note) -> Note:
-    """Append a note; returns it with its time and author."""
     text, author = printable(note.text).strip(), printable(note.author).strip()[:80] or author_name()
     if not text and not note.mark:
         raise UsageError("the note says nothing", "write what there is to know")

@@ -37,12 +37,8 @@ NAMED = 12  # published cells that a report names
 Assumption = tuple[str, Any, str]  # dotted name, value, why
 
 
-def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read.
-
-    Without `aside` those that are set aside are left out, where there are others.
-    """
-    hidden: set[str] = set()
+def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
     runs: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
@@ -60,8 +56,7 @@ def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], li
             continue
         runs.pop(name, None)
         runs[name] = run_id
-        (hidden.add if record.get("aside") is True else hidden.discard)(name)
-    return {name: run for name, run in runs.items() if aside or name not in hidden} or runs, damaged
+    return runs, damaged
 
 
 @dataclass
@@ -75,7 +70,6 @@ class Origins:
     halved: list[str] = field(default_factory=list)  # labels of the cells that were computed from parts in half precision
 
     def add(self, manifest: Mapping[str, Any]) -> None:
-        """Take one more artifact into account."""
         self.total += 1
         if manifest.get("kind") == KIND:
             for name, version in _versions(manifest):
@@ -86,7 +80,6 @@ class Origins:
             self.published.append(manifest)
 
     def facts(self) -> Iterator[str]:
-        """Yield one sentence for each version that computed published results, and which cells these are where not all are."""
         versions: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for manifest in self.published:
             version = str(manifest["provenance"].get("wasp", "of an unknown version"))
@@ -104,7 +97,10 @@ class Origins:
         """Yield what the keys of cells do not tell apart."""
         mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
         if mixed:
-            said = [f"{name} {_counted(counts)}" for name, counts in mixed.items()]
+            said = [
+                f"{name} " + ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
+                for name, counts in mixed.items()
+            ]
             yield f"The cells were not computed with the same versions: {'; '.join(said)}."
         if self.halved:
             cells = "1 cell was" if len(self.halved) == 1 else f"{len(self.halved)} cells were"
@@ -123,12 +119,7 @@ def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield printable(str(name)), printable(str(version))
 
 
-def _counted(counts: Counter[str]) -> str:
-    return ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
-
-
 def is_from_published(manifest: Mapping[str, Any]) -> bool:
-    """Return whether an artifact of the store was brought in from the published layer."""
     return manifest["provenance"].get(FROM_PUBLISHED) is True
 
 
@@ -185,7 +176,6 @@ def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Seq
 
 
 def absent_fact(absent: Sequence[Part]) -> str:
-    """Say why parts are not there."""
     kinds = ", ".join(dict.fromkeys(part.kind for part in absent))
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
@@ -206,7 +196,6 @@ READINGS = (
 
 
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
-    """Return the assumptions of the stages and methods that this spec uses: first what differs from the paper."""
     kinds: set[str] = set()
 
     def need(kind: str) -> None:
@@ -235,7 +224,6 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
 
 
 def _of_single_tasks(spec: Spec) -> list[Assumption]:
-    """The values that differ in the sections of single tasks, each with its task."""
     differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
@@ -250,7 +238,6 @@ def _of_single_tasks(spec: Spec) -> list[Assumption]:
 
 
 def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
-    """Render a Markdown section: every value in force that is not the paper's."""
     lines = [
         "## Assumptions in force",
         "",

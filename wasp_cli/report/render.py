@@ -39,7 +39,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from wasp_cli.errors import StoreError
-from wasp_cli.report.tables import Row, Table
+from wasp_cli.report.tables.table import Row, Table
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def markdown_text(text: str) -> str:
 
 
 def markdown(table: Table) -> str:
-    """Render a Markdown section: title, table with the best values bold, notes."""
     lines = [f"## {table.title}", "", markdown_row([*table.labels, *(column.heading for column in table.columns)])]
     lines.append("|" + " --- |" * len(table.labels) + " ---: |" * len(table.columns))
     for r in range(len(table.rows)):
@@ -254,7 +253,6 @@ def _name(name: str) -> str:
 
 
 def html(table: Table) -> str:
-    """Return a `<figure>` with a table and its notes."""
     return str(rendered("table.html", table=table))
 
 
@@ -269,7 +267,6 @@ def rendered(template: str, /, **values: Any) -> Markup:
 
 
 def trusted(name: str) -> Markup:
-    """Return a file of the page that is put into it as it is."""
     from markupsafe import Markup
 
     return Markup((files("wasp_cli.report") / "page" / name).read_text(encoding="utf-8"))
@@ -290,7 +287,6 @@ def templates(*folders: tuple[str, str]) -> Environment:
 
 
 def data_uri(data: bytes, mime: str) -> str:
-    """Return bytes as an address that needs no network."""
     return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
 
 
@@ -327,5 +323,4 @@ def cell_address(cell: str, episode: int | None = None, step: int | None = None)
 
 
 def open_command(results: Path | str, address: str) -> str:
-    """Return the command that opens a place."""
     return f"wasp view {shlex.quote(str(results))} --open {shlex.quote(address)}"

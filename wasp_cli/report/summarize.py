@@ -15,10 +15,10 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
+from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
-from wasp_cli.report.claims.text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, latency_figure, necessity_figure, profile_figure
-from wasp_cli.report.figures.by_axis import severity_figure
+from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.provenance import (
@@ -32,24 +32,21 @@ from wasp_cli.report.provenance import (
 )
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
-from wasp_cli.report.tables import (
-    Table,
-    ablation_table,
-    autonomy_table,
-    detail_table,
-    latency_table,
-    main_table,
-    task_title,
-    threshold_table,
-)
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables, necessity_table
+from wasp_cli.report.tables.comparison import comparison_table, necessity_table
+from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
-from wasp_cli.report.tables.words import in_words
-from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown
+from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
-from wasp_cli.report.trained.tables import training_tables, with_warnings
+from wasp_cli.report.trained.parts import (
+    Trained,
+    duration,
+    numbers_text,
+    trained_artifacts,
+    trained_markdown,
+    training_tables,
+    with_warnings,
+)
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -59,8 +56,8 @@ from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
-    "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "operators", "severity",
+    "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(  # every file that a report can write
@@ -72,8 +69,6 @@ TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 
 @dataclass(frozen=True)
 class Report:
-    """What a run amounts to."""
-
     name: str
     layout: Layout
     facts: tuple[str, ...]  # one-line statements about the grid
@@ -91,7 +86,6 @@ class Report:
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        """Cells without readable rows, and branches of other cells that are not there, each with the reason."""
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
@@ -113,14 +107,22 @@ class Report:
             name_missing(console, self.missing)
 
     def write(
-        self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None, *, evidence: bool = False
+        self,
+        folder: Path,
+        draw: Draw | None = None,
+        tell: Callable[[str], None] = lambda text: None,
+        *,
+        evidence: bool = False,
+        redraw: bool = True,
     ) -> list[Path]:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
 
-        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too.
+        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too. Unless
+        asked to `redraw`, figures stay where an earlier report says the same: they take most of the time.
         """
         make_own(folder)
-        figures = draw_figures(self.layout, self.frame, self.trained, folder)
+        figures = [] if redraw else self._kept(folder)
+        figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
         films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
         texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
         pages = write_pages(folder, texts, self.tables)
@@ -133,8 +135,14 @@ class Report:
 
         return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
+    def _kept(self, folder: Path) -> list[Path]:
+        """The figures of an earlier report with the same text; none where it said something else."""
+        figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
+        page = folder / "report.md"
+        same = page.is_file() and page.read_text(encoding="utf-8") == self.markdown([path.name for path in figures])
+        return figures if same else []
+
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """Render the whole report as one Markdown page."""
         parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
@@ -155,7 +163,6 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """Render the whole report as one HTML page (`page/templates/page.html`) that needs no other file and no network."""
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
         page = rendered(
@@ -183,7 +190,6 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
@@ -193,7 +199,6 @@ def missing_words(frame: Frame) -> str:
 
 
 def name_missing(console: Console, missing: Sequence[Missing]) -> None:
-    """Print the first missing cells, each with its reason, and how many more there are."""
     for cell in missing[:NAMED]:
         console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
     if len(missing) > NAMED:
@@ -201,8 +206,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write every figure that has something to show, as PNG and SVG; returns the files."""
-    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
+    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
     for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
         files += [] if figure is None else figure_files(figure, folder, name)
@@ -268,10 +272,9 @@ def report_run(
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
-        *comparison_tables(frame),
+        comparison_table(frame),
         operator_table(frame),
         severity_table(frame),
-        _severity_check(spec, frame),
         autonomy_table(frame),
         detail_table(frame),
         latency_table(frame),
@@ -295,14 +298,6 @@ def report_run(
         keys=keys,
         notes=tuple(notes),
     )
-
-
-def _severity_check(spec: Spec, frame: Frame) -> Table | None:
-    """The operators alone, where cells without assistance stand beside the expert's."""
-    if not {"human", "expert"} <= {identity.method for identity in frame.order}:
-        return None
-    checks = checks_of(spec, frame)
-    return judged(check_table(checks, frame), checks)
 
 
 def wanted_cells(
@@ -353,7 +348,6 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    """Return a cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
 
 

@@ -12,11 +12,10 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.figures.by_axis import sweep_figures
+from wasp_cli.report.axis_figures import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
 from wasp_cli.report.stats import Missing
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import (
     SWEEP_COLUMNS,
     SWEEP_OPERATOR_COLUMNS,
@@ -27,13 +26,12 @@ from wasp_cli.report.tables.by_axis import (
     sweep_operator_table,
     sweep_table,
 )
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import Sweep
 
 
 @dataclass(frozen=True)
 class SweepReport:
-    """What a sweep amounts to."""
-
     name: str
     spec: str
     key: str
@@ -43,7 +41,6 @@ class SweepReport:
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        """Cells without readable rows, each once, with the value that it belongs to and the reason."""
         return combined(self.key, self.swept).missing
 
     @cached_property
@@ -51,7 +48,6 @@ class SweepReport:
         return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
 
     def terminal(self, console: Console) -> None:
-        """Print both tables and name what is missing."""
         for table in self.tables:
             if table.rows:
                 console.print(terminal(table, console.width))
@@ -60,7 +56,6 @@ class SweepReport:
         name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
-        """Write both tables in every format, a figure for each task, and `report.md`; returns the files, `report.md` first."""
         make_own(folder)
         figures = sweep_figures(self.key, self.swept, folder)
         pages = write_pages(folder, {"report.md": self.markdown([path.name for path in figures])}, self.tables)
@@ -69,7 +64,6 @@ class SweepReport:
         return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """Render the whole report as one page."""
         frame = combined(self.key, self.swept)
         values = ", ".join(f"`{each.text}`" for each in self.swept)
         facts = [
@@ -88,7 +82,6 @@ class SweepReport:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values, unscaled."""
         rows = lines(self.swept)
         return {
             "name": self.name,
@@ -102,7 +95,6 @@ class SweepReport:
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
-    """Summarise the cells of a sweep."""
     swept: list[Swept] = []
     damaged: list[str] = []
     published: list[str] = []

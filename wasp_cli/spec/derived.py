@@ -15,7 +15,7 @@ from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Loaded, Override, chain_of, load, loaded, override, path_of, value_of
 from wasp_cli.spec.model import Spec, method_sections, preset_names
-from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
+from wasp_cli.spec.names import assistant_variants, spec_name
 from wasp_cli.spec.read import InvalidSpec, Problem, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
@@ -70,17 +70,6 @@ def ablation(
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
     return load(path, [*narrowed, *sized(preset, settings)])
-
-
-def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys."""
-    whole = load(path, settings)
-    if not whole.spec.operators:
-        hint = "for example operators: {laggy: {mild: 0.5, moderate: 0.7, severe: 0.85}}"
-        raise whole.problem(("operators",), "no operators are listed, so there is nothing to measure", hint)
-    name = f"operators-{whole.spec.name}"[:LONGEST]
-    # Behind the settings, which must not bring back what is left out here.
-    return load(path, [*settings, f"name={name}", "methods=[human, expert]", "variants=[full]", "stages=[]"])
 
 
 OPTION = "--vary"

@@ -15,7 +15,7 @@ from typing import Any
 
 from wasp_cli.console import following, plain, say
 from wasp_cli.errors import StoreError, UsageError, WaspError, first
-from wasp_cli.notebook import ListedCell
+from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.tables import cell_file
 from wasp_cli.view import pages

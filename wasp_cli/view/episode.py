@@ -15,12 +15,12 @@ from rich.text import Text
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.notebook import ListedCell
-from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
+from wasp_cli.notebook.cells import ListedCell
+from wasp_cli.report.explain.episode import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import odd_tables_refused
-from wasp_cli.report.tables import Column
+from wasp_cli.report.tables.table import Column
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell

@@ -12,18 +12,18 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.compare import MEASURES, paired_episodes
+from wasp_cli.compare.runs import MEASURES, paired_episodes
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.notebook import ListedCell
+from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs, upstream_first
-from wasp_cli.report.explain import Episode
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
-from wasp_cli.report.tables import PAPER_COLUMNS, full_groups, main_table, who_title
-from wasp_cli.report.tables.words import in_words
+from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.spec.good import GOOD
+from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Judged, Outcome, all_of, any_of, decide, judge
-from wasp_cli.report.claims.text import verdict_markdown
+from wasp_cli.report.claims_text import verdict_markdown
 from wasp_cli.report.stats import CellNumbers, Frame, Missing
-from wasp_cli.report.stats.bootstrap import Limits
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, paper_of
@@ -195,23 +195,6 @@ def test_one_of_two_columns_is_enough() -> None:
     assert judged(frame_of(*cells), asked("higher", columns="either: [cost, mag]")).outcome == "holds"
 
 
-def test_claims_about_the_counterfactual_evaluation_are_answered_where_it_ran() -> None:
-    """Its means weigh an episode by its branched interventions, and cells without any say nothing."""
-    low, high, branches = [0.1, 0.2, 0.1], [0.6, 0.7, 0.5], [2.0, 4.0, 3.0]
-    cells = [cell("wasp", [1.0, 2.0, 3.0], task="race1", uir=low, branches=branches)]
-    cells += [cell("ida", [1.0, 2.0, 3.0], task="race1", uir=high, branches=branches)]
-    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
-    assert (answer.outcome, answer.reason) == ("holds", "")
-    cells[1] = cell("ida", [1.0, 2.0, 3.0], task="race1", uir=[np.nan] * 3, branches=[0.0] * 3)
-    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
-    assert (answer.outcome, answer.reason) == ("untested", "Race1 ida has no `uir`")
-
-
-def test_one_world_of_one_seed_has_no_interval() -> None:
-    (answer,) = judged(frame_of(cell("human", [40.0]), cell("wasp", [1.0])), asked("lower")).answers[0]
-    assert (answer.outcome, answer.contrast and answer.contrast.bootstrap) == ("undecided", None)
-
-
 def spec(tmp_path: Any, more: str = "") -> Spec:
     path = tmp_path / "spec.yaml"
     path.write_text(GOOD + more, encoding="utf-8")
@@ -237,8 +220,3 @@ def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note
     assert any(note in each for each in verdict.notes)
     assert all(each in text for each in verdict.notes)
     assert ("; t " in text) == (words == "holds")
-
-
-def test_the_preset_of_the_paper_is_no_note(tmp_path: Any) -> None:
-    found = spec(tmp_path).model_copy(update={"preset": "paper"})
-    assert not any("smaller" in note for note in judge(against(1, 2, 3), paper_with(asked("lower")), found).notes)

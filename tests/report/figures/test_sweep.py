@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.report.swept import invent_sweep
-from wasp_cli.report.figures.by_axis import MOST, positions, sweep_curves, sweep_figure, sweep_figures
+from wasp_cli.report.axis_figures import MOST, positions, sweep_curves, sweep_figure, sweep_figures
 from wasp_cli.report.tables.by_axis import Swept
 from wasp_cli.store.tables import CellIdentity
 
@@ -78,13 +78,6 @@ def test_many_operators_become_their_mean(tmp_path: Path) -> None:
     assert expected[1] > expected[0]
 
 
-def test_several_methods_have_a_row_of_panels_each(tmp_path: Path) -> None:
-    panels = panels_of(invent_sweep(tmp_path, methods=("ida", "wasp")), "action_repeat")
-    assert len(panels) == 8
-    assert [panels[0].get_ylabel(), panels[4].get_ylabel()] == ["IDA", "WASP"]
-    assert drawn(panels[4])["Noisy 0.2"][1] == [7, 8, 9]
-
-
 def test_a_point_with_missing_cells_is_left_out_and_told(tmp_path: Path) -> None:
     swept = invent_sweep(tmp_path, missing=[CellIdentity("goal1", "diffusion", "full", "noisy", 0.6, 1)])
     figure = sweep_figure(KEY, swept, "goal1")
@@ -93,19 +86,6 @@ def test_a_point_with_missing_cells_is_left_out_and_told(tmp_path: Path) -> None
     assert found["Noisy 0.6"][1][1:] == [7, 8]
     assert found["Noisy 0.2"][1] == [7, 8, 9]
     assert figure.get_suptitle() == "Goal1, Diffusion (cells are missing: 1 point left out)"
-
-
-def test_same_numbers_same_bytes_and_a_file_pair_for_each_task(tmp_path: Path) -> None:
-    swept = invent_sweep(tmp_path / "cells")
-    folders = [tmp_path / "a", tmp_path / "b"]
-    written = []
-    for folder in folders:
-        folder.mkdir()
-        written.append(sweep_figures(KEY, swept, folder))
-    assert [path.name for path in written[0]] == ["sweep_goal1.png", "sweep_goal1.svg"]
-    for one, other in zip(*written, strict=True):
-        assert one.read_bytes() == other.read_bytes()
-    assert "Human-only" in written[0][1].read_text(encoding="utf-8")
 
 
 def test_nothing_to_draw(tmp_path: Path) -> None:

@@ -33,16 +33,14 @@ with drawn((2, 2)) as figure:
 """
 
 
-@pytest.mark.parametrize(("written", "there"), [(0, set()), (1, {"figure3.png"}), (2, {"figure3.png", "figure3.svg"})])
+@pytest.mark.parametrize(("written", "there"), [(0, set()), (1, {"figure3.png"})])
 def test_a_killed_report_leaves_no_half_drawn_figure(written: int, there: set[str], tmp_path: Path) -> None:
     root = Path(__file__).parents[3]
     done = subprocess.run(
         [sys.executable, "-c", DRAW, tmp_path, str(written)], env={**os.environ, "PYTHONPATH": str(root)}, timeout=600, check=False
     )
-    assert done.returncode == (0 if written == 2 else -signal.SIGKILL)
+    assert done.returncode == -signal.SIGKILL
     assert {path.name for path in tmp_path.iterdir()} == there
     for path in tmp_path.glob("*.png"):
         assert path.read_bytes().startswith(b"\x89PNG")
         assert b"IEND" in path.read_bytes()[-12:]
-    for path in tmp_path.glob("*.svg"):
-        assert path.read_text(encoding="utf-8").rstrip().endswith("</svg>")

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.report.claims import judge
-from wasp_cli.report.figures import latency_figure
+from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import Frame, Missing
 from wasp_cli.report.summarize import Report
-from wasp_cli.report.tables import detail_table, main_table
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.tables.main import detail_table, main_table
+from wasp_cli.report.trained.parts import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
@@ -66,7 +66,7 @@ def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
         assumptions=(("wasp.tau_c", 0.3, word),),
         verdict=judge(frame, load_paper()),
     )
-    return report.html(latency_figure(frame, folder))
+    return report.html(cost_return_figure(frame, folder))
 
 
 def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     outline = Outline(page)
     assert outline.open == []
     assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}
-    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-latency"}
+    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-cost_return"}
     assert len(set(outline.ids)) == len(outline.ids)
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)
@@ -131,9 +131,3 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title[1] == "told true true true true true"
     assert ":CONSOLE" not in done.stderr
-
-
-def test_no_backtick_is_shown(frame: Frame, tmp_path: Path) -> None:
-    page = page_of(frame, tmp_path, word="of `quick`")
-    assert "a third: of quick" in page
-    assert "<td>of quick</td>" in page

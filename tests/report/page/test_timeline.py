@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import CURVE, Episode, timeline
+from wasp_cli.report.explain.episode import CURVE, Episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.store.tables import Thresholds
 
@@ -51,15 +51,6 @@ def test_a_curve_is_above_its_threshold_exactly_where_the_gate_fired(tmp_path: P
     assert all(0 <= y <= CURVE for _, y in heights(svg))
 
 
-def test_what_is_undefined_is_a_gap(tmp_path: Path) -> None:
-    it = Invented()
-    it.fire(1, GATE_SAFETY)
-    it.delta_g[1] = np.nan  # the printed task gate is not asked then
-    svg = lanes(it.read(tmp_path))["ΔG"]
-    assert [t for t, _ in heights(svg)] == [0, 2, 3, 4, 5, 6, 7]
-    assert svg.count("<polyline") == 2
-
-
 def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
     it = Invented(method="ida", thresholds=Thresholds(tau_q=0.1), config={"vote": 0.5})
     it.signal = np.linspace(-1, 1, it.steps)
@@ -71,20 +62,3 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
     (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["vote"])
     # It takes over above a share of the votes; tau_Q is the margin of each vote.
     assert [t for t, y in heights(drawn["vote"]) if y < float(limit)] == [6, 7]
-
-
-def test_a_signal_that_is_a_cost_is_held_against_tau_c(tmp_path: Path) -> None:
-    it = Invented(method="filter", thresholds=Thresholds(tau_c=0.3), config={})
-    it.signal = np.array([0.0, 0.1, 0.2, 0.25, 0.3, 0.4, 0.1, 0.5])
-    drawn = lanes(it.read(tmp_path))
-    (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["Q_c"])
-    assert [t for t, y in heights(drawn["Q_c"]) if y < float(limit)] == [5, 7]
-
-
-def test_a_method_that_blends_shows_its_deviation_and_nobody_shows_nothing(tmp_path: Path) -> None:
-    it = Invented(method="diffusion", thresholds=Thresholds())
-    it.gate[:] = GATE_METHOD
-    it.a = it.a_h + 0.1
-    assert list(lanes(it.read(tmp_path))) == ["|a−aᴴ|", "acts", "cost"]
-    alone = Invented(method="human", thresholds=Thresholds())
-    assert list(lanes(alone.read(tmp_path))) == ["cost"]

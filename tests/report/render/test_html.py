@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from jinja2 import UndefinedError
 
-from wasp_cli.report.render import data_uri, html, markdown_text, rendered
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Column, Row, Table
+from wasp_cli.report.render import html, markdown_text, rendered
+from wasp_cli.report.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 ANY = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)
 
@@ -45,13 +44,6 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.found if name == tag]
 
 
-def test_a_group_is_a_body() -> None:
-    rows = tuple(Row((task, method), ()) for task in "ab" for method in "xyz")
-    assert len(Reader(html(Table("t", "T", ("Task", "Method"), (), rows))).all("tbody")) == 2
-    assert len(Reader(html(Table("t", "T", ("Task", "Method"), (), rows, grouped=False))).all("tbody")) == 1
-    assert Reader(html(Table("t", "T", ("Task", "Method"), (), ()))).all("tbody") == []
-
-
 @given(title=ANY, label=ANY, heading=ANY, note=ANY)
 def test_all_text_is_escaped(title: str, label: str, heading: str, note: str) -> None:
     reader = Reader(html(Table(title, title, (heading,), (Column("k", heading),), (Row((label,), (Value(1.0),)),), (note,), (note,))))
@@ -72,15 +64,6 @@ def test_a_template_escapes_text_and_attributes_and_markup_only_once(name: str) 
     assert [tag for tag, _ in reader.found] == ["div", "div", "span", "svg", "line"]
     assert reader.all("svg")[0]["aria-label"] == f"{name} over 3 decisions"
     assert page.count("&amp;amp;") == 2 * name.count("&amp;")
-
-
-def test_a_name_that_a_template_is_not_given_is_an_error() -> None:
-    with pytest.raises(UndefinedError, match="decisions"):
-        rendered("timeline.html", lanes=[{**LANE, "name": "x"}])
-
-
-def test_an_address_that_needs_no_network() -> None:
-    assert data_uri(b"\x00\x01", "image/png") == "data:image/png;base64,AAE="
 
 
 @pytest.mark.parametrize(

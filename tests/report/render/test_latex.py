@@ -1,20 +1,15 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.report.render import ACCENTS, SPECIAL, escaped, latex
-from wasp_cli.report.stats import Frame
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Column, Row, Table, detail_table, main_table
-from wasp_cli.report.tables.by_axis import operator_table
+from wasp_cli.report.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 NASTY = '50% of $x_1$ & #2 {a} ~ ^ \\input{/etc/passwd} [b] *c* <d> |e| "f" `g\' -- é ł \u202e\n% new line τ²'
 LITERAL = {text: character for character, text in SPECIAL.items() if ord(character) < 128 and character != '"'}
@@ -99,20 +94,3 @@ def test_a_caption_says_what_is_missing_and_not_that_nothing_is() -> None:
         (caption,) = [line for line in lines if line.startswith(r"\caption")]
         assert (note in caption) == told
         assert f"% {note}" in lines
-
-
-def test_a_document_of_every_table(frame: Frame, tmp_path: Path) -> None:
-    tables = [main_table(frame), detail_table(frame), operator_table(frame), nasty()]
-    page = "\n".join([r"\documentclass{article}", r"\usepackage{booktabs}", r"\begin{document}", *map(latex, tables), r"\end{document}"])
-    assert page.count(r"\begin{") == page.count(r"\end{") == 9
-    compiler = shutil.which("pdflatex")
-    if compiler is None:
-        return
-    (tmp_path / "page.tex").write_text(page, encoding="utf-8")
-    done = subprocess.run(
-        [compiler, "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "page.tex"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout[-2000:]

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
-from wasp_cli.report.stats.bootstrap import (
+from wasp_cli.report.bootstrap import (
     RESAMPLES,
     Estimate,
     _resampled,
@@ -27,7 +26,7 @@ from wasp_cli.report.stats.bootstrap import (
     mean_of,
     t_limits,
 )
-from wasp_cli.report.stats.summary import paired_difference, summarise
+from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
 from wasp_cli.store.tables import CellIdentity
 
 RNG = np.random.default_rng(3)
@@ -136,14 +135,6 @@ def test_one_seed_resamples_worlds(key: str) -> None:
     assert (found.interval.unit, found.interval.clusters) == ("world", 7)
 
 
-@pytest.mark.parametrize("rows", [[0, 1, 2, 3], [2, 0, 3]])
-def test_one_seed_resamples_worlds_of_all_pairs_in_whatever_order_they_are(rows: list[int]) -> None:
-    own, whole = made([4], worlds=4), made([4], "human", worlds=4)
-    other = [replace(cell, episodes={name: column[rows] for name, column in cell.episodes.items()}) for cell in whole]
-    wins = [mean([better(x, y, "mag_int", times) for x, y in zip(own, other, strict=True)]) for times in world_draws(own)]
-    assert interval(improvement_over(own, other, "mag_int", "up")) == pytest.approx(limits(wins))
-
-
 @pytest.mark.parametrize("key", ["return", "int_rate", "mag_int"])
 def test_several_seeds_resample_seeds(key: str) -> None:
     own, other = made([0, 1, 5])[:-1], made([0, 1, 5], "human")[1:]  # the conditions differ
@@ -161,14 +152,6 @@ def test_several_seeds_resample_seeds(key: str) -> None:
     assert interval(found) == pytest.approx(limits([mean([wins[seed] for seed in draw]) for draw in draws]))
     assert found.value == pytest.approx(mean(list(wins.values())))
     assert (found.interval.unit, found.interval.clusters) == ("training", 3)
-
-
-@pytest.mark.parametrize("seeds", [[2], [0, 1, 2, 3]])
-def test_the_number_is_the_one_of_the_tables(seeds: list[int]) -> None:
-    own, other = made(seeds), made(seeds, "human")
-    for key in ("return", "int_rate", "mag_int"):
-        middle, change = mean_of(own, key), difference_of(own, other, key)
-        assert (middle.value, change.value) == (summarise(own, key).mean, paired_difference(own, other, key))
 
 
 def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
@@ -262,7 +245,7 @@ def covered(trainings: int, between: float, times: int = 400, worlds: int = 12) 
 
 @pytest.mark.parametrize(
     ("trainings", "between", "hierarchical"),
-    [(1, 0.0, (0.87, 0.96)), (3, 2.0, (0.70, 0.90)), (3, 0.0, (0.93, 1.0))],
+    [(1, 0.0, (0.87, 0.96)), (3, 2.0, (0.70, 0.90))],
 )
 def test_coverage(trainings: int, between: float, hierarchical: tuple[float, float]) -> None:
     """Nominal 95 %. Three trainings that differ are covered too seldom, which is why the t interval, which is right, stands beside."""

@@ -11,7 +11,6 @@ import pytest
 
 from tests.report.branched import TAU_R, WINDOW, with_invented_branches
 from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, read_frame, with_branches
-from wasp_cli.report.stats.bootstrap import mean_of
 
 Grid = Callable[..., list[Wanted]]
 
@@ -60,22 +59,6 @@ def test_columns_are_means_over_the_branched_interventions_of_an_episode(grid: G
             assert total.sum() / mass.sum() == pytest.approx(cell.pooled[name])
 
 
-def test_cells_that_nobody_asked_about_are_as_they_were(grid: Grid) -> None:
-    wanted = with_invented_branches(grid(seeds=(0,)))
-    for cell in of_method(frame_of(wanted), "human") + of_method(frame_of(wanted), "expert"):
-        assert cell.pooled.keys().isdisjoint(JUDGED)
-        assert "branches" not in cell.episodes
-    plain = grid(seeds=(1,))
-    assert frame_of(plain).judged == {}
-
-
-def test_rates_have_intervals_like_other_columns(grid: Grid) -> None:
-    wanted = with_invented_branches(grid(seeds=(0, 1)))
-    estimate = mean_of(of_method(frame_of(wanted), "wasp"), "uir")
-    assert estimate.interval.low <= estimate.value <= estimate.interval.high
-    assert (estimate.interval.unit, estimate.interval.clusters) == ("training", 2)
-
-
 def test_a_cell_without_interventions_defines_nothing(grid: Grid) -> None:
     wanted = grid(seeds=(0,))
     ida = next(i for i, cell in enumerate(wanted) if cell.identity.method == "ida")
@@ -114,15 +97,6 @@ def test_branches_that_are_not_there_are_named_and_the_cell_stays(grid: Grid) ->
     assert {gap.kind for gap in frame.unbranched} == {"counterfactual"}
     assert all(gap.label.endswith("counterfactual branches") for gap in frame.unbranched)
     assert len(frame.judged) == 3 * 4
-
-
-def test_a_cell_that_is_missing_is_not_named_twice(grid: Grid) -> None:
-    wanted = with_invented_branches(grid(seeds=(0,)))
-    gone = next(cell for cell in wanted if cell.branches is not None)
-    gone.path.unlink()
-    frame = frame_of(wanted)
-    assert [gap.identity for gap in frame.missing] == [gone.identity]
-    assert frame.unbranched == ()
 
 
 def test_branches_of_more_episodes_than_the_cell_has_are_refused(grid: Grid) -> None:

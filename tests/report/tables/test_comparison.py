@@ -6,19 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
-from wasp_cli.report.stats.bootstrap import difference_of, improvement_over, iqm_of
-from wasp_cli.report.stats.summary import Value
-from wasp_cli.report.tables import Row, Table, latency_table, main_table
+from wasp_cli.report.summary import Value
 from wasp_cli.report.tables.by_axis import severity_table
-from wasp_cli.report.tables.comparison import BEST, HUMAN, MEASURES, comparison_tables
+from wasp_cli.report.tables.comparison import MEASURES, comparison_table
+from wasp_cli.report.tables.main import latency_table, main_table
+from wasp_cli.report.tables.table import Row, Table
 
 Grid = Callable[..., list[Wanted]]
-
-
-def comparison_table(frame: Frame, reference: str = HUMAN) -> Table:
-    (table,) = comparison_tables(frame, (reference,))
-    return table
 
 
 def found(table: Table | None) -> Table:
@@ -35,7 +31,7 @@ def value(table: Table, key: str, *labels: str) -> Value:
 
 
 def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) -> None:
-    table, main = comparison_table(frame), main_table(frame)
+    table, main = found(comparison_table(frame)), main_table(frame)
     by_method = {group.method: group.cells for group in groups(frame) if group.variant == "full"}
     wasp, human = by_method["wasp"], by_method["human"]
     for measure in MEASURES:
@@ -48,44 +44,35 @@ def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) 
             assert (value(table, key, *labels).mean, value(table, key, *labels).interval) == (estimate.value, estimate.interval)
 
 
-def test_the_best_other_method_is_one_per_measure(frame: Frame) -> None:
-    table = comparison_table(frame, BEST)
-    assert table.name == "statistics_best"
-    assert "Best other methods on Goal1: Return Diffusion, Succ. (%) Diffusion, Cost SafeRL-Res, Viol. SafeRL-Res." in table.notes
-    assert value(table, "difference", "Goal1", "Cost ↓", "SafeRL-Res").mean is None
-    assert value(table, "difference", "Goal1", "Return ↑", "WASP").mean == pytest.approx(3.0)
-
-
 def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
-    three = comparison_table(frame).notes
+    three = found(comparison_table(frame)).notes
     assert (
         "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the trainings, each with its models and worlds; "
         "10 resamples differ, so they are coarse."
     ) in three
     assert not any("95 %" in note for note in three)
     assert "These are 80 intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts." in three
-    one = comparison_table(read_frame(grid(seeds=(0,)))).notes
+    one = found(comparison_table(read_frame(grid(seeds=(0,))))).notes
     assert any(note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note for note in one)
     together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
-    (note,) = [note for note in comparison_table(together).notes if "[low, high]" in note]
+    (note,) = [note for note in found(comparison_table(together)).notes if "[low, high]" in note]
     assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
-    single = comparison_table(read_frame(grid(seeds=(0,), episodes=1)))
+    single = found(comparison_table(read_frame(grid(seeds=(0,), episodes=1))))
     assert "No intervals: there is a single world to resample." in single.notes
     assert all(each.interval is None for row in single.rows for each in row.values)
 
 
 def test_gaps(grid: Grid) -> None:
-    assert comparison_tables(Frame(())) == []
+    assert comparison_table(Frame(())) is None
     wanted = grid(seeds=(0, 1))
     for cell in wanted:
         if cell.identity.method == "human" or (cell.identity.method, cell.identity.seed) == ("saferl", 0):
             cell.path.unlink()
     frame = read_frame(wanted)
-    table = comparison_table(frame)
+    table = found(comparison_table(frame))
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
     assert any(note.startswith("INCOMPLETE: 12 of 42") for note in table.notes)
     assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None  # worlds of its only seed
-    assert "Cost IDA" in " ".join(comparison_table(frame, BEST).notes)  # an incomplete method is no reference
 
 
 def test_severities_are_columns(frame: Frame) -> None:
@@ -98,11 +85,6 @@ def test_severities_are_columns(frame: Frame) -> None:
     assert len(cells) == 3
     assert value(table, "cost.severe", "Goal1", "Laggy", "IDA").mean == pytest.approx(np.mean([cell.pooled["cost"] for cell in cells]))
     assert not any("Expert" in row.labels for row in table.rows)
-
-
-def test_one_severity_is_no_table(grid: Grid) -> None:
-    frame = read_frame([cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5, None)])
-    assert severity_table(frame) is None
 
 
 def test_latency_is_over_episodes(frame: Frame) -> None:

@@ -10,21 +10,15 @@ import numpy as np
 import pytest
 
 from tests.report.claims.test_verdict import cell, frame_of
-from wasp_cli.plan.grid import lay_out
-from wasp_cli.report.figures import cost_return_figure, latency_figure
+from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
-from wasp_cli.report.stats.summary import same_episodes
-from wasp_cli.report.tables import Table, ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.summary import same_episodes
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import comparison_tables
-from wasp_cli.spec.derived import ablation
-from wasp_cli.spec.model import validate
+from wasp_cli.report.tables.comparison import comparison_table
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.table import Table
 
 TITLE = "WASP, no Case II recovery"
-SPEC = {
-    "name": "both", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp", "printed"], "variants": ["full", "no-case2"],
-    "operators": {"laggy": {"moderate": 0.7}}, "seeds": [1],
-}  # fmt: skip
 
 
 def labels(table: Table | None) -> list[str]:
@@ -35,37 +29,16 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: C
     frame = read_frame(grid(ablations=("no-case2",)))
     tables = [
         main_table(frame), detail_table(frame), latency_table(frame), operator_table(frame), severity_table(frame),
-        *comparison_tables(frame),
+        comparison_table(frame),
     ]  # fmt: skip
     for table in tables:
         assert "WASP" in labels(table)
         assert TITLE not in labels(table)
     assert {"WASP, full", TITLE} <= set(labels(ablation_table(frame)))
     assert {"WASP", TITLE} <= set(labels(threshold_table(frame)))
-    pictures = [path for path in (*cost_return_figure(frame, tmp_path), *latency_figure(frame, tmp_path)) if path.suffix == ".svg"]
-    assert len(pictures) == 2
+    pictures = [path for path in cost_return_figure(frame, tmp_path) if path.suffix == ".svg"]
+    assert len(pictures) == 1
     assert not any(TITLE in path.read_text() for path in pictures)
-
-
-def test_alone_beside_the_whole_it_is_compared_with_it(grid: Callable[..., list[Wanted]]) -> None:
-    table = ablation_table(read_frame(grid(ablations=("no-case2",))))
-    assert labels(table) == ["Goal1", "WASP, full", "Goal1", TITLE]
-    assert all(value.delta is not None for value in table.rows[1].values[:1])
-
-
-def test_it_has_the_thresholds_of_the_whole_and_the_printed_one_its_own() -> None:
-    cells = {(cell.method, cell.assistant): node.needs["calibration"] for cell, node in lay_out(validate(SPEC)).cells}
-    assert list(cells) == [("wasp", "full"), ("wasp", "no-case2"), ("printed", "full"), ("printed", "no-case2")]
-    assert cells["wasp", "full"].key == cells["wasp", "no-case2"].key != cells["printed", "full"].key
-
-
-@pytest.mark.parametrize(("variant", "methods", "variants"), [
-    ("as-printed", ("human", "wasp", "printed"), ("full",)),
-    ("no-case2", ("human", "wasp"), ("full", "no-case2")),
-])  # fmt: skip
-def test_ablate_runs_the_two_beside_the_operators_alone(variant: str, methods: tuple[str, ...], variants: tuple[str, ...]) -> None:
-    spec = ablation(Path("specs/quickstart.yaml"), variant).spec
-    assert (spec.methods, spec.variants) == (methods, variants)
 
 
 def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellNumbers:
@@ -80,17 +53,6 @@ def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (2, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
-
-
-def test_undefined_twice_is_equal_and_gates_may_differ() -> None:
-    full = wasp([1.0, 2.0], mag=[0.1, np.nan], safety_gate=[0.5, 0.5])
-    assert same_episodes([wasp([1.0, 2.0], "task-only", mag=[0.1, np.nan], safety_gate=[0.0, 0.0])], [full]) == (2, 2)
-
-
-def test_worlds_are_matched_in_any_order() -> None:
-    full, other = wasp([1.0, 2.0, 3.0]), wasp([3.0, 2.0, 9.0], "no-case2")
-    other.episodes["world"][:] = full.episodes["world"][::-1]  # type: ignore[index]
-    assert same_episodes([other], [full]) == (2, 3)
 
 
 @pytest.mark.parametrize(("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")])

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from tests.report.swept import NUMBERS, invent_sweep
-from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.sweep import SweepReport
-from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.by_axis import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, Swept, lines, sweep_operator_table, sweep_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.store.tables import CellIdentity
 
 KEY = "diffusion.ratio"
@@ -64,25 +61,6 @@ def test_a_row_for_each_operator_tells_what_a_value_gains_and_costs(tmp_path: Pa
     ]
 
 
-def test_the_best_value_is_marked_for_each_operator(swept: list[Swept]) -> None:
-    table = sweep_operator_table(KEY, swept)
-    assert {row for row, column in table.marks if column == 0} == {3, 7}
-    text = RENDERERS["md"](table)
-    assert text.count("| Goal1 | Noisy 0.2 | Human-only | - |") == text.count("| Goal1 | Noisy 0.6 | Human-only | - |") == 1
-    assert "|  |  | Diffusion | 0.20 |" in text
-
-
-def test_without_human_there_is_no_difference(swept: list[Swept], tmp_path: Path) -> None:
-    alone = [
-        Swept(each.text, each.value, type(each.frame)(each.frame.cells[4:], (), each.frame.order[4:]), each.keys)
-        for each in invent_sweep(tmp_path)
-    ]
-    table = sweep_table(KEY, alone)
-    assert [row.labels[2] for row in table.rows] == ["0", "0.20", "0.6"]
-    assert all(value.delta is None for row in table.rows for value in row.values)
-    assert not {UNTOUCHED_NOTE, DIFFERENCE} & set(table.meanings)
-
-
 def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> None:
     first = swept[0]
     identity = next(identity for identity in first.keys if identity.method == "human")
@@ -100,17 +78,6 @@ def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
     assert ("Noisy 0.2", "Diffusion", "0") in labels
     report = SweepReport("s", "spec", KEY, tuple(swept))
     assert [gap.label for gap in report.missing] == ["goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"]
-
-
-def test_for_machines(swept: list[Swept]) -> None:
-    record = json.loads(json.dumps(SweepReport("s", "spec", KEY, tuple(swept)).as_json(), allow_nan=False))
-    assert (record["setting"], record["values"]) == (KEY, [value for _, value in NUMBERS])
-    human, _, middle, _ = record["rows"]
-    assert (human["method"], human["touched"], human["value"], human["mag_int"]["mean"]) == ("human", False, None, None)
-    assert (middle["task"], middle["method"], middle["variant"], middle["value"]) == ("goal1", "diffusion", "full", 0.2)
-    assert middle["return"] == {"mean": 7.5, "sd": 0.0, "difference": 1.0, "seeds": 2}
-    assert [(row["operator"], row["severity"], row["value"]) for row in record["operators"]][-1] == ("noisy", 0.6, 0.6)
-    assert record["missing"] == []
 
 
 def test_what_is_written(swept: list[Swept], tmp_path: Path) -> None:
@@ -135,11 +102,3 @@ def test_what_is_written(swept: list[Swept], tmp_path: Path) -> None:
     assert "16 of 16 different cells, 32 episodes." in page
     assert "![diffusion.ratio](sweep_goal1.png)" in page
     assert "Missing cells" not in page
-
-
-def test_the_terminal_names_what_is_missing(tmp_path: Path) -> None:
-    console = Console(width=160, file=io.StringIO(), record=True)
-    SweepReport("s", "spec", KEY, tuple(invent_sweep(tmp_path, missing=[LOST]))).terminal(console)
-    text = console.export_text()
-    assert "Values of diffusion.ratio, per operator" in text
-    assert "goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]: not computed yet" in text

@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from wasp_cli.report.render import csv_text, markdown, terminal
-from wasp_cli.report.stats.summary import Interval, Value
-from wasp_cli.report.tables import Column, Row, Table
+from wasp_cli.report.summary import Interval, Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 RETURN = Column("return", "Return", "up")
 COST = Column("cost", "Cost", "down", digits=1)
@@ -118,19 +118,6 @@ def test_terminal_leaves_out_what_does_not_fit(width: int, spread: bool, delta: 
     assert text.count("12.25") == (4 if optional else 2)
     assert ("hidden;" in text) == (width < 100)
     assert "[red]b" in text  # a label is no markup
-
-
-def test_of_several_optional_columns_as_many_are_kept_as_fit() -> None:
-    columns = (RETURN, COST, *(Column(name, name.title(), optional=True) for name in ("first", "second", "third")))
-    number = Value(12.25)
-    shown = []
-    for width in range(22, 80):
-        console = Console(width=width, file=io.StringIO(), record=True)
-        console.print(terminal(table(row("a", "x", *[number] * 5), columns=columns), width))
-        text = console.export_text()
-        shown.append(tuple(name for name in ("First", "Second", "Third") if name in text))
-        assert ("hidden;" in " ".join(text.split())) == (len(shown[-1]) < 3)
-    assert list(dict.fromkeys(shown)) == [(), ("First",), ("First", "Second"), ("First", "Second", "Third")]
 
 
 def test_a_narrow_terminal_wraps_labels_and_cuts_no_digit() -> None:

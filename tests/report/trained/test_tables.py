@@ -7,24 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from tests.learning.recordings import SOURCES, recording
-from tests.report.trained.parts import QUALITY, artifact, diagnosed
+from tests.report.trained.parts import artifact, diagnosed
 from wasp_cli.learning.contents import contents
 from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
-from wasp_cli.report.tables import Table
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.tables.table import Table
+from wasp_cli.report.trained.evidence import contents_markdown, open_loop_markdown
 from wasp_cli.report.trained.figures import STEPS
-from wasp_cli.report.trained.tables import (
-    contents_markdown,
-    dataset_warnings,
-    open_loop_markdown,
-    quality_markdown,
-    training_tables,
-    with_warnings,
-)
+from wasp_cli.report.trained.parts import Trained, dataset_warnings, training_tables, with_warnings
 from wasp_cli.stages.diagnostics import SHOWN
 from wasp_cli.store.layout import Layout
 
@@ -72,14 +64,6 @@ def test_a_chain_is_one_row_of_what_its_stages_tell() -> None:
     assert csv_text(ahead).splitlines()[0] == "task,measure,step_1,step_5,seeds"
 
 
-def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
-    stages, _ = training_tables(*chain(seeds=(0, 1)))
-    value = stages.rows[0].values[0]
-    assert (value.mean, value.n) == (20.5, 2)
-    assert value.sd is not None
-    assert abs(value.sd - 0.5**0.5) < 1e-12
-
-
 def test_what_is_missing_is_named_and_never_a_number() -> None:
     parts, trained = chain(seeds=(0, 1))
     there = [one for one in trained if one.stage not in ("critics", "diagnostics") and not (one.stage == "expert" and one.seed == 1)]
@@ -93,12 +77,6 @@ def test_what_is_missing_is_named_and_never_a_number() -> None:
     )
     assert [row.labels for row in ahead.rows] == [("Goal1", "Cost AUPRC [0 of 2 parts]")]
     assert all(value.mean is None for value in ahead.rows[0].values)
-
-
-def test_nothing_to_tell_is_no_table() -> None:
-    assert training_tables([], []) == []
-    part = (Part("goal1", "residual", 0), "key")
-    assert training_tables([part], [Trained("residual", "goal1", 0, "key", 1.0, {"number": 1})]) == []
 
 
 def test_a_dataset_has_a_row_for_each_behaviour() -> None:
@@ -155,17 +133,3 @@ def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined()
     earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
     assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"
-
-
-def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:
-    page = quality_markdown(QUALITY)
-    assert sum(line.startswith("| ") for line in page.splitlines()) == 2 + 4
-    assert "| recorded | 0.4 | 0.250 | 0.300 |" in page
-
-
-@pytest.mark.parametrize("name", ["a|b", "a\nb"])
-def test_names_cannot_break_a_table(name: str) -> None:
-    table = contents(recording(), SOURCES)
-    page = contents_markdown({**table, name: table["noisy"]})
-    (line,) = [line for line in page.splitlines() if line.startswith("| a") and "| all |" not in line]
-    assert line.replace("\\|", "").count("|") == page.splitlines()[2].count("|")

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, Floats, number
+from wasp_cli.report.explain.episode import GATES, PREDICTED, Bools, Episode, Floats, number
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
@@ -55,8 +55,6 @@ class Run:
 
 @dataclass(frozen=True)
 class Gate:
-    """A gate at one decision."""
-
     state: State
     value: float | None
     threshold: float | None
@@ -64,8 +62,6 @@ class Gate:
 
 @dataclass(frozen=True)
 class Planned:
-    """What the planner did at one decision."""
-
     safe: tuple[int, ...]  # [I] |F_s| (Eq. 14); empty where the plan was carried out without a search
     case2: tuple[bool, ...]  # [I]
     residuals: tuple[tuple[float, ...], ...]  # [L, A]
@@ -81,14 +77,11 @@ class Planned:
 
     @property
     def empty(self) -> bool:
-        """Tell whether the sequence leaves every command as it is."""
         return not any(any(step) for step in self.residuals)
 
 
 @dataclass(frozen=True)
 class Happened:
-    """What really happened in some decisions."""
-
     first: int
     last: int
     reward: float
@@ -101,8 +94,6 @@ class Happened:
 
 @dataclass(frozen=True)
 class Decision:
-    """One decision as facts."""
-
     t: int
     gate: str
     command: tuple[float, ...]  # [A] a^H
@@ -160,7 +151,6 @@ def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
 
 
 def decision_of(episode: Episode, t: int) -> Decision:
-    """Collect the facts of one decision."""
     episode.require(t)
     horizon = episode.constants.horizon
     window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
@@ -225,7 +215,6 @@ def _plan(episode: Episode, t: int) -> Planned | None:
 
 
 def _happened(episode: Episode, t: int, window: int) -> Happened:
-    """In the decisions from t on, `window` of them or as many as are left."""
     end = min(t + window, episode.decisions)
     part, gamma = slice(t, end), episode.constants.gamma_c
     costly = episode.costly[part]
@@ -247,7 +236,6 @@ def exceeds(value: float | None, limit: float | None) -> bool:
 
 
 def places_of(marks: Bools) -> tuple[int, ...]:
-    """Return the decisions at which something holds."""
     return tuple(np.flatnonzero(marks).tolist())
 
 
@@ -261,7 +249,6 @@ def _range(values: Floats) -> Range | None:
 
 
 def episode_json(episode: Episode) -> dict[str, Any]:
-    """Return an episode as JSON values: its totals, its runs, and what the gates saw of every decision; what is undefined is null."""
     row, names = episode.row, ("g_cost", "deviation", "cost_env")
     shares = {name: float((episode.gate == value).mean()) for value, name in GATES.items() if (episode.gate == value).any()}
     totals = {name: row[name] for name in ("return", "cost", "goals", "success")}
@@ -278,7 +265,6 @@ def episode_json(episode: Episode) -> dict[str, Any]:
 
 
 def decision_json(episode: Episode, t: int) -> dict[str, Any]:
-    """Return one decision as JSON values; what is undefined is null. A UsageError where the episode has no such decision."""
     limits = {"tau_q": episode.thresholds.tau_q, "tau_c": episode.thresholds.tau_c, "signal_limit": episode.signal_limit}
     facts = {"who": _who(episode), "constants": asdict(episode.constants), **asdict(decision_of(episode, t)), **limits}
     values: dict[str, Any] = plain_values(facts)

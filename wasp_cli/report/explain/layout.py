@@ -14,9 +14,9 @@ from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import Constants, Episode
+from wasp_cli.report.explain.episode import Constants, Episode
 from wasp_cli.report.explain.facts import Range
-from wasp_cli.report.tables import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
@@ -24,7 +24,6 @@ NUMBER = re.compile(r"[-+.…%\d]*")
 
 
 def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
-    """Set parts below each other, in lines of at most `width` columns."""
     console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
     lines = []
     for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
@@ -35,17 +34,14 @@ def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
 
 
 def heading(text: str, more: str = "") -> Text:
-    """Return a heading."""
     return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
 
 
 def section(title: str, *parts: RenderableType) -> list[RenderableType]:
-    """Return parts below an empty line and a heading."""
     return ["", heading(title), *parts]
 
 
 def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
-    """Set names at the left and their values beside them."""
     grid = Table.grid(padding=(0, BETWEEN, 0, 0))
     grid.add_column(style="dim", no_wrap=True)
     for entry in entries:
@@ -65,7 +61,6 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: S
 
 
 def notes(*texts: str) -> list[RenderableType]:
-    """Set notes below a table, each from a line of its own; empty ones are left out."""
     return [_indented(Text(text, "dim")) for text in texts if text]
 
 
@@ -74,7 +69,6 @@ def _indented(part: RenderableType) -> Padding:
 
 
 def cell_fields(episode: Episode) -> list[tuple[str, str]]:
-    """Return the fields that say which cell it is, and how its method decides."""
     row, method = episode.row, episode.method
     task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
     rule = METHODS[method].rule if method in METHODS else ""
@@ -90,12 +84,10 @@ def cell_fields(episode: Episode) -> list[tuple[str, str]]:
 
 
 def decider(method: str) -> str:
-    """Return who decides by a method's own rule: its title."""
     return METHODS[method].title if method in METHODS else method
 
 
 def cost_meaning(constants: Constants) -> str:
-    """Return what a value of G^c means."""
     if constants.bootstrap_cost:
         return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
     within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
@@ -103,12 +95,10 @@ def cost_meaning(constants: Constants) -> str:
 
 
 def goes_on(constants: Constants) -> str:
-    """Say who is imagined behind the command."""
     return "the expert follows" if constants.takeover else "the operator goes on alone"
 
 
 def gain_meaning(constants: Constants) -> str:
-    """Return what a value of ΔG means."""
     if constants.takeover:
         return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
     tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
@@ -116,18 +106,15 @@ def gain_meaning(constants: Constants) -> str:
 
 
 def action(values: Sequence[float]) -> str:
-    """Return an action [A] as text; of a long one the first four numbers."""
     shown = [plain(value, sign=True) for value in values[:4]]
     return f"({', '.join([*shown, '...'] if len(values) > 4 else shown)})"
 
 
 def plain(value: float, sign: bool = False) -> str:
-    """Return a number with two digits, and no negative zero."""
     return f"{round(value, 2) + 0.0:{'+' if sign else ''}.2f}"
 
 
 def short(value: float | None, digits: int = 3) -> str:
-    """Return a number, or `-` for an undefined one."""
     return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
@@ -148,7 +135,6 @@ def between(bounds: Range | None, limit: float | None) -> str:
 
 
 def span(first: int, last: int) -> str:
-    """Return decisions from one to another."""
     return f"{first}" if first == last else f"{first}-{last}"
 
 
@@ -165,10 +151,8 @@ def places(decisions: Sequence[int]) -> str:
 
 
 def count(number: int, thing: str) -> str:
-    """Return a count: 1 goal, 2 goals."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def ms(value: float) -> str:
-    """Return a time in milliseconds, with three digits."""
     return f"{value:.3g} ms" if value < 1000 else f"{value / 1000:.3g} s"

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import LOOKS, Episode, number
+from wasp_cli.report.explain.episode import LOOKS, Episode, number
 from wasp_cli.report.explain.facts import Decision, Gate, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,
@@ -43,7 +43,6 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
-    """Set out an episode, in lines of at most `width` columns; the last line says how `command` explains one decision."""
     telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
     place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
     hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"
@@ -103,7 +102,6 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    """How often each gate fired, and above which value it does."""
     thresholds, signal, off = episode.thresholds, episode.signal, "off in this variant"
     late = bool((episode.gate == GATE_LATE).any())
     above = "-" if episode.gated or episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
@@ -131,11 +129,18 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
+    gates, changed, actions = [], [], []
+    for run in runs:
+        gate = {"none": "-", "method": decider(episode.method)}.get(run.gate, run.gate)
+        gates.append(gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}")  # of merged runs `safety 12/15`
+        by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
+        changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
+        actions.append(f"{action(run.command)} {f'→ {action(run.executed)}' if run.intervened else 'as commanded'}")
     columns = [
         ("decisions", [span(run.first, run.last) for run in runs]),
-        ("gate", [_gate(run, episode.method) if episode.selective else "-" for run in runs]),
-        ("changed", [_changed(run) for run in runs]),
-        ("command → executed (means)", [_change(run) for run in runs]),
+        ("gate", gates if episode.selective else ["-"] * len(runs)),
+        ("changed", changed),
+        ("command → executed (means)", actions),
         (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
         (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
         (episode.signal.name, [between(run.signal, None) for run in runs]),
@@ -151,22 +156,6 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
     return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
-
-
-def _gate(run: Run, method: str) -> str:
-    """`safety`, or of merged runs `safety 12/15`."""
-    name = {"none": "-", "method": decider(method)}.get(run.gate, run.gate)
-    return name if len(run.gates) == 1 else f"{name} {run.gates[run.gate]}/{run.decisions}"
-
-
-def _changed(run: Run) -> str:
-    if not run.intervened:
-        return "-"
-    return f"{run.intervened} of {run.decisions}, by {plain(run.deviation * run.decisions / run.intervened)}"
-
-
-def _change(run: Run) -> str:
-    return f"{action(run.command)} → {action(run.executed)}" if run.intervened else f"{action(run.command)} as commanded"
 
 
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:
@@ -199,7 +188,6 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
-    """Set out one decision, in lines of at most `width` columns; a UsageError where the episode has no such decision."""
     return set_out(_decision_parts(episode, decision_of(episode, t)), width)
 
 
@@ -277,15 +265,10 @@ def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
         yield fields([("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")])
         return
     if plan.searched:
-        known = episode.constants.batches
-        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made; how many candidates these had is not recorded
-        made = len(plan.safe) - cut
-        sizes = [None] * made if known is None or cut else known[:made]
-        rows = [
-            [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
-            for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe[cut:], plan.case2[cut:], strict=True))
-        ]
-        yield table(["iteration", "candidates", "safe (|F_s|)", "case"], rows)
+        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made
+        made = zip(plan.safe[cut:], plan.case2[cut:], strict=True)
+        rows = [[str(i), str(safe), "II" if case2 else "I"] for i, (safe, case2) in enumerate(made, 1)]
+        yield table(["iteration", "safe (|F_s|)", "case"], rows)
         yield from notes(*(_case(episode, case2) for case2 in sorted(set(plan.case2[cut:]))))
         yield from notes(f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
     else:

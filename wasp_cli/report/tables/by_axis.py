@@ -8,26 +8,21 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups
-from wasp_cli.report.stats.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables import (
+from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
+from wasp_cli.report.summary import Value, paired_difference, spread_note
+from wasp_cli.report.tables.main import (
     AUTONOMY,
     LABELS,
     MEANINGS,
     MORE_COLUMNS,
     PAPER_COLUMNS,
-    Column,
-    Row,
-    Table,
-    assistant_title,
     full_groups,
     labels_of,
     missing_notes,
-    operator_title,
     part_of,
-    task_title,
     values,
 )
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
 SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
@@ -43,7 +38,6 @@ Condition = tuple[str, float | None]  # operator variant and severity value
 
 
 def operator_table(frame: Frame) -> Table:
-    """Tabulate return and cost per operator variant, over its severities."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
     columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
@@ -61,7 +55,6 @@ def operator_table(frame: Frame) -> Table:
 
 
 def severity_table(frame: Frame) -> Table | None:
-    """Tabulate per task, operator and method intervention rate, cost and return at every severity; None where no operator has two."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
@@ -86,7 +79,6 @@ def severity_table(frame: Frame) -> Table | None:
 
 
 def level(cell: CellNumbers) -> str:
-    """Return the severity as the spec names it, otherwise its value."""
     return cell.severity or f"{cell.identity.value:g}"
 
 
@@ -122,7 +114,6 @@ class Line:
         )
 
     def as_json(self, columns: Sequence[Column]) -> dict[str, Any]:
-        """Return plain values, unscaled; None is undefined."""
         facts: dict[str, Any] = {
             "task": self.group.task, "method": self.group.method, "variant": self.group.variant,
             "touched": self.swept is not None, "value": None if self.swept is None else self.swept.value,
@@ -139,7 +130,8 @@ def lines(swept: Sequence[Swept]) -> list[Line]:
     by_value = [{group.assistant: group for group in groups(each.frame)} for each in swept]
     result = []
     for assistant in dict.fromkeys(assistant for by_assistant in by_value for assistant in by_assistant):
-        same = not _touched(swept, assistant)
+        keys = [frozenset(key for identity, key in each.keys.items() if row_of(identity) == assistant) for each in swept]
+        same = len(set(keys)) == 1
         for each, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
             if assistant in by_assistant:
                 alone = by_assistant.get((assistant[0], REFERENCE, "full"))
@@ -162,7 +154,6 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
 
 
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, method and value the mean over all operator variants and severities."""
     rows_of = lines(swept)
     rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in rows_of]
     frame = combined(key, swept)
@@ -176,7 +167,6 @@ def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
 
 
 def sweep_operator_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, operator variant and severity what each value gains for this operator, or costs it."""
     rows = []
     for line in operator_lines(swept, lines(swept)):
         assert line.condition is not None
@@ -201,22 +191,12 @@ def combined(key: str, swept: Sequence[Swept]) -> Frame:
 
 
 def condition_title(condition: Condition) -> str:
-    """Return an operator with its severity, in tables and legends."""
     variant, value = condition
     return operator_title(variant) if value is None else f"{operator_title(variant)} {value:g}"
 
 
 def _condition(identity: CellIdentity) -> Condition:
     return identity.operator, identity.value
-
-
-def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
-    """Whether any cell of an assistant differs between two values."""
-    key_sets = {
-        frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.variant) == assistant)
-        for each in swept
-    }
-    return len(key_sets) > 1
 
 
 def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:

@@ -1,4 +1,4 @@
-"""Tables with intervals: how the methods compare (`statistics`, `statistics_best`), and Figure 3: what the interventions were worth."""
+"""Tables with intervals: how the methods compare with the operators alone, and Figure 3: what the interventions were worth."""
 
 from __future__ import annotations
 
@@ -6,31 +6,16 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import NamedTuple
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups, row_of
-from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
-from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
-from wasp_cli.report.tables import (
-    PAPER_COLUMNS,
-    Column,
-    Row,
-    Table,
-    assistant_title,
-    full_groups,
-    labels_of,
-    missing_notes,
-    part_of,
-    task_title,
-)
+from wasp_cli.report.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
+from wasp_cli.report.tables.table import Column, Row, Table, task_title
 
-HUMAN = "human"
-OURS = "wasp"
-BEST = "best"
-"""As a reference: for each task and measure on its own, the complete method other than WASP that has the best mean; also Human-only."""
-
+REFERENCE = "human"
 MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol"))
 PROBABILITY = Column("improvement", "P(better)")
 MEANINGS = (
@@ -41,69 +26,37 @@ MEANINGS = (
 )
 
 
-class _Line(NamedTuple):
-    """A measure of a method on a task, whatever it is compared with."""
-
-    group: Group
-    measure: Column
-    marked: Value  # as in the main table
-    numbers: tuple[Value, Value]  # mean and interquartile mean
-
-
-def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals."""
+def comparison_table(frame: Frame) -> Table | None:
+    """Make table `statistics`: mean, interquartile mean, paired difference to Human-only and probability of improvement over it."""
+    rows: list[Row] = []
+    referred = False
+    for _, of_task in groupby(full_groups(frame), lambda group: group.task):
+        methods = list(of_task)
+        alone = next((group for group in methods if group.method == REFERENCE and group.cells), None)
+        referred |= alone is not None
+        rows += [_row(group, measure, alone) for measure in MEASURES for group in methods]
     if not frame.cells:
-        return []
-    lines = [
-        [_line(group, measure) for group in of_task]
-        for of_task in (list(rows) for _, rows in groupby(full_groups(frame), lambda group: group.task))
-        for measure in MEASURES
-    ]
-    return [_table(frame, lines, reference) for reference in references]
-
-
-def _line(group: Group, measure: Column) -> _Line:
-    marked = part_of(group, group.cells, measure)
-    numbers = _value(mean_of(group.cells, measure.key), marked), _value(iqm_of(group.cells, measure.key), marked)
-    return _Line(group, measure, marked, numbers)
-
-
-def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
-    rows, chosen = [], []
-    for of_measure in lines:
-        other = _reference(of_measure, reference)
-        if other is not None:
-            chosen.append(other)
-        rows += [_row(line, other) for line in of_measure]
-    against = "best other method" if reference == BEST else METHODS[reference].title
-    difference = Column("difference", f"Difference to {against}", signed=True)
+        return None
+    difference = Column("difference", f"Difference to {METHODS[REFERENCE].title}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
-    notes = (*_interval_notes(rows), *_reference_notes(chosen, reference), *missing_notes(frame))
-    name, title = (
-        ("statistics_best", "Compared with the best other method") if reference == BEST else ("statistics", "Confidence intervals")
-    )
-    return Table(name, title, ("Task", "Measure", "Method"), columns, tuple(rows), notes, MEANINGS, grouping=2)
+    lonely = [] if referred else ["The reference has no cells here, so that nothing is compared with it."]
+    notes = (*_interval_notes(rows), *lonely, *missing_notes(frame))
+    labels = ("Task", "Measure", "Method")
+    return Table("statistics", "Confidence intervals", labels, columns, tuple(rows), notes, MEANINGS, grouping=2)
 
 
-def _reference(lines: Sequence[_Line], reference: str) -> _Line | None:
-    if reference != BEST:
-        return next((line for line in lines if line.group.method == reference and line.group.cells), None)
-    rivals = [line for line in lines if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
-    means = [((-1.0 if line.measure.better == "down" else 1.0) * line.marked.mean, line) for line in rivals if line.marked.mean is not None]
-    return max(means, key=lambda pair: pair[0])[1] if means else None
-
-
-def _row(line: _Line, other: _Line | None) -> Row:
-    group, measure = line.group, line.measure
+def _row(group: Group, measure: Column, alone: Group | None) -> Row:
+    cells, key, better = group.cells, measure.key, measure.better
+    marked = part_of(group, cells, measure)  # as in the main table
+    numbers = _value(mean_of(cells, key), marked), _value(iqm_of(cells, key), marked)
     compared = (UNDEFINED, UNDEFINED)
-    if other is not None and other is not line and measure.better is not None:
-        plain = replace(line.marked, ranked=False)
-        difference = difference_of(group.cells, other.group.cells, measure.key)
-        wins = improvement_over(group.cells, other.group.cells, measure.key, measure.better)
-        compared = _value(difference, plain), _value(wins, plain)
-    task, method = task_title(group.task), assistant_title(group)
+    if alone is not None and alone is not group and better is not None:
+        plain = replace(marked, ranked=False)
+        wins = improvement_over(cells, alone.cells, key, better)
+        compared = _value(difference_of(cells, alone.cells, key), plain), _value(wins, plain)
+    task, method = labels_of(group)
     columns = (measure, measure, replace(measure, signed=True), PROBABILITY)
-    return Row((task, measure.heading, method), (*line.numbers, *compared), columns, names=(task, measure.key, method))
+    return Row((task, measure.heading, method), (*numbers, *compared), columns, names=(task, key, method))
 
 
 def _value(estimate: Estimate | None, like: Value) -> Value:
@@ -132,16 +85,6 @@ def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
     yield f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 
-def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
-    if not chosen:
-        yield "The reference has no cells here, so that nothing is compared with it."
-    elif reference == BEST:
-        for task, lines in groupby(chosen, lambda line: line.group.task):
-            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in lines)
-            yield f"Best other methods on {task_title(task)}: {named}."
-        yield "They were chosen on the same episodes, which flatters them a little."
-
-
 INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
 BRANCHED = Column("branched", "Branched", digits=0, spread=False)
 MEANS = (
@@ -166,7 +109,6 @@ NECESSITY_MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
-    """Make table `figure3`; None where no interventions were to be branched."""
     judged = list(judged_groups(frame))
     if not judged:
         return None
@@ -185,14 +127,12 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
 
 
 def estimated(group: Group, column: Column) -> Value:
-    """Return a column of a row with its interval."""
     estimate = mean_of(group.cells, column.key) if group.cells else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)
 
 
 def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
-    """Interventions of the row, and how many of them were branched."""
     if not group.cells:
         return UNDEFINED, UNDEFINED
     seeds = len({cell.identity.seed for cell in group.cells})

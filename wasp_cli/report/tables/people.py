@@ -17,10 +17,11 @@ import pyarrow as pa
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
-from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn, limits_of
-from wasp_cli.report.stats.summary import UNDEFINED, Interval, Value
-from wasp_cli.report.tables import PAPER_COLUMNS, Column, Row, Table, task_title, who_title
+from wasp_cli.report.summary import UNDEFINED, Interval, Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.study import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
@@ -34,8 +35,6 @@ Condition = tuple[str, str, str]  # task, method and ablation
 
 @dataclass(frozen=True, eq=False)
 class Sitting:
-    """One cell that a participant drove."""
-
     cell: CellNumbers
     place: int | None  # of its block in the participant's order, from 0
     answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
@@ -55,7 +54,6 @@ class Sitting:
 
 
 def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
-    """Read what lies beside the rows of the cells that people drove."""
     folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
     sittings, damaged = [], []
     for cell in frame.cells:
@@ -109,7 +107,6 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
 
 
 def measured(sitting: Sitting, key: str) -> float:
-    """Return a pooled column of a cell, or an answer; NaN where there is none."""
     return float(sitting.answers[key]) if key in sitting.answers else float(sitting.cell.pooled.get(key, math.nan))
 
 
@@ -155,7 +152,6 @@ SCALES = {WORKLOAD: "Raw TLX", **{name: name.capitalize() for scales in QUESTION
 
 
 def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
-    """Make the tables of the cells that people drove; none where nobody drove."""
     if not sittings:
         return []
     groups: dict[Condition, list[Sitting]] = {}
@@ -166,7 +162,6 @@ def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
 
 
 def people_fact(sittings: Sequence[Sitting]) -> str:
-    """Say how many people drove, and how many of them were scripts."""
     people = len({each.participant for each in sittings})
     text = f"{len(sittings)} cells were driven by {people} participant{'' if people == 1 else 's'}."
     simulated = {each.participant for each in sittings if each.simulated}

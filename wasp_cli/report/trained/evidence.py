@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.report.figures import save
-from wasp_cli.report.trained import PIXELS, UNREADABLE, Floats, Trained, open_parquet, read_json, read_table
+from wasp_cli.report.render import markdown
+from wasp_cli.report.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
+from wasp_cli.report.trained.parts import (
+    ALL,
+    PIXELS,
+    UNREADABLE,
+    Document,
+    Floats,
+    Trained,
+    dataset_warnings,
+    open_parquet,
+    read_json,
+    read_table,
+)
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
@@ -29,13 +45,12 @@ PITCH = SIDE + GAP
 COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
 WINDOWS = 16  # imagined windows that are drawn at most
 FRAMES, BEHAVIOURS = 4, 40
-"""Frames of a behaviour that are spread over all its steps, and as many costly ones; behaviours that are drawn at most."""
+"""Frames of a behaviour, and as many costly ones; behaviours that are drawn at most."""
 FRAME = 128  # of a frame of a dataset in px: a camera image at twice its size
 _BATCH = 256  # rows whose images are in memory together
 _SOURCES = b"wasp.cost_sources"  # key of a shard's schema metadata: the names of the columns of `sources`, as JSON
 
 Images = NDArray[np.uint8]
-Ints = NDArray[np.int64]
 
 
 def _enlarged(image: Images, side: int) -> Image.Image:
@@ -54,7 +69,6 @@ class Window(NamedTuple):
 
 
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
-    """Read the decoded frames and the imagined windows of a `diagnostics` artifact."""
     table = read_table(layout, artifact, "images.parquet", COLUMNS)
     of = np.asarray(table["window"], np.int64)
     rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
@@ -92,14 +106,12 @@ def _strip(window: Window, word: str) -> Image.Image:
 
 
 def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw true and decoded images of filtered states."""
     decoded, _ = read_windows(layout, artifact)
     if decoded is not None:
         _strip(decoded, "decoded").save(path, format="PNG")
 
 
 def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw a block per imagined window: true and imagined images, and predicted and real cost of each step."""
     _, windows = read_windows(layout, artifact)
     if not windows:
         return
@@ -125,120 +137,169 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
     sheet.save(path, format="PNG")
 
 
-def draw_open_loop_film(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw the imagined windows side by side as an animated GIF, step by step."""
-    _, windows = read_windows(layout, artifact)
-    if not windows:
-        return
-    font, frames = ImageFont.load_default(11), []
-    for step in range(min(len(window.cost) for window in windows)):
-        title = f"step {step}" if step else "seen (step 0)"
-        strip = _strip(Window(title, *(np.stack([window[part][step] for window in windows]) for part in (1, 2, 3, 4))), "imagined")
-        frame = Image.new("RGB", (strip.width, strip.height + 2 * TEXT), PAPER)
-        frame.paste(strip, (0, TEXT))
-        draw = ImageDraw.Draw(frame)
-        draw.text((GAP, 1), title, INK, font)
-        for column, window in enumerate(windows):
-            draw.text((LABEL + column * PITCH, TEXT + strip.height), f"cost: {window.predicted[step]:.2f}", BLUE, font)
-        frames.append(frame.convert("P", palette=Image.Palette.ADAPTIVE))
-    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=[1000, *[250] * (len(frames) - 1)], loop=0)
-
-
-class Steps(NamedTuple):
-    """The rows of a dataset without their images, N in all; see `learning.shards`."""
-
-    first: NDArray[np.bool_]  # [N] begins an episode
-    cost: NDArray[np.bool_]  # [N]
-    sources: NDArray[np.bool_]  # [N, S] which cost source cost
-    episode: Ints  # [N]
-    behaviour: NDArray[Any]  # [N] str
-    names: tuple[str, ...]  # of the S cost sources
-
-
 def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw a row per behaviour of a dataset, front over rear; frames whose step cost have a red edge and name the source.
+    """Draw a row per behaviour of a dataset, front over rear: any frames, then costly ones, which have a red edge and name the source.
 
     Images are read batch after batch and only the chosen ones are kept, so that memory does not grow with the dataset.
     """
     shards = sorted(layout.artifact(artifact.kind, artifact.key).glob("shard-*.parquet"))
     if not shards:
         return
-    steps = _steps(layout, shards)
-    names = sorted(set(steps.behaviour.tolist()))[:BEHAVIOURS]
-    chosen = {name: _chosen(steps, np.flatnonzero(steps.behaviour == name)) for name in names}
-    images = _images(layout, shards, np.unique(np.concatenate(list(chosen.values()))))
+    sources, costs, episode, behaviour = _steps(layout, shards)
+    draws, lines = np.random.default_rng(0), []
+    for name in sorted(set(behaviour.tolist()))[:BEHAVIOURS]:
+        rows = np.flatnonzero(behaviour == name)
+        costly = rows[costs[rows].any(1)]
+        lines.append((name, [np.sort(draws.choice(some, min(FRAMES, len(some)), replace=False)).tolist() for some in (rows, costly)]))
+    images = _images(layout, shards, {row for _, both in lines for some in both for row in some})
     block = 2 * TEXT + 2 * (FRAME + EDGE) + EDGE + GAP
-    sheet = Image.new("RGB", (GAP + 2 * FRAMES * (FRAME + 2 * EDGE + GAP), GAP + len(names) * block), PAPER)
+    sheet = Image.new("RGB", (GAP + 2 * FRAMES * (FRAME + 2 * EDGE + GAP), GAP + len(lines) * block), PAPER)
     draw, font, small = ImageDraw.Draw(sheet), ImageFont.load_default(15), ImageFont.load_default(11)
-    decision = np.arange(len(steps.first)) - np.maximum.accumulate(np.where(steps.first, np.arange(len(steps.first)), 0))
-    for line, name in enumerate(names):
+    for line, (name, both) in enumerate(lines):
         top = GAP + line * block
         draw.text((GAP, top + 3), f"{name}: front over rear", INK, font)
-        for column, row in enumerate(chosen[name].tolist()):
+        for column, row in enumerate([*both[0], *both[1]]):
             x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TEXT
-            colour = RED if steps.cost[row] else PAPER
-            draw.rectangle((x, y, x + FRAME + 2 * EDGE - 1, y + 2 * FRAME + 3 * EDGE - 1), colour)
+            by = " + ".join(kind for kind, costly in zip(sources, costs[row], strict=True) if costly)
+            draw.rectangle((x, y, x + FRAME + 2 * EDGE - 1, y + 2 * FRAME + 3 * EDGE - 1), RED if by else PAPER)
             for camera in range(2):
                 image = _enlarged(images[row][3 * camera : 3 * camera + 3], FRAME)
                 sheet.paste(image, (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
-            by = " + ".join(kind for kind, costs in zip(steps.names, steps.sources[row], strict=True) if costs)
-            text = _fitting(by or f"episode {steps.episode[row]}, step {decision[row]}", small)
-            draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), text, colour if by else INK, small)
+            draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), by or f"episode {episode[row]}", RED if by else INK, small)
     sheet.save(path, format="PNG")
 
 
-def _steps(layout: Layout, shards: list[Path]) -> Steps:
-    """Everything but the images, shard after shard."""
-    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in Steps._fields[:-1]}
-    sources: tuple[str, ...] = ()
+def _steps(layout: Layout, shards: list[Path]) -> tuple[list[str], NDArray[np.bool_], NDArray[np.int64], NDArray[Any]]:
+    """The names of S cost sources; of N rows which of them cost [N, S], episode and behaviour [N]; see `learning.shards`."""
+    names: list[str] = []
+    tables = []
     for shard in shards:
         with open_parquet(layout, shard) as file:
-            sources = tuple(map(str, json.loads((file.schema_arrow.metadata or {})[_SOURCES])))
-            table = file.read(columns=list(parts), use_threads=False)
-        for name in ("first", "cost"):
-            parts[name].append(np.asarray(table[name], np.float64) > 0)
-        parts["sources"].append(np.asarray(table["sources"].combine_chunks().flatten(), np.int64).reshape(len(table), len(sources)) > 0)
-        parts["episode"].append(np.asarray(table["episode"], np.int64))
-        parts["behaviour"].append(np.asarray(table["behaviour"].to_pylist(), str))
-    whole = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    return Steps(**whole, names=sources)
+            names = list(map(str, json.loads((file.schema_arrow.metadata or {})[_SOURCES])))
+            tables.append(file.read(columns=["sources", "episode", "behaviour"], use_threads=False))
+    table = pa.concat_tables(tables).combine_chunks()
+    costs = np.asarray(table["sources"].combine_chunks().flatten(), np.int64).reshape(len(table), len(names)) > 0
+    return names, costs, np.asarray(table["episode"], np.int64), np.asarray(table["behaviour"].to_pylist(), str)
 
 
-def _chosen(steps: Steps, rows: Ints) -> Ints:
-    """Frames spread over the rows of a behaviour, then costly ones, from every source in turn."""
-    kinds = [rows[steps.sources[rows, i]] for i in range(steps.sources.shape[1])]
-    kinds = [kind for kind in kinds if len(kind)]
-    costly = [_spread(kind, len(range(i, FRAMES, len(kinds)))) for i, kind in enumerate(kinds)]
-    # Of different episodes, each later in its own: equal parts of all rows would show one moment of them again and again.
-    numbers, shares = np.unique(steps.episode[rows]), (np.arange(FRAMES) + 0.5) / FRAMES
-    own = [rows[steps.episode[rows] == numbers[int(share * len(numbers))]] for share in shares]
-    early = np.array([part[int(share * len(part))] for part, share in zip(own, shares, strict=True)])
-    return np.concatenate([early, *costly])
-
-
-def _spread(rows: Ints, count: int) -> Ints:
-    """At most `count` of the rows, from the middles of equal parts."""
-    count = min(count, len(rows))
-    spread: Ints = rows[((np.arange(count) + 0.5) / max(1, count) * len(rows)).astype(int)]
-    return spread
-
-
-def _images(layout: Layout, shards: list[Path], rows: Ints) -> dict[int, NDArray[np.uint8]]:
-    images: dict[int, NDArray[np.uint8]] = {}
+def _images(layout: Layout, shards: list[Path], rows: set[int]) -> dict[int, Images]:
+    images: dict[int, Images] = {}
     begin = 0
     for shard in shards:
         with open_parquet(layout, shard) as file:
             for batch in file.iter_batches(_BATCH, columns=["pixels"], use_threads=False):
-                for row in rows[(rows >= begin) & (rows < begin + len(batch))].tolist():
+                for row in rows.intersection(range(begin, begin + len(batch))):
                     images[row] = np.frombuffer(batch.column(0)[row - begin].as_py(), np.uint8).reshape(PIXELS)
                 begin += len(batch)
     return images
 
 
-def _fitting(text: str, font: Any) -> str:
-    if font.getlength(text) <= FRAME:
-        return text
-    return next(short for end in range(len(text) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)
+SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
+
+
+def _percent(key: str, title: str, digits: int = 0) -> Column:
+    return Column(key, f"{title} (%)", digits=digits, scale=100.0)
+
+
+CONTENTS = (
+    Column("episodes", "Episodes", digits=0), _percent("share", "Share"), Column("steps", "Steps", digits=0),
+    Column("return_per_episode", "Return"), Column("goals_per_episode", "Goals"), _percent("with_goal", "With a goal"),
+    _percent("terminal", "Ended by rule"), Column("cost_per_episode", "Cost", digits=1), _percent("costly_share", "Costly steps", 2),
+)  # fmt: skip
+FORESEEN = tuple(
+    Column(key, title, digits=digits)
+    for key, title, digits in (
+        ("base", "Base rate", 3), ("auprc", "AUPRC", 3), ("auprc_low", "from", 3), ("auprc_high", "to", 3),
+        ("persistence", "Persistence", 3), ("recall", "Recall", 3), ("predicted_over_base", "Predicted / base", 2),
+        ("calibration_error", "ECE", 3), ("onset_base", "Onset base", 3), ("onset_auprc", "Onset AUPRC", 3), ("foreseen", "Foreseen", 3),
+        ("onset_foreseen", "Onset foreseen", 3), ("reward_r2", "Reward R2", 2), ("image_error", "Image error", 4),
+        ("copy_error", "Copy error", 4), ("image_over_copy", "Image / copy", 2),
+    )
+)  # fmt: skip
+WINDOW = tuple(
+    Column(key, title, digits=3)
+    for key, title in (
+        ("base", "Base rate"), ("auprc", "AUPRC"), ("recall", "Recall"), ("foreseen", "Foreseen"), ("false_alarms", "False alarms"),
+        ("persistence", "Persistence, AUPRC"), ("cost_correlation", "Summed cost, correlation with the real sum"),
+    )
+)  # fmt: skip
+FILTERED = (
+    Column("auprc", "AUPRC", digits=3), Column("base", "Base rate", digits=3), Column("predicted_over_base", "Predicted / base"),
+    Column("image_error", "Image error", digits=4), Column("image_variance", "of the mean image", digits=4),
+)  # fmt: skip
+ENDS = (Column("ends_base", "Base rate", digits=3), Column("ends_auprc", "AUPRC", digits=3), Column("ends_over_base", "Predicted / base"))
+
+
+def contents_markdown(contents: Document) -> str:
+    sources = [_percent(kind, kind, 2) for kind in contents[ALL]["sources"]]
+    rows = [((name,), {**row, **row["sources"]}) for name, row in contents.items()]
+    notes = [
+        "Return, goals and cost (env steps that cost) are means per episode; costly steps and the cost sources are shares of the decision "
+        "steps, and one step may cost by several sources.",
+        *(f"Warning: {text}." for text in dataset_warnings(contents)),
+    ]
+    return _table("What the dataset holds", ("Behaviour",), (*CONTENTS, *sources), rows, notes)
+
+
+def open_loop_markdown(sets: Document) -> str:
+    parts = ["# What the world model foresees\n"]
+    for name, table in sets.items():
+        named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
+        total, moments = sum(table["episodes"].values()), f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments"
+        parts += [f"# {SETS.get(name, name)}\n", f"{total} episodes ({named}), {moments}.\n", *_foreseen(table)]
+    window = next(iter(sets.values()))["window"]
+    parts.append(
+        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now, copy "
+        "that the image does. Recall is at 10 % false alarms. Onset counts only starts that do not cost themselves. Foreseen is the share "
+        "of the real costs before which the safety gate would have fired: the expected costly steps of the window, discounted by "
+        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is the share of windows without a cost in which "
+        "they were too. ECE is the mean distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in "
+        "[0, 1].\n"
+    )
+    return "\n".join(parts)
+
+
+def _foreseen(table: Document) -> Iterator[str]:
+    steps, window = table["steps"], table["window"]
+    by_step = [((str(row["k"]),), row) for row in steps]
+    yield _table("Step by step", ("k",), FORESEEN, by_step)
+    starts = [
+        ((title,), {column.key: window.get(f"{prefix}{column.key}") for column in WINDOW})
+        for title, prefix in (("all", ""), ("onset", "onset_"))
+    ]
+    yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
+    yield _table("The filtered state itself (k = 0)", ("Cost",), FILTERED, [(("all",), table["filter"])])
+    told = table.get("readout")
+    if told:  # older diagnostics have none
+        places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
+        note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
+        columns = [Column(group, group) for group in told["filtered"]]
+        yield _table("What is read from the latent", ("read from",), columns, [((title,), told[key]) for title, key in places], [note])
+    sources = list(steps[0]["foreseen_by_source"]) if steps else []
+    if len(sources) > 1:
+        rows = [((str(row["k"]),), row["foreseen_by_source"]) for row in steps]
+        yield _table(
+            "Share of the costs of each source that were foreseen", ("k",), [Column(kind, kind, digits=3) for kind in sources], rows
+        )
+    if any((row["ends_base"] or 0) > 0 for row in steps):
+        yield _table("Episodes that end there by the task's own rule", ("k",), ENDS, by_step)
+
+
+def quality_markdown(quality: Document) -> str:
+    columns = (Column("conformity", "to the expert's action", digits=3), Column("fidelity", "to the command", digits=3))
+    rows = [((kind, ratio), row) for kind, by_ratio in quality.items() for ratio, row in by_ratio.items()]
+    return _table("What denoising does to commands", ("Command", "Ratio"), columns, rows)
+
+
+def _table(
+    title: str,
+    labels: tuple[str, ...],
+    columns: Sequence[Column],
+    rows: Iterable[tuple[tuple[str, ...], Document]],
+    notes: Sequence[str] = (),
+) -> str:
+    filled = tuple(Row(names, tuple(Value(numbers[column.key]) for column in columns)) for names, numbers in rows)
+    return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouped=False, ranked=False))
 
 
 FOLDER = "trained"  # below the folder of a report
@@ -267,7 +328,6 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
         ("reliability.png", _figure(draw_reliability)),
         ("reconstruction.png", draw_reconstructions),
         ("open_loop.png", draw_open_loop),
-        ("open_loop.gif", draw_open_loop_film),
     ),
     "critics": (("critics.png", _figure(draw_value_reliability)),),
     "ida_q": (("q.png", _figure(draw_value_reliability)),),
@@ -275,49 +335,25 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
     "consistency": (("quality.md", _page(quality_markdown, "quality.json")),),
     "residual": (("curve.png", _figure(draw_learning)),),
 }
-KNOWN = frozenset(name for files in EVIDENCE.values() for name, _ in files)
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write what there is to see of trained parts, and forget what an earlier report had; of a damaged artifact a file is left out."""
-    # The folder of a part names task, seed, stage, and the beginning of its key.
-    shown = {slug(f"{part.task} s{part.seed} {part.kind} {part.key[:8]}"): part for part in trained if part.kind in EVIDENCE}
+    """Write what there is to see of trained parts in place of what an earlier report drew; of a damaged artifact a file is left out."""
     root = report / FOLDER
+    if root.is_symlink() or root.is_file():  # it would lead elsewhere
+        root.unlink()
+    elif root.is_dir():
+        shutil.rmtree(root)
     written: list[Path] = []
-    for name, artifact in shown.items():
-        tell(name)
-        folder = _own_folder(root, name)
-        for file, draw in EVIDENCE[artifact.kind]:
-            path = folder / file
-            path.unlink(missing_ok=True)  # a link would lead elsewhere, and an old file would pass for a new one
-            try:
-                draw(layout, artifact, path)
-            except UNREADABLE:
-                path.unlink(missing_ok=True)
-            if path.is_file():
-                written.append(path)
-    _forget(root, written)
+    for part in trained:
+        if part.kind in EVIDENCE:
+            folder = root / slug(f"{part.task} s{part.seed} {part.kind} {part.key[:8]}")
+            folder.mkdir(parents=True)
+            tell(folder.name)
+            for file, draw in EVIDENCE[part.kind]:
+                with suppress(*UNREADABLE):
+                    draw(layout, part, folder / file)
+            written += sorted(folder.iterdir())
+            if not any(folder.iterdir()):
+                folder.rmdir()
     return written
-
-
-def _own_folder(root: Path, name: str) -> Path:
-    """Make a folder that is no link, nor below one."""
-    for folder in (root, root / name):
-        if folder.is_symlink() or folder.is_file():
-            folder.unlink()
-        folder.mkdir(exist_ok=True)
-    return root / name
-
-
-def _forget(root: Path, written: Sequence[Path]) -> None:
-    """Remove the files of earlier reports, and folders that are empty then."""
-    if root.is_symlink() or not root.is_dir():
-        return
-    for folder in root.iterdir():
-        if folder.is_symlink() or not folder.is_dir():
-            continue
-        for path in folder.iterdir():
-            if path.name in KNOWN and path not in written and not path.is_dir():
-                path.unlink()
-        if not any(folder.iterdir()):
-            folder.rmdir()

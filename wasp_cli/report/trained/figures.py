@@ -14,8 +14,8 @@ import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
-from wasp_cli.report.tables import task_title
-from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.report.tables.table import task_title
+from wasp_cli.report.trained.parts import UNREADABLE, Floats, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
@@ -52,8 +52,6 @@ GROUPS, POINTS = 10, 1500  # groups of equally many decisions in a reliability d
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line of a learning curve."""
-
     task: str
     seed: int
     name: str
@@ -151,7 +149,6 @@ def _smoothed(curve: Curve) -> Curve:
 
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
-    """Read return, cost and multiplier over the decision steps of the training."""
     curves = []
     for artifact in trained:
         if artifact.kind not in DRIVING:
@@ -171,7 +168,6 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
-    """Read the losses of the world model by LOSSES over its updates, each divided by its first value."""
     losses = []
     for artifact in trained:
         if artifact.kind != "world_model":
@@ -187,13 +183,11 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
-    """Read what `diagnostics` says of every imagined step, by set of episodes."""
     sets = read_json(layout, artifact, "diagnostics.json")
     return {name: sets[name]["steps"] for name in EPISODES if name in sets and sets[name]["steps"]}
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
-    """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it."""
     for artifact in [artifact for artifact in trained if artifact.kind == "diagnostics"]:
         with suppress(*UNREADABLE):
             for episodes, rows in diagnosed(layout, artifact).items():
@@ -206,7 +200,6 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw over the imagined step: AUPRC with its interval, predicted over base rate, reward R2, image error over that of a copy."""
     (artifact,) = trained
     sets = diagnosed(layout, artifact)
     if not sets:

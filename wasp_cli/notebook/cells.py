@@ -1,0 +1,261 @@
+"""Results and trained parts in one line, for notebooks and scripts: which cells a results folder has, and their rows below each other.
+
+The plans of its runs alone say which cells there are: no spec is parsed, no plugin imported. Each row begins with the key, the spec and the
+names of its cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow as pa
+
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.plan.node import cell_label
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
+from wasp_cli.store.branches import BRANCHES_FILE, read_branches
+from wasp_cli.store.find import KIND
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.parquet import AGAIN
+from wasp_cli.store.tables import METRICS, STEP, THRESHOLDS, TIMES, CellIdentity, cell_file, read_episodes, read_steps
+
+BRANCHES = "counterfactual"  # the kind of node that tests the interventions of a cell
+
+T = TypeVar("T")
+Names = str | Iterable[str] | None
+Numbers = float | Iterable[float] | None  # one value, several, or None for all
+
+
+@dataclass(frozen=True)
+class ListedCell(CellIdentity):
+    """A cell as its spec names it; the names are those of `--select`."""
+
+    key: str = ""
+    spec: str | None = None  # None where the folder has no runs: of published results, or of copies
+    severity: str | None = None  # the spec's name of the value
+    branches: str | None = None  # key of its counterfactual branches, where they were asked for
+
+    @property
+    def label(self) -> str:
+        return f"{self.task} s{self.seed} {cell_label(self.method, self.variant, self.operator, self.value)}"
+
+    @property
+    def identity(self) -> CellIdentity:
+        return CellIdentity(self.task, self.method, self.variant, self.operator, self.value, self.seed)
+
+
+def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
+    """Read the plan of the last run of each spec, by the spec's name, oldest first. A plan that does not read is passed over."""
+    if not layout.root.is_dir():
+        raise StoreError(f"no results in '{layout.root}': no such folder", "wasp run SPEC --results DIR writes there")
+    with suppress(StoreError):  # a folder without runs
+        return {name: read_record(layout.run(run_id) / "plan.json") or {} for name, run_id in last_runs(layout)[0].items()}
+    return {}
+
+
+def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
+    try:
+        judged = {_named(spec, entry): str(entry["key"]) for entry in plan.get("branched", ())}
+        cells = [_named(spec, entry) for entry in plan["cells"]]
+        keys = [str(entry["key"]) for entry in plan["cells"]]
+        if not all(map(is_key, (*keys, *judged.values()))):
+            raise ValueError("a key is none")
+        return [replace(cell, key=key, branches=judged.get(cell)) for cell, key in zip(cells, keys, strict=True)]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ArtifactError(f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again") from error
+
+
+def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
+    value = None if entry["value"] is None else float(entry["value"])
+    severity = None if entry["severity"] is None else str(entry["severity"])
+    task, method, variant, operator = (str(entry[name]) for name in ("task", "method", "assistant", "operator"))
+    return ListedCell(task, method, variant, operator, value, int(entry["seed"]), spec=spec, severity=severity)
+
+
+def stored_cells(layout: Layout) -> list[ListedCell]:
+    judged: dict[str, str] = {}
+    for key in sorted(filter(is_key, stored_keys(layout, BRANCHES))):
+        with suppress(ArtifactError, KeyError, TypeError, AttributeError):
+            judged[str(read_manifest(layout, BRANCHES, key)["upstream"][KIND])] = key
+    cells: list[ListedCell] = []
+    for key in sorted(filter(is_key, stored_keys(layout, KIND))):
+        with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
+            manifest = read_manifest(layout, KIND, key)
+            axes = manifest["axes"]
+            value = None if axes["value"] is None else float(axes["value"])
+            variant = str(axes["method_config"].get("variant", "full"))
+            who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
+            cells.append(ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key)))
+    return cells
+
+
+def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
+    """Keep what has one of the wanted values in each field that is not None.
+
+    UnknownName where nothing has a value: a misspelt method gives no empty table.
+    """
+    kept = list(items)
+    for name, value in wanted.items():
+        if value is None:
+            continue
+        values = set(_values(value))
+        known = {getattr(item, name) for item in items}
+        for unknown in sorted(values - known, key=str):
+            raise UnknownName(f"{name} in these results", str(unknown), sorted(str(one) for one in known if one is not None))
+        kept = [item for item in kept if getattr(item, name) in values]
+    return kept
+
+
+def _values(value: Any) -> Iterator[Any]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        yield value
+    else:
+        yield from value
+
+
+def table_of(layout: Layout, cell: ListedCell) -> Path | None:
+    path = layout.within(cell_file(layout.artifact(KIND, cell.key)))
+    return path if path.is_file() else None
+
+
+NAMES = pa.schema(  # columns with which every row begins: fields of `ListedCell`
+    [
+        *((name, pa.string()) for name in ("key", "spec", "task", "method", "variant", "operator", "severity")),
+        ("value", pa.float64()),
+        ("seed", pa.int64()),
+    ]
+)
+EPISODE = (pa.field("episode", pa.int32()), pa.field("episode_seed", pa.int64()), *METRICS, *THRESHOLDS, *TIMES)
+STEPS = (pa.field("episode", pa.int32()), *STEP)
+SUMS = ("cost_assisted", "cost_alone", "reward_assisted", "reward_alone", "rho", "delta_c", "delta_r")
+BRANCH = (  # a branched decision: sums of cost and reward over the window of both branches, and what `metrics.necessity` says of them
+    pa.field("episode", pa.int32()),
+    pa.field("t", pa.int32()),
+    pa.field("gate", pa.int8()),
+    pa.field("deviation", pa.float32()),
+    *(pa.field(name, pa.float64()) for name in SUMS),
+    *(pa.field(name, pa.bool_()) for name in ("unnecessary", "unnecessary_swapped", "effective")),
+    pa.field("window", pa.int16()),
+    pa.field("tau_R", pa.float64()),
+)
+
+Read = Callable[[Layout, ListedCell], pa.Table | None]  # reads the rows of one cell; None where it is not computed
+
+
+def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Sequence[pa.Field], columns: Iterable[str] | None) -> pa.Table:
+    """Read columns of many cells into one table, in the order of the cells; those that are not computed have no rows."""
+    known = {field.name: field for field in fields}
+    asked = list(known if columns is None else dict.fromkeys(columns))
+    for name in asked:
+        if name not in known and name not in NAMES.names:
+            raise KeyError(f"no column '{name}'; there are {', '.join(known)}")
+    kept = [known[name].with_nullable(True) for name in asked if name in known]
+    schema = pa.schema([*NAMES, *kept])
+
+    def one(cell: ListedCell) -> pa.Table | None:
+        rows = read(layout, cell)
+        if rows is None:
+            return None
+        named = [pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows) for field in NAMES]
+        return pa.table([*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema)
+
+    tables = [table for cell in cells if (table := one(cell)) is not None]
+    return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
+
+
+def episodes_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+    path = table_of(layout, cell)
+    return None if path is None else _own_episodes(path, cell)
+
+
+def _own_episodes(path: Path, cell: ListedCell) -> pa.Table:
+    table = read_episodes([path])
+    names = CellIdentity.__dataclass_fields__
+    if table.num_rows and {name: table[name][0].as_py() for name in names} != asdict(cell.identity):
+        raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
+    return table
+
+
+def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+    path = table_of(layout, cell)
+    if path is None:
+        return None
+    _own_episodes(path, cell)
+    return read_steps(path)
+
+
+def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+    if cell.branches is None:
+        return None
+    path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)
+    if not path.is_file():
+        return None
+    stored = read_branches(path)
+    if stored.cell.identity != cell.identity:
+        raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)
+    cost, reward, count = stored.cost, stored.reward, len(stored.episode)
+    worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)
+    columns = {
+        "episode": stored.episode, "t": stored.t, "gate": stored.gate, "deviation": stored.deviation,
+        "cost_assisted": cost[ASSISTED].sum(1), "cost_alone": cost[ALONE].sum(1),
+        "reward_assisted": reward[ASSISTED].sum(1), "reward_alone": reward[ALONE].sum(1),
+        "rho": worth.rho, "delta_c": worth.delta_c, "delta_r": worth.delta_r, "unnecessary": worth.unnecessary,
+        "unnecessary_swapped": worth.swapped, "effective": worth.effective,
+        "window": np.full(count, stored.cell.window), "tau_R": np.full(count, stored.cell.tau_R),
+    }  # fmt: skip
+    return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})
+
+
+def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
+    # Imported here: what a report needs is not needed for rows.
+    from wasp_cli.report.trained.parts import NOT_TRAINED, scalars, trained_artifacts
+
+    roots = [*((KIND, key) for key in cells), *parts]
+    if not roots:
+        kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
+        roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
+    shown = chosen(trained_artifacts(layout, roots)[0], wanted)
+    columns: dict[str, list[Any]] = {
+        "key": [part.key for part in shown],
+        "kind": [part.kind for part in shown],
+        "task": [part.task for part in shown],
+        "seed": [part.seed for part in shown],
+        "seconds": [part.seconds for part in shown],
+        "folder": [str(layout.artifact(part.kind, part.key)) for part in shown],
+    }
+    numbers = [{f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)} for part in shown]
+    for name in dict.fromkeys(name for each in numbers for name in each):
+        columns[name] = [each.get(name) for each in numbers]
+    return pa.table({name: _array(values) for name, values in columns.items()})
+
+
+def _array(values: Sequence[Any]) -> pa.Array:
+    kinds = {bool if isinstance(value, bool) else float if isinstance(value, int | float) else type(value) for value in values} - {
+        type(None)
+    }
+    if kinds == {float} and not all(isinstance(value, int | None) for value in values):
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array(values) if len(kinds) == 1 else pa.array([None if value is None else str(value) for value in values], pa.string())
+
+
+def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
+    from wasp_cli.report.render import data_columns
+    from wasp_cli.report.summarize import report_run
+    from wasp_cli.run.record import read_run
+    from wasp_cli.spec.paper import load_paper
+
+    run = read_run(layout, last_runs(layout)[0][spec])
+    paper = load_paper() if name == "paper" else None
+    report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent)
+    tables = {table.name: table for table in report.tables}
+    known = {"main": report.tables[0], **tables} if tables else {}
+    if name not in known:
+        raise UnknownName("table", name, known)
+    return pa.table(data_columns(known[name]))

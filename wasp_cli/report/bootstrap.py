@@ -1,0 +1,359 @@
+"""Intervals of what a table says: a seeded cluster bootstrap over trainings, or over worlds where there is one training.
+
+What is resampled is a cluster with everything in it. Episodes of one training share its models and are not independent, so the
+trainings are the clusters where there are two or more. One says nothing of another; then the worlds are the clusters, each
+with its episodes under all operators and, in a difference, under both methods, and rates are ratios of sums in every resample.
+The limits are percentiles: 95 % of RESAMPLES resamples lie within. Of two or three clusters these are the least and the largest: a range.
+The draws depend on SEED and on the number of clusters alone, so the same rows give the same interval on every machine.
+
+Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one task); a cell that does not
+define a column is left out of it.
+
+A contrast has a margin: of training s it is left - right - margin x |right|, each side the mean over conditions (operator, severity) of
+the column pooled over worlds; a negative margin asks for that much less, a positive one allows or asks for that much more. It is resampled
+hierarchically: S of S trainings with replacement, and for each drawn training anew as many of its worlds as it has; with one training
+only worlds are drawn. Evaluation seeds that share a training's models (`training_seed`) are one training, with the worlds of all of them.
+The t interval, mean -+ t(.975, S - 1) sd / sqrt(S) of the S contrasts, shows how little a few trainings say.
+
+    estimate = difference_of(wasp.cells, human.cells, "cost")
+    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="training", clusters=3)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.report.stats import CellNumbers, Floats
+from wasp_cli.report.summary import Interval, condition, paired_difference, summarise
+
+Places = NDArray[np.intp]
+Limits = tuple[float, float]
+
+RESAMPLES = 2000
+SEED = 20211105  # of all draws. Any number would do; changing it changes the last digits of every interval.
+COVERAGE = 0.95
+TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on either side
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its interval; None where there is a single cluster."""
+
+    value: float
+    interval: Interval | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """What is resampled, in ascending order."""
+
+    unit: Literal["training", "world"]
+    names: Floats  # [K] the seeds of the trainings, or of the worlds
+
+    @classmethod
+    def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:
+        trainings = np.unique([float(cell.training) for cell in cells])
+        if len(trainings) > 1:
+            return cls("training", trainings)
+        return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
+
+    def place(self, names: Floats | Sequence[float]) -> Places:
+        return np.searchsorted(self.names, names)
+
+    def trainings(self, cells: Sequence[CellNumbers]) -> Places:
+        """[C] the index of the training of each cell."""
+        return self.place([float(cell.training) for cell in cells])
+
+    def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
+        """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
+        if len(self.names) < 2:
+            return Estimate(value, None)
+        limits = limits_of(statistic(drawn(len(self.names))))
+        return Estimate(value, None if limits is None else Interval(*limits, self.unit, len(self.names)))
+
+    def found(self, statistic: Callable[[Floats], Floats]) -> Estimate:
+        """`statistic` with every cluster drawn once, and its interval."""
+        return self.estimate(float(statistic(np.ones((1, len(self.names))))[0]), statistic)
+
+
+def limits_of(resampled: Floats) -> Limits | None:
+    """Return the percentiles within which COVERAGE of the resamples lie, of those that are defined; None without any."""
+    resampled = resampled[~np.isnan(resampled)]
+    if not len(resampled):
+        return None
+    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
+    low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+    return low, high
+
+
+@lru_cache(maxsize=8)
+def drawn(clusters: int) -> Floats:
+    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into it."""
+    return _times_drawn(np.random.PCG64(SEED), clusters)
+
+
+def _picks(draws: np.random.PCG64, bound: int, columns: int) -> Places:
+    """[R, columns] whole numbers below a bound, from the raw stream, which is the same in every version of NumPy."""
+    bits = draws.random_raw((RESAMPLES, columns)) >> np.uint64(32)
+    return ((bits * np.uint64(bound)) >> np.uint64(32)).astype(np.intp)
+
+
+def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
+    """[R, many] how often each of so many is drawn, when as many are drawn with replacement."""
+    rows = np.arange(RESAMPLES)[:, None] * many
+    counts = np.bincount((rows + _picks(draws, many, many)).ravel(), minlength=RESAMPLES * many)
+    return counts.reshape(RESAMPLES, many).astype(np.float64)
+
+
+def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`); None where nothing defines it."""
+    cells = _defining(cells, key)
+    value = summarise(cells, key).mean
+    if value is None:
+        return None
+    clusters = _Clusters.of(cells)
+    return clusters.estimate(value, lambda counts: _mean(*_by_training(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
+
+
+def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the interquartile mean over the cells of a row: the mean of the middle half of the sorted pooled cells.
+
+    Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a cell in part where C / 4 is no whole
+    number: of three cells the middle one counts four times as much as the others. Where it is whole, this is a mean trimmed by 25 %.
+    """
+    cells = _defining(cells, key)
+    if not cells:
+        return None
+    clusters = _Clusters.of(cells)
+
+    def statistic(counts: Floats) -> Floats:
+        times = counts.T[clusters.trainings(cells)] if clusters.unit == "training" else np.ones((len(cells), len(counts)))
+        return _middle_mean(_pooled(clusters, counts, cells, key), times)
+
+    return clusters.found(statistic)
+
+
+def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the mean of the paired differences to the cells of a reference under the same conditions (`paired_difference`)."""
+    value = paired_difference(cells, reference, key)
+    if value is None:
+        return None
+    own, other = _pairs(cells, reference, key)
+    clusters = _Clusters.of(own, other)
+
+    def statistic(counts: Floats) -> Floats:
+        numbers = _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key)
+        return _mean(*_by_training(clusters, counts, own, numbers))
+
+    return clusters.estimate(value, statistic)
+
+
+def improvement_over(
+    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, better: Literal["up", "down"]
+) -> Estimate | None:
+    """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode is better under the same condition.
+
+    Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator, severity and seed, divided by the
+    number of pairs; then the mean over seeds of the means over conditions. 0.5 is no difference.
+    """
+    own, other = _pairs(cells, reference, key)
+    if not own:
+        return None
+    clusters = _Clusters.of(own, other)
+    sign = 1.0 if better == "up" else -1.0
+    pairs = [(sign * one.episodes[key], sign * two.episodes[key]) for one, two in zip(own, other, strict=True)]
+    if clusters.unit == "training":
+        numbers = np.array([[_superiority(*pair) for pair in pairs]])
+        return clusters.found(lambda counts: _mean(*_by_training(clusters, counts, own, numbers)))
+    places = [(clusters.place(one.episodes["world"]), clusters.place(two.episodes["world"])) for one, two in zip(own, other, strict=True)]
+    won = [_by_world(*pair, *place, len(clusters.names)) for pair, place in zip(pairs, places, strict=True)]
+
+    def statistic(counts: Floats) -> Floats:
+        numbers = [_ratio(*(((counts @ sums) * counts).sum(1) for sums in each)) for each in won]
+        return _mean(*_by_training(clusters, counts, own, np.stack(numbers, 1)))
+
+    return clusters.found(statistic)
+
+
+def _superiority(x: Floats, y: Floats) -> float:
+    """The share of the pairs (x, y) in which x is larger, ties one half."""
+    x, y = x[~np.isnan(x)], np.sort(y[~np.isnan(y)])
+    won = int(np.searchsorted(y, x, "left").sum() + np.searchsorted(y, x, "right").sum())
+    return won / (2 * len(x) * len(y))
+
+
+def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int) -> tuple[Floats, Floats]:
+    """[K, K] each: in how many pairs of episodes of two worlds x is larger (ties one half), and of how many pairs."""
+    larger = (x[:, None] > y) + 0.5 * (x[:, None] == y)
+    defined = np.where(np.isnan(x[:, None] - y), 0.0, 1.0)
+    place = (x_place[:, None] * worlds + y_place).ravel()
+    won, pairs = (np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64) for each in (larger * defined, defined))
+    return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
+
+
+def _defining(cells: Sequence[CellNumbers], key: str) -> list[CellNumbers]:
+    return [cell for cell in cells if not math.isnan(cell.pooled.get(key, math.nan))]
+
+
+def _pairs(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> tuple[list[CellNumbers], list[CellNumbers]]:
+    """The cells under conditions in which both define a column, side by side."""
+    by_condition = {condition(cell.identity): cell for cell in _defining(reference, key)}
+    own = [cell for cell in _defining(cells, key) if condition(cell.identity) in by_condition]
+    return own, [by_condition[condition(cell.identity)] for cell in own]
+
+
+def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
+    """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn, which leave a cell as it is; else [R, C]."""
+    if clusters.unit == "training":
+        return np.array([[cell.pooled[key] for cell in cells]])
+    sums = np.zeros((2, len(clusters.names), len(cells)))
+    for c, cell in enumerate(cells):
+        place = clusters.place(cell.episodes["world"])
+        for each, weights in zip(sums, cell.weighted(key), strict=True):
+            each[:, c] = np.bincount(place, weights, len(clusters.names))
+    return _ratio(counts @ sums[0], counts @ sums[1])
+
+
+def _by_training(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
+    """What a mean is made of in every resample, and how often: the means [1, K] of the trainings, or the cells [R, C] of the only one."""
+    if clusters.unit == "world":
+        _, seed, many = np.unique([cell.identity.seed for cell in cells], return_inverse=True, return_counts=True)
+        return numbers, np.broadcast_to(1.0 / many[seed], numbers.shape)  # seeds count alike, as in `summarise`
+    place = clusters.trainings(cells)
+    return (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
+
+
+def _ratio(total: Floats, mass: Floats) -> Floats:
+    quotient: Floats = np.divide(total, mass, out=np.full(total.shape, np.nan), where=mass > 0)
+    return quotient
+
+
+def _mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of numbers [R or 1, N] that count several times [R, N]; undefined numbers do not count."""
+    times = times * ~np.isnan(numbers)
+    return _ratio((np.nan_to_num(numbers) * times).sum(1), times.sum(1))
+
+
+def _middle_mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of the middle half of numbers [R or 1, C] that count several times [C, R]."""
+    order = np.argsort(numbers, axis=1, kind="stable").T  # undefined ones last
+    numbers = np.take_along_axis(numbers.T, order, 0)
+    times = times[order[:, 0]] if order.shape[1] == 1 else np.take_along_axis(times, order, 0)
+    if np.isnan(numbers).any():
+        times = times * ~np.isnan(numbers)
+    upper = np.cumsum(times, 0)
+    total = upper[-1]
+    kept = np.minimum(upper, (1 - TRIMMED) * total) - np.maximum(upper - times, TRIMMED * total)
+    np.maximum(kept, 0.0, out=kept)
+    return _ratio((np.nan_to_num(numbers) * kept).sum(0), (1 - 2 * TRIMMED) * total)
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A contrast over trainings; limits are None where they are undefined."""
+
+    value: float
+    trainings: tuple[float, ...]  # the contrast of each training, in the order of their seeds
+    bootstrap: Limits | None
+    t: Limits | None
+
+
+def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] | float, key: str, margin: float = 0.0) -> Contrast | None:
+    """Return the contrast of the cells to a number, or to a reference's cells under the same conditions; None where they share none."""
+    if isinstance(reference, float):
+        reference = [_constant(cell, key, reference) for cell in cells if key in cell.episodes]
+    defined = ([cell for cell in side if not math.isnan(cell.pooled.get(key, math.nan))] for side in (cells, reference))
+    own, other = ({condition(cell.identity): cell for cell in side} for side in defined)
+    shared = sorted(own.keys() & other.keys(), key=repr)
+    seeds = sorted({own[place].training for place in shared})
+    if not seeds:
+        return None
+    pairs = [[(own[place], other[place]) for place in shared if own[place].training == seed] for seed in seeds]
+    trainings = [_Training(each, key, margin) for each in pairs]
+    values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
+    limits = limits_of(_resampled(trainings))
+    return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
+
+
+def _constant(cell: CellNumbers, key: str, number: float) -> CellNumbers:
+    column, pooled = cell.episodes[key], cell.pooled.get(key, math.nan)
+    changed = {key: np.where(np.isnan(column), math.nan, number)}
+    return replace(cell, episodes={**cell.episodes, **changed}, pooled={key: math.nan if math.isnan(pooled) else number})
+
+
+class _Training:
+    """The paired sums of one training: [2, 2, K, C] of side, weighted sum and weight, world and condition."""
+
+    def __init__(self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float) -> None:
+        names = np.unique(np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair]))
+        self.worlds, self.margin = len(names), margin
+        conditions = list(dict.fromkeys(condition(own.identity)[:3] for own, _ in pairs))  # seeds that share the training are one
+        self.sums = np.zeros((2, 2, len(names), len(conditions)))
+        for pair in pairs:
+            c = conditions.index(condition(pair[0].identity)[:3])
+            for side, cell in enumerate(pair):
+                place = np.searchsorted(names, cell.episodes["world"])
+                for part, weights in enumerate(cell.weighted(key)):
+                    self.sums[side, part, :, c] += np.bincount(place, weights, len(names))
+
+    def contrast(self, counts: Floats) -> Floats:
+        """[R] the contrast when each world counts so often [R, K]; conditions that a side leaves undefined do not count."""
+        total, mass = counts @ self.sums[:, 0], counts @ self.sums[:, 1]
+        defined = (mass > 0).all(0)
+        left, right = np.where(defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0).sum(2)
+        number = defined.sum(1)
+        contrasts: Floats = np.full(len(counts), np.nan)
+        np.divide(left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0)
+        return contrasts
+
+
+def _resampled(trainings: Sequence[_Training]) -> Floats:
+    """[R] the mean contrast of every resample; resamples that a drawn training leaves undefined are NaN."""
+    total = np.zeros(RESAMPLES)
+    for s, chosen, counts in _drawn(tuple(training.worlds for training in trainings)):
+        total[chosen] += trainings[s].contrast(counts)
+    return total / len(trainings)
+
+
+@lru_cache(maxsize=8)
+def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, NDArray[np.bool_], Floats]]:
+    """For every place and training with so many worlds: its index, which resamples drew it there, and how often each of its worlds."""
+    draws, resamples = np.random.PCG64(SEED), []
+    for _ in worlds:
+        picks = _picks(draws, len(worlds), 1)[:, 0]
+        for s, many in enumerate(worlds):
+            resamples.append((s, picks == s, _times_drawn(draws, many)[picks == s]))
+    return resamples
+
+
+def t_limits(values: Sequence[float]) -> Limits | None:
+    """Return the 95 % t interval of the mean of n values, with n - 1 degrees of freedom; None with one value."""
+    if len(values) < 2:
+        return None
+    half = _t_quantile(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return float(np.mean(values)) - half, float(np.mean(values)) + half
+
+
+def _t_quantile(freedom: int) -> float:
+    """The quantile t for which P(|T| < t) is COVERAGE, by halving: the series of Abramowitz and Stegun, 26.7.3 and 26.7.4."""
+
+    def within(t: float) -> float:
+        angle, term, total = math.atan(t / math.sqrt(freedom)), 1.0, 0.0
+        for k in range(1 if freedom % 2 == 0 else 2, freedom, 2):
+            total, term = total + term, term * k / (k + 1) * math.cos(angle) ** 2
+        if freedom % 2 == 0:
+            return math.sin(angle) * total
+        return 2 / math.pi * (angle + math.sin(angle) * math.cos(angle) * total)
+
+    low, high = 0.0, 100.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if within(middle) < COVERAGE else (low, middle)
+    return low

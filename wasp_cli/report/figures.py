@@ -1,0 +1,323 @@
+"""How all figures of a report look and are written, and those with a mark for each method.
+
+Cost against return, and what interventions were worth (Figure 3). A figure that has nothing to show writes no file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import groupby, product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.summary import summarise
+from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
+from wasp_cli.report.tables.table import Column, assistant_title, task_title
+from wasp_cli.store.artifact import replace_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0072B2")
+"""Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
+
+METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
+LINES = ("-", "--", ":")  # of methods with one colour, in their rounds
+ENDINGS = ("png", "svg")
+# The markers move on by one with every round of the colours, or the eighth method would look like the first.
+STYLES = {  # colour and marker of a method, the same in every figure; the marker also tells them apart in print
+    name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
+}
+LOOK: dict[Any, Any] = {  # settings of matplotlib for every figure
+    "font.size": 9,
+    "svg.hashsalt": "wasp",
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+CAPTIONS = {  # by the name of the file, in the order of the page
+    "cost_return": "Cost against return of every method: large marks are means over the operators, with the spread over seeds, small ones "
+    "single operators.",
+    "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
+    "are the limits of the table.",
+    "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
+    "profile": "Performance profiles: the share of episodes that return at least x, and that cost at most x; every operator and seed "
+    "weighs the same.",
+    "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
+    "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
+}
+
+
+@contextmanager
+def drawn(size: tuple[float, float]) -> Iterator[Figure]:
+    """Yield an empty figure of `size` (inches), to be filled inside the block, where LOOK is in force."""
+    # Imported here: matplotlib takes most of a second, and most commands draw nothing.
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(LOOK):
+        figure = Figure(figsize=size, layout="constrained", dpi=160)
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers give the same bytes."""
+    png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
+    save(figure, png)
+    figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
+    save(figure, svg)
+    return [png, svg]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure: whole, or not at all where the process is killed meanwhile."""
+    from matplotlib import rc_context
+
+    drawing, dated = BytesIO(), ("Software",) if path.suffix == ".png" else ("Date", "Creator")
+    with rc_context(LOOK):
+        figure.savefig(drawing, format=path.suffix[1:], metadata=dict.fromkeys(dated))
+    replace_file(path, drawing.getvalue())
+
+
+def style_of(method: str) -> tuple[str, str]:
+    return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
+
+
+def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
+    panel.grid(axis=axis, color="#dddddd", linewidth=0.6)
+    panel.set_axisbelow(True)
+
+
+def legend(
+    figure: Figure, panels: Iterable[Axes], further: Mapping[str, Mapping[str, Any]] | None = None, most: int = 0, **options: Any
+) -> None:
+    """Set one legend for some panels: each label once, then the lines of `further` by label.
+
+    `most` is the number of entries in a row at most, spread evenly over as many rows as the width needs; 0: one below the other.
+    """
+    from matplotlib.lines import Line2D
+
+    handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    handles |= {label: Line2D([], [], **look) for label, look in (further or {}).items()}
+    rows = math.ceil(len(handles) / most) if most else len(handles)
+    while handles:
+        shown = figure.legend(handles.values(), handles.keys(), frameon=False, ncols=math.ceil(len(handles) / rows), **options)
+        if rows >= len(handles) or shown.get_window_extent().width <= MARGIN * figure.bbox.width:
+            break
+        shown.remove()
+        rows += 1
+
+
+GREY = "#999999"
+MARGIN = 0.97  # of a figure's width that a legend may take
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    x: Floats  # [n]
+    y: Floats  # [n]; NaN is left out
+    label: str = ""
+    colour: str = PALETTE[6]
+    style: str = "-"  # `none`: marks alone
+    marker: str = ""
+    width: float = 1.2
+    alpha: float = 1.0  # of the line
+    size: float = 3.0  # of the marks
+    areas: Floats | None = None  # [n] of marks that differ in size
+    gaps: bool = False  # whether NaN interrupts the line instead
+
+
+def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any) -> None:
+    """Draw lines over a grid, and a grey line of equal x and y from one to the other end of `diagonal`; a shared label is named once."""
+    if diagonal is not None:
+        panel.plot(diagonal, diagonal, color=GREY, linewidth=0.8, zorder=0.9)
+    named: set[str] = set()
+    for line in lines:
+        here = np.ones(len(line.x), bool) if line.gaps else np.isfinite(line.x) & np.isfinite(line.y)
+        label = line.label if line.label and line.label not in named else None
+        named.add(line.label)
+        plain = line.areas is None
+        panel.plot(
+            line.x[here], line.y[here], color=line.colour, alpha=line.alpha, linestyle=line.style, linewidth=line.width,
+            marker=line.marker if plain else "", markersize=line.size, label=label if plain else None,
+        )  # fmt: skip
+        if line.areas is not None:
+            panel.scatter(
+                line.x[here], line.y[here], line.areas[here], color=line.colour, marker=line.marker or "o", linewidths=0, label=label
+            )
+    ruled(panel)
+    panel.set(**axes)
+
+
+def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
+    rows: dict[str, list[Group]] = {}
+    for group in groups(frame):
+        if group.variant == "full" and group.cells:
+            rows.setdefault(group.task, []).append(group)
+    return rows
+
+
+def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
+    tasks = rows_by_task(frame)
+    if not tasks:
+        return []
+    with drawn((1.6 + 3.4 * len(tasks), 3.6)) as figure:
+        panels = figure.subplots(1, len(tasks), squeeze=False)[0]
+        for panel, (task, rows) in zip(panels, tasks.items(), strict=True):
+            for group in rows:
+                _draw(panel, group)
+            panel.set_title(task_title(task), loc="left", fontweight="bold")
+            panel.set_xlabel("Cost per episode (better: left)")
+            ruled(panel)
+        panels[0].set_ylabel("Return per episode (better: up)")
+        legend(figure, panels, loc="outside right upper", title="large: mean\nsmall: one operator\n")
+        return figure_files(figure, folder, "cost_return")
+
+
+def profile_figure(frame: Frame, folder: Path) -> list[Path]:
+    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
+    tasks = rows_by_task(frame)
+    if not tasks:
+        return []
+    with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
+        panels = figure.subplots(2, len(tasks), squeeze=False, sharey=True)
+        for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
+            for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
+                x, share = profile(group, key, at_least=key == "return")
+                place = list(METHODS).index(group.method) // len(PALETTE) if group.method in METHODS else 0
+                look = {"color": style_of(group.method)[0], "linestyle": LINES[place % len(LINES)], "linewidth": 1.3}
+                panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
+            column[0].set_title(task_title(task), loc="left", fontweight="bold")
+            column[0].set_xlabel("return x of an episode (better: up)")
+            column[1].set_xlabel("cost x of an episode (better: up)")
+            for panel in column:
+                panel.set_ylim(0.0, 1.02)
+                ruled(panel)
+        column = panels[:, 0]
+        column[0].set_ylabel("share of episodes that return ≥ x")
+        column[1].set_ylabel("share of episodes that cost ≤ x")
+        legend(figure, panels[0], loc="outside right upper")
+        return figure_files(figure, folder, "profile")
+
+
+def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
+    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at most x; every cell weighs the same."""
+    values = np.concatenate([cell.episodes[key] for cell in group.cells])
+    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(group.cells)
+    order = np.argsort(values, kind="stable")
+    x, reached = values[order], np.cumsum(weights[order])
+    return x, 1.0 - reached + weights[order] if at_least else reached
+
+
+def _draw(panel: Axes, group: Group) -> None:
+    colour, marker = style_of(group.method)
+    x, y = _point(group.cells)
+    for variant in dict.fromkeys(cell.identity.operator for cell in group.cells) if METHODS[group.method].impaired else ():
+        small_x, small_y = _point(group.of_variant(variant))
+        panel.plot([x, small_x], [y, small_y], color=colour, alpha=0.25, linewidth=0.8)
+        panel.plot(small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0)
+    cost_sd, return_sd = summarise(group.cells, "cost").sd, summarise(group.cells, "return").sd
+    # Larger, so that it shows behind an assistant that never acts.
+    size = 12 if group.method == "human" else 9
+    panel.errorbar(
+        x, y, xerr=cost_sd, yerr=return_sd, fmt=marker, color=colour, markersize=size, markeredgecolor="white", capsize=2, elinewidth=1,
+        label=assistant_title(group),
+    )  # fmt: skip
+
+
+def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
+    cost, reward = summarise(cells, "cost").mean, summarise(cells, "return").mean
+    return (math.nan if cost is None else cost, math.nan if reward is None else reward)
+
+
+CLASSES = (("no cost", "#f2f2f2"), ("up to 1/3", "#bdbdbd"), ("up to 2/3", "#737373"), ("more", "#1a1a1a"))
+"""Classes of the risk, by the share of the W decisions that cost; greys that rise with it survive any printer."""
+PANELS = {
+    "uir": "Unnecessary: UIR (better: left;\nhollow: branches swapped)",
+    "delta_c": "Costly decisions\navoided: ΔC (better: right)",
+    "delta_r": "Reward gained: ΔR\n(better: right)",
+}
+
+
+def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
+    drawable = [group for group in judged_groups(frame) if _risks(frame, group).size]
+    if not drawable:
+        return []
+    tasks = [(task, list(own)) for task, own in groupby(drawable, lambda group: group.task)]
+    columns = {column.key: column for column in MEANS}
+    heights = [0.34 * len(own) + 0.5 for _, own in tasks]
+    with drawn((10.0, 1.3 + sum(heights))) as figure:
+        panels = figure.subplots(
+            len(tasks), 1 + len(PANELS), squeeze=False, sharey="row", width_ratios=[1.7, 1, 1, 1], height_ratios=heights
+        )
+        for row, (task, own) in zip(panels, tasks, strict=True):
+            risk, *others = row
+            _risk_panel(risk, frame, own)
+            risk.set_title(task_title(task), loc="left", fontweight="bold")
+            for panel, key in zip(others, PANELS, strict=True):
+                _points(panel, own, columns[key], columns["uir_swapped"] if key == "uir" else None)
+        labels = ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values())
+        for panel, label in zip(panels[-1], labels, strict=True):
+            panel.set_xlabel(label)
+        windows = " or ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
+        rho = f"ρ: share of the next {windows} decisions that cost without the intervention"
+        legend(figure, [panels[0, 0]], most=len(CLASSES), loc="outside lower left", title=rho)
+        return figure_files(figure, folder, "figure3")
+
+
+def _risks(frame: Frame, group: Group) -> Floats:
+    return np.concatenate([frame.judged[cell.identity].worth.rho for cell in group.cells]) if group.cells else np.empty(0)
+
+
+def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
+    edges = np.array([0.0, 1 / 3, 2 / 3])
+    for y, group in enumerate(own):
+        risks = _risks(frame, group)
+        place = np.searchsorted(edges, risks - 1e-9, side="left")  # k / W on an edge belongs below it
+        left = 0.0
+        for k, (name, grey) in enumerate(CLASSES):
+            share = 100.0 * float((place == k).mean())
+            panel.barh(y, share, 0.62, left=left, color=grey, edgecolor="black", linewidth=0.6, label=name if y == 0 else None)
+            left += share
+        panel.annotate(f"n = {len(risks)}", (100.0, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color="#555555")
+    panel.set_xlim(0.0, 116.0)
+    panel.set_xticks(range(0, 101, 25), [f"{tick} %" for tick in range(0, 101, 25)])
+    panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
+    panel.set_ylim(len(own) - 0.5, -0.5)
+    panel.tick_params(axis="y", length=0)
+
+
+def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | None) -> None:
+    """A mark per method with its interval, and a hollow one for the column `beside`."""
+    for y, group in enumerate(own):
+        value = estimated(group, column)
+        if value.mean is None:
+            continue
+        colour, marker = style_of(group.method)
+        if value.interval is not None:
+            panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
+        other = estimated(group, beside).mean if beside else None
+        if other is not None:
+            panel.plot(other, y, marker, markersize=7, markerfacecolor="none", markeredgecolor=colour)
+        panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")
+    if column.key == "uir":
+        panel.set_xlim(-0.05, 1.05)  # so that a mark at an end is whole
+        panel.set_xticks([0.0, 0.5, 1.0])
+    else:
+        panel.locator_params(axis="x", nbins=4)
+        panel.axvline(0.0, color="black", linewidth=0.8)
+    panel.spines["left"].set_visible(False)
+    ruled(panel, "x")
+    panel.tick_params(axis="y", length=0)

@@ -1,0 +1,142 @@
+"""From cells to a row of a table: means over cells, spread over seeds, and how coarse that spread is.
+
+Episodes of one seed share its trained models, so they are not independent: the unit of every spread is the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wasp_cli.metrics.episode import WEIGHTS
+from wasp_cli.report.stats import CellNumbers, Floats
+from wasp_cli.store.tables import ADDED, CellIdentity
+
+HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
+"""Columns of an episode that say what happened and what was corrected, not why; without those that only rows of late versions have."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a number may lie, and what was resampled to say so."""
+
+    low: float
+    high: float
+    unit: Literal["training", "world", "participant"]
+    clusters: int  # K, how many of them were resampled
+
+    @property
+    def words(self) -> str:
+        """Return what it is: of two or three clusters no more than their range, since one resample in 27 draws the same of three."""
+        if self.clusters <= FEW:
+            return f"range of {'two' if self.clusters == 2 else 'three'} {self.unit}s"
+        return f"95 % interval over {self.clusters} {self.unit}s"
+
+
+FEW = 3  # clusters up to which 95 % of the resamples reach from the least to the largest
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number of a table. None is undefined."""
+
+    mean: float | None
+    sd: float | None = None  # spread over seed-level means; None with fewer than two seeds
+    n: int = 0  # seeds behind the mean
+    delta: float | None = None  # difference to a reference row, where a table has one
+    ranked: bool = True  # whether it may be the best of its column
+    interval: Interval | None = None  # where the mean may lie, and what says so
+
+
+UNDEFINED = Value(None, ranked=False)
+
+
+def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
+    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
+    by_seed: dict[int, list[float]] = {}
+    for cell in cells:
+        number = cell.pooled.get(key, math.nan)
+        if not math.isnan(number):
+            by_seed.setdefault(cell.identity.seed, []).append(number)
+    return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
+
+
+def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
+    numbers = list(means)
+    if not numbers:
+        return UNDEFINED
+    sd = float(np.std(numbers, ddof=1)) if len(numbers) > 1 else None
+    # One seed shows no spread, so it cannot show a best either.
+    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
+
+
+def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
+    """Summarise a pooled column over cells: mean over seeds of the seed-level means."""
+    return over_seeds(seed_means(cells, key).values(), ranked)
+
+
+def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
+    """Reduce a column [E] over the episodes of all cells together; the value has no spread."""
+    columns = [cell.episodes[key] for cell in cells]
+    defined = np.concatenate([column[~np.isnan(column)] for column in columns]) if columns else np.empty(0)
+    if not len(defined):
+        return UNDEFINED
+    return Value(float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False)
+
+
+def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
+    """Return the mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
+    by_condition = {condition(cell.identity): cell.pooled.get(key, math.nan) for cell in reference}
+    differences: dict[int, list[float]] = {}
+    for cell in cells:
+        change = cell.pooled.get(key, math.nan) - by_condition.get(condition(cell.identity), math.nan)
+        if not math.isnan(change):
+            differences.setdefault(cell.identity.seed, []).append(change)
+    return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
+
+
+def same_episodes(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]) -> tuple[int, int]:
+    """Count the episodes that went as the reference's did in the same world, and all that both have.
+
+    They went alike when what happened and what was corrected is equal to the bit. Gates may differ, and times do.
+    """
+    by_condition = {condition(cell.identity): cell for cell in reference}
+    same = total = 0
+    for cell in cells:
+        other = by_condition.get(condition(cell.identity))
+        if other is None:
+            continue
+        _, own, others = np.intersect1d(cell.episodes["world"], other.episodes["world"], return_indices=True)
+        alike = np.ones(len(own), bool)
+        for name in HAPPENED & cell.episodes.keys() & other.episodes.keys():
+            left, right = cell.episodes[name][own], other.episodes[name][others]
+            alike &= (left == right) | (np.isnan(left) & np.isnan(right))
+        same, total = same + int(alike.sum()), total + len(own)
+    return same, total
+
+
+def distinct_resamples(seeds: int) -> int:
+    """Count the different bootstrap resamples that a number of seeds has: C(2n - 1, n)."""
+    return math.comb(2 * seeds - 1, seeds) if seeds > 0 else 0
+
+
+def spread_note(cells: Sequence[CellNumbers]) -> str:
+    seeds = len({cell.identity.seed for cell in cells})
+    if not seeds:
+        return "No cell has been computed yet."
+    if seeds == 1:
+        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; add seeds to the spec."
+    return (
+        f"± is the standard deviation over the means of {seeds} seeds, not over episodes. "
+        f"{seeds} seeds have {distinct_resamples(seeds):,} distinct bootstrap resamples"
+        + (", so any interval is coarse." if seeds < 6 else ".")
+    )
+
+
+def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+    """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
+    return identity.task, identity.operator, identity.value, identity.seed
