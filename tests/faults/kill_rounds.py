@@ -109,7 +109,7 @@ def start_run(folder: Path) -> None:
     fake_stages.install()
     os.environ[fake_stages.OPTIONS] = json.dumps({"log": str(folder / "log"), "seconds": 0.1})
 
-    def no_report(*arguments: object) -> object:
+    def no_report(*arguments: object, **options: object) -> object:
         return type("Shown", (), {"missing": ()})
 
     wasp_cli.cli.run.show_report = no_report
