@@ -41,9 +41,6 @@ from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
 SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
-QUICK = ("goal1",)  # tasks whose small models are published; of the others those of the preset `cpu` are
-IN_TIME = ("rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2")
-"""Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 
 
 @dataclass
@@ -249,11 +246,9 @@ def shipped(
     task: str, methods: Sequence[str], participant: int, seeds: Sequence[int], preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
     """Return the spec behind `wasp drive TASK`; seeds are sessions, and without a preset the models are those that are published."""
-    preset = preset or ("quick" if task in QUICK else "cpu")
     return load(SHIPPED, [
-        f"preset={preset}", f"tasks=[{task}]", f"methods=[{', '.join(methods)}]", f"seeds=[{', '.join(map(str, seeds))}]",
-        f"operators={{{PERSON}: {{p{participant}: {participant}}}}}",
-        *(f"wasp.{setting}" for setting in IN_TIME if preset == "quick"), *settings,
+        *([] if preset is None else [f"preset={preset}"]), f"tasks=[{task}]", f"methods=[{', '.join(methods)}]",
+        f"seeds=[{', '.join(map(str, seeds))}]", f"operators={{{PERSON}: {{p{participant}: {participant}}}}}", *settings,
     ])  # fmt: skip
 
 
