@@ -59,7 +59,7 @@ def test_a_session_is_a_cell_like_any_other(driven: tuple[Path, str]) -> None:
     assert {"world_model", "policies", "calibration"} <= set(manifest["upstream"])
     episodes = read_episodes([cell_of(driven)])
     assert episodes["episode"].to_pylist() == [0, 1]
-    assert episodes["tau_c"].to_pylist() == [1.0, 1.0]
+    assert episodes["tau_c"].to_pylist() == [0.5, 0.5]
     assert not list(layout.works.glob("*/episodes.parquet")), "what is published is nowhere else"
 
 
