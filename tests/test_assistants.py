@@ -1,5 +1,6 @@
 """README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
+import json
 from pathlib import Path
 
 import assistants
@@ -24,6 +25,19 @@ def test_the_tables_of_results_are_the_published_rows(field):
     assert assistants.table(field, moderate) in PAGE
     assert assistants.differences(field, moderate) in PAGE
     assert assistants.table(assistants.published("assistants"), unseen) in PAGE
+
+
+def test_a_goal_that_only_the_operator_knows():
+    rows = assistants.published("goal1-two")
+    assert assistants.table(rows, next(iter(assistants.GROUPS))) in PAGE
+    wrong: dict[str, list[float]] = {}
+    for path in (DOCS.parent / "results" / "published" / "store" / "evaluate").glob("*/_manifest.json"):
+        manifest = json.loads(path.read_text())
+        if manifest["task"] == "goal1-two":
+            wrong.setdefault(manifest["axes"]["method"], []).append(manifest["summary"]["wrong_goals"])
+    names = {"human": "operators alone", "saferl": "SafeRL-Res", "csa": "CSA", "wasp": "WASP", "ida": "IDA", "diffusion": "Diffusion"}
+    told = ", ".join(f"{name} {np.mean(wrong[method]):.1f}" for method, name in names.items())
+    assert told in " ".join(PAGE.split())
 
 
 def test_the_table_of_the_readme_is_the_field(field):
