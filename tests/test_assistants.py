@@ -5,6 +5,7 @@ from pathlib import Path
 
 import assistants
 import curves
+import experts
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -42,6 +43,10 @@ def test_a_goal_that_only_the_operator_knows():
 
 def test_the_table_of_the_readme_is_the_field(field):
     assert assistants.short(field) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_table_of_experts_is_the_published_one():
+    assert experts.table() in (DOCS / "learning.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_trained_parts_is_the_published_one():
