@@ -96,7 +96,6 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         if ends[key] == "failed":
             failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
-    started = moment(start.get("at"))
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(_number(start, "jobs") or 1), 1)
@@ -108,24 +107,10 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         seconds, unknown = _left(left, active, workers, now)
     counts = Counter(ends.values())
     return RunState(
-        run_id=run.run_id,
-        spec=run.spec,
-        state=state,
-        started=started,
-        ended=ended,
-        total=total or before,
-        done=before + counts["done"],
-        shared=counts["shared"],
-        failed=tuple(failed.values()),
-        blocked=counts["blocked"],
-        retried=len(by_event.get("retry", ())),
-        draining="draining" in by_event and going,
-        deserted=deserted,
-        active=active,
-        left_seconds=seconds,
-        unknown=unknown,
-        idle=not total,
-    )
+        run.run_id, run.spec, state, moment(start.get("at")), ended, total or before, before + counts["done"], counts["shared"],
+        tuple(failed.values()), counts["blocked"], retried=len(by_event.get("retry", ())), draining="draining" in by_event and going,
+        deserted=deserted, active=active, left_seconds=seconds, unknown=unknown, idle=not total,
+    )  # fmt: skip
 
 
 def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None = None) -> list[RunState]:
@@ -191,19 +176,10 @@ def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Activ
         except ArtifactError:  # replaced while it was read
             continue
         if record is not None and is_key(path.stem) and path.stem not in ends:
-            nodes.append(
-                Active(
-                    key=path.stem,
-                    label=_line(record.get("label"), path.stem),
-                    kind=_line(record.get("kind"), ""),
-                    share=min(max(_number(record, "share") or 0.0, 0.0), 1.0),
-                    text=_line(record.get("text"), ""),
-                    started=moment(record.get("started")),
-                    seen=moment(record.get("at")),
-                    memory_mb=_number(record, "memory_mb"),
-                    gone=is_gone(record),
-                )
-            )
+            label, kind, text = (_line(record.get(name), path.stem if name == "label" else "") for name in ("label", "kind", "text"))
+            share = min(max(_number(record, "share") or 0.0, 0.0), 1.0)
+            started, seen = moment(record.get("started")), moment(record.get("at"))
+            nodes.append(Active(path.stem, label, kind, share, text, started, seen, _number(record, "memory_mb"), is_gone(record)))
     return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 
 

@@ -107,7 +107,7 @@ class Episode:
 
     @property
     def signal(self) -> Signal:
-        return signal_of(self.method)
+        return METHODS[self.method].signal if self.method in METHODS else Signal()
 
     @property
     def signal_limit(self) -> float | None:
@@ -146,11 +146,6 @@ class Episode:
         return late
 
 
-def signal_of(method: str) -> Signal:
-    """Return what a method decides by; of one that no registry knows, a signal without a meaning."""
-    return METHODS[method].signal if method in METHODS else Signal()
-
-
 def read_episode(cell: FoundCell, episode: int) -> Episode:
     """Read one episode of a cell; a UsageError where it has none of this number, a StoreError where the table does not read."""
     with odd_tables_refused(cell.path):
@@ -159,12 +154,12 @@ def read_episode(cell: FoundCell, episode: int) -> Episode:
 
 def _read(cell: FoundCell, episode: int) -> Episode:
     rows = read_episodes([cell.path])
-    numbers = rows["episode"].to_pylist()
-    if not numbers:
+    episodes = rows["episode"].to_pylist()
+    if not episodes:
         raise StoreError(f"{cell.path} has no episodes")
-    if episode not in numbers:
-        raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")
-    place = numbers.index(episode)
+    if episode not in episodes:
+        raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(episodes)} to {max(episodes)}")
+    place = episodes.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
     if not mine.num_rows and (flat.num_rows or without_steps(cell.manifest)):
@@ -178,27 +173,15 @@ def _read(cell: FoundCell, episode: int) -> Episode:
     if not a.size or a.shape != a_h.shape:
         raise ValueError("its commands and actions do not have the same numbers, or none")
     row = {name: printable(value) if isinstance(value, str) else value for name, value in rows.slice(place, 1).to_pylist()[0].items()}
+    # A value that this version does not know can only be a rule of some method.
+    gate = np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64)
+    numbers = {name: np.array(mine[name].to_pylist(), np.float64) for name in NUMBERS + PREDICTED}
     return Episode(
-        cell=cell,
-        row=row,
-        episodes=len(numbers),
-        # A value that this version does not know can only be a rule of some method.
-        gate=np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64),
-        costly=np.asarray(mine["cost"].to_pylist(), bool),
-        a_h=a_h,
-        a=a,
-        numbers={name: _floats(mine[name].to_pylist()) for name in NUMBERS + PREDICTED},
-        safe=_lists(mine["safe"].to_pylist()),
-        case2=_lists(mine["case2"].to_pylist()),
-        plan=_lists(mine["plan"].to_pylist()),
-        ms=read_times(cell.path)[place],
-        constants=_constants(cell, row),
-    )
-
-
-def _floats(values: list[float | None]) -> Floats:
-    numbers = np.array(values, np.float64)
-    return np.where(np.isfinite(numbers), numbers, np.nan)
+        cell, row, len(episodes), gate, np.asarray(mine["cost"].to_pylist(), bool), a_h, a,
+        numbers={name: np.where(np.isfinite(values), values, np.nan) for name, values in numbers.items()},
+        safe=_lists(mine["safe"].to_pylist()), case2=_lists(mine["case2"].to_pylist()), plan=_lists(mine["plan"].to_pylist()),
+        ms=read_times(cell.path)[place], constants=_constants(cell, row),
+    )  # fmt: skip
 
 
 def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:
@@ -227,14 +210,9 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
-        **counts,
-        takeover=takeover,
-        bootstrap_cost=bootstrap,
-        gamma_c=gamma_c if isinstance(gamma_c, float) else None,
-        vote=of("vote", float),
-        action_repeat=repeat,
-        decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
-    )
+        **counts, takeover=takeover, bootstrap_cost=bootstrap, gamma_c=gamma_c if isinstance(gamma_c, float) else None,
+        vote=of("vote", float), action_repeat=repeat, decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
+    )  # fmt: skip
 
 
 def imagines_expert(cell: FoundCell) -> bool:

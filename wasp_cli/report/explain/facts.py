@@ -120,21 +120,13 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 
 def _run(episode: Episode, first: int, end: int) -> Run:
     part, numbers = slice(first, end), episode.numbers
-    return Run(
-        first=first,
-        last=end - 1,
-        gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
-        command=_tuple(episode.a_h[part].mean(0)),
-        executed=_tuple(episode.a[part].mean(0)),
-        deviation=float(numbers["deviation"][part].mean()),
-        intervened=int(episode.intervened[part].sum()),
-        g_cost=_range(numbers["g_cost"][part]),
-        delta_g=_range(numbers["delta_g"][part]),
-        signal=_range(numbers["signal"][part]),
-        cost=int(numbers["cost_env"][part].sum()),
-        costly=tuple(first + t for t in places_of(episode.costly[part])),
-        missed=tuple(first + t for t in places_of(episode.missed[part])),
-    )
+    gates = dict(Counter(GATES[value] for value in episode.gate[part].tolist()))
+    command, executed = (tuple(values[part].mean(0).tolist()) for values in (episode.a_h, episode.a))
+    g_cost, delta_g, signal = (_range(numbers[name][part]) for name in ("g_cost", "delta_g", "signal"))
+    costly, missed = (tuple(first + t for t in places_of(marks[part])) for marks in (episode.costly, episode.missed))
+    deviation, intervened = float(numbers["deviation"][part].mean()), int(episode.intervened[part].sum())
+    cost = int(numbers["cost_env"][part].sum())
+    return Run(first, end - 1, gates, command, executed, deviation, intervened, g_cost, delta_g, signal, cost, costly, missed)
 
 
 def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
@@ -154,23 +146,13 @@ def decision_of(episode: Episode, t: int) -> Decision:
     episode.require(t)
     horizon = episode.constants.horizon
     window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
+    safety, task = (_safety(episode, t), _task(episode, t)) if episode.gated else (None, None)
     return Decision(
-        t=t,
-        gate=GATES[int(episode.gate[t])],
-        command=_tuple(episode.a_h[t]),
-        executed=_tuple(episode.a[t]),
-        deviation=float(episode.numbers["deviation"][t]),
-        intervened=bool(episode.intervened[t]),
-        safety=_safety(episode, t) if episode.gated else None,
-        task=_task(episode, t) if episode.gated else None,
-        g_return=episode.at("g_return", t),
-        signal=episode.at("signal", t),
-        plan=_plan(episode, t),
-        now=_happened(episode, t, 1),
-        ahead=_happened(episode, t, window),
-        window=window,
-        ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
-    )
+        t, GATES[int(episode.gate[t])], tuple(episode.a_h[t].tolist()), tuple(episode.a[t].tolist()),
+        float(episode.numbers["deviation"][t]), bool(episode.intervened[t]), safety, task,
+        episode.at("g_return", t), episode.at("signal", t), _plan(episode, t), _happened(episode, t, 1), _happened(episode, t, window), window,
+        number(float(episode.ms[t])) if t < len(episode.ms) else None,
+    )  # fmt: skip
 
 
 def _safety(episode: Episode, t: int) -> Gate:
@@ -218,16 +200,10 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
     end = min(t + window, episode.decisions)
     part, gamma = slice(t, end), episode.constants.gamma_c
     costly = episode.costly[part]
-    return Happened(
-        first=t,
-        last=end - 1,
-        reward=float(episode.numbers["reward"][part].sum()),
-        cost=int(episode.numbers["cost_env"][part].sum()),
-        costly=int(costly.sum()),
-        goals=int(episode.numbers["goals"][part].sum()),
-        intervened=int(episode.intervened[part].sum()),
-        discounted=None if gamma is None else float((gamma ** np.arange(len(costly)))[costly].sum()),
-    )
+    reward, cost, goals = (episode.numbers[name][part].sum() for name in ("reward", "cost_env", "goals"))
+    discounted = None if gamma is None else float((gamma ** np.arange(len(costly)))[costly].sum())
+    intervened = int(episode.intervened[part].sum())
+    return Happened(t, end - 1, float(reward), int(cost), int(costly.sum()), int(goals), intervened, discounted)
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:
@@ -237,10 +213,6 @@ def exceeds(value: float | None, limit: float | None) -> bool:
 
 def places_of(marks: Bools) -> tuple[int, ...]:
     return tuple(np.flatnonzero(marks).tolist())
-
-
-def _tuple(values: Floats) -> tuple[float, ...]:
-    return tuple(values.tolist())
 
 
 def _range(values: Floats) -> Range | None:
