@@ -339,7 +339,6 @@ def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
 
 
 def register_envs() -> None:
-    """Register every task that is not registered yet."""
     for name in TASKS:
         info = TASKS[name]
         if info.gym_id not in gymnasium.registry:

@@ -150,8 +150,8 @@ def decision_of(episode: Episode, t: int) -> Decision:
     return Decision(
         t, GATES[int(episode.gate[t])], tuple(episode.a_h[t].tolist()), tuple(episode.a[t].tolist()),
         float(episode.numbers["deviation"][t]), bool(episode.intervened[t]), safety, task,
-        episode.at("g_return", t), episode.at("signal", t), _plan(episode, t), _happened(episode, t, 1), _happened(episode, t, window), window,
-        number(float(episode.ms[t])) if t < len(episode.ms) else None,
+        episode.at("g_return", t), episode.at("signal", t), _plan(episode, t), _happened(episode, t, 1), _happened(episode, t, window),
+        window, number(float(episode.ms[t])) if t < len(episode.ms) else None,
     )  # fmt: skip
 
 
