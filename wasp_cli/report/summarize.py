@@ -109,12 +109,7 @@ class Report:
         """
         make_own(folder)
         figures = [] if redraw else self._kept(folder)
-        if not figures:
-            of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
-            figures = [path for draw_one in of_cells for path in draw_one(self.frame, folder)]
-            for name, figure in (("learning", draw_learning), ("reliability", draw_reliability)):
-                drawn = figure(self.layout, self.trained)
-                figures += [] if drawn is None else figure_files(drawn, folder, name)
+        figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
         films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
         texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
         pages = write_pages(folder, texts, self.tables)
@@ -195,6 +190,14 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
         console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
     if len(missing) > NAMED:
         console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
+
+
+def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
+    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
+    files = [path for draw in of_cells for path in draw(frame, folder)]
+    for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
+        files += [] if figure is None else figure_files(figure, folder, name)
+    return files
 
 
 def report_run(
