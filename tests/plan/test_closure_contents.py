@@ -17,7 +17,7 @@ from wasp_cli.spec.names import training_stages
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
-NEVER = ("tasks.describe", "tasks.sheet", "tasks.driver", "tasks.camera.topdown", "tasks.camera.view3d")
+NEVER = ("tasks.sheet", "tasks.driver", "tasks.camera.topdown", "tasks.camera.view3d")
 """What only checks and shows worlds."""
 STAGES_MAY_HAVE = frozenset({"stages", "stages.base", "stages.finite"})
 SECTIONS = {

@@ -2,9 +2,8 @@ import pytest
 
 from tests.plan.test_grid import DOCUMENT, grid
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.plan import Plan, make_plan
-from wasp_cli.plan.select import select
 
 BOTH = {**DOCUMENT, "tasks": ["goal1", "race1"], "methods": ["human", "wasp"], "variants": ["full", "no-case2"]}
 

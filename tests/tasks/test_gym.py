@@ -16,8 +16,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation, TimeLimit
 
 from wasp_cli.errors import TaskError, UsageError
-from wasp_cli.tasks.gym import TaskEnv
-from wasp_cli.tasks.gym_vector import TaskVectorEnv
+from wasp_cli.tasks.gym import TaskEnv, TaskVectorEnv
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 

@@ -8,24 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from wasp_cli.cli import options
 from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import (
-    RESULTS,
-    EpisodeOption,
-    Folder,
-    JsonOption,
-    NoBrowserOption,
-    NodeArgument,
-    PortOption,
-    RunOption,
-    StoredCellArgument,
-    Whereabouts,
-    argument,
-    directory,
-    flag,
-    option,
-    require_extra,
-)
+from wasp_cli.cli.options import argument, directory, flag, option, require_extra
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.store.layout import Layout
@@ -38,7 +23,7 @@ WIDTH = 140
 
 
 @command("wasp status", "watch -n 5 wasp status results/", "wasp status --json | jq '.[0]'")
-def status(results: Folder, run: RunOption = None, json: JsonOption = False) -> None:
+def status(results: options.Folder, run: options.RunOption = None, json: options.JsonOption = False) -> None:
     """Show active runs, or the latest: progress, time left.
 
     It reads what a run writes to the results folder, so it also works from another terminal, and after a run was killed.
@@ -65,7 +50,9 @@ def status(results: Folder, run: RunOption = None, json: JsonOption = False) -> 
     codes="0 done, 1 the results cannot be read, 2 no such node",
 )
 def logs(
-    node: NodeArgument, place: Whereabouts, path: Annotated[bool, flag("--path", "Print the path of the log, not the log.")] = False
+    node: options.NodeArgument,
+    place: options.Whereabouts,
+    path: Annotated[bool, flag("--path", "Print the path of the log, not the log.")] = False,
 ) -> None:
     """Print the log of a node.
 
@@ -89,7 +76,7 @@ def logs(
     "wasp show 'goal1 s1 world_model' --json | jq .provenance.git",
     codes="0 done, 1 the manifest cannot be read, 2 no such node",
 )
-def show(node: NodeArgument, place: Whereabouts, json: JsonOption = False) -> None:
+def show(node: options.NodeArgument, place: options.Whereabouts, json: options.JsonOption = False) -> None:
     """Show a node: numbers, inputs, provenance, last failure."""
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.node import node_facts, node_lines
@@ -110,11 +97,11 @@ def show(node: NodeArgument, place: Whereabouts, json: JsonOption = False) -> No
     codes="0 done, 1 the rows cannot be read, 2 no such cell, episode or step",
 )
 def explain(
-    cell: StoredCellArgument,
-    episode: EpisodeOption,
-    place: Whereabouts,
+    cell: options.StoredCellArgument,
+    episode: options.EpisodeOption,
+    place: options.Whereabouts,
     step: Annotated[int | None, option("T", "One decision, with its plan. (default: a summary of the episode)", "--step", "-s")] = None,
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Explain what an assistant did, and why.
 
@@ -134,7 +121,7 @@ def explain(
         return
     width = out().width if out().is_terminal else WIDTH
     again = "wasp explain " + shlex.quote(stored.cell.key[:8] if stored.cell.key else str(stored.cell.path))
-    if place.results != RESULTS:
+    if place.results != options.RESULTS:
         again += f" --results {shlex.quote(str(place.results))}"
     say(*(episode_lines(stored, width, again) if step is None else decision_lines(stored, step, width)))
     _say_address(place.results, stored.cell, episode, step)
@@ -146,9 +133,9 @@ def explain(
     codes="0 done, 1 the episode cannot be replayed, 2 no such cell, episode or step, or an unsupported file format",
 )
 def replay(
-    cell: StoredCellArgument,
-    episode: EpisodeOption,
-    place: Whereabouts,
+    cell: options.StoredCellArgument,
+    episode: options.EpisodeOption,
+    place: options.Whereabouts,
     step: Annotated[
         int | None, option("T", "One decision, with the executed action and with the command. (default: the whole episode)", "--step", "-s")
     ] = None,
@@ -210,10 +197,10 @@ def _say_address(results: Path, cell: FoundCell, episode: int, step: int | None)
     codes="0 done, 1 the results cannot be read, 2 usage, or packages of the extra 'web' are missing",
 )
 def view(
-    results: Folder,
+    results: options.Folder,
     place: Annotated[str, option("PLACE", "The page that opens: an address as pages and commands print it.", "--open")] = "/",
-    port: PortOption = 0,
-    browser: NoBrowserOption = False,
+    port: options.PortOption = 0,
+    browser: options.NoBrowserOption = False,
     bundle: Annotated[Path | None, directory("Write the pages to a folder that works from any host, and serve nothing.")] = None,
     cell: Annotated[
         list[str] | None, option("CELL", "With --bundle: a cell whose episodes have pages (repeatable). (default: all cells)")
@@ -247,7 +234,7 @@ def view(
 def note(
     cell: Annotated[str, argument("CELL", "A label ('goal1 s1 wasp laggy=0.7'), or the beginning of a key.")],
     text: Annotated[str, argument("TEXT", "What there is to say.")],
-    place: Whereabouts,
+    place: options.Whereabouts,
     episode: Annotated[int | None, option("E", "One episode. (default: the whole cell)", "--episode", "-e", min=0)] = None,
     invalid: Annotated[bool, flag("--invalid", "Reports leave it out, and say so.")] = False,
     valid: Annotated[bool, flag("--valid", "Take an earlier --invalid back.")] = False,

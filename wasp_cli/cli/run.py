@@ -40,10 +40,7 @@ if TYPE_CHECKING:
     "wasp run specs/table1.yaml --task goal1 -j 8 --set episodes=10",
     codes="0 done, 1 some cells failed, 2 usage, 3 invalid spec, 130 interrupted",
 )
-def run(
-    asked: SelectedSpec,
-    work: Work,
-) -> None:
+def run(asked: SelectedSpec, work: Work) -> None:
     """Run a spec and print its tables.
 
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the

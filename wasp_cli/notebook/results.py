@@ -21,25 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.notebook.cells import (
-    BRANCH,
-    EPISODE,
-    STEPS,
-    ListedCell,
-    Names,
-    Numbers,
-    branches_of,
-    chosen,
-    episodes_of,
-    planned_cells,
-    recorded_plans,
-    report_table,
-    stacked,
-    steps_of,
-    stored_cells,
-    table_of,
-    trained_table,
-)
+from wasp_cli.notebook import cells as reading
+from wasp_cli.notebook.cells import ListedCell, Names, Numbers
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell, matching
 from wasp_cli.store.layout import Layout
@@ -64,7 +47,7 @@ def open_results(folder: str | Path = "results", spec: str | Sequence[str] | Non
         UnknownName: no such spec has run there.
     """
     layout = Layout(Path(folder))
-    plans = recorded_plans(layout)
+    plans = reading.recorded_plans(layout)
     if not plans and not layout.store.is_dir():
         raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
     named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
@@ -93,13 +76,13 @@ class Results:
     def cells(self) -> list[ListedCell]:
         """The cells, computed or not, in the order of the spec."""
         if not self._named:
-            return stored_cells(self._layout)
-        return [cell for name in self._named for cell in planned_cells(name, self._plans[name])]
+            return reading.stored_cells(self._layout)
+        return [cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])]
 
     @property
     def missing(self) -> list[str]:
         """The labels of cells that are not computed."""
-        return [cell.label for cell in self.cells if table_of(self._layout, cell) is None]
+        return [cell.label for cell in self.cells if reading.table_of(self._layout, cell) is None]
 
     def __repr__(self) -> str:
         whose = f"spec={', '.join(map(repr, self._named))}" if self._named else "without runs"
@@ -127,7 +110,7 @@ class Results:
             StoreError: rows are damaged.
         """
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return stacked(self._layout, cells, episodes_of, EPISODE, columns)
+        return reading.stacked(self._layout, cells, reading.episodes_of, reading.EPISODE, columns)
 
     def steps(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
@@ -135,7 +118,7 @@ class Results:
     ) -> pa.Table:  # fmt: skip
         """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return stacked(self._layout, cells, steps_of, STEPS, columns)
+        return reading.stacked(self._layout, cells, reading.steps_of, reading.STEPS, columns)
 
     def branches(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
@@ -143,7 +126,7 @@ class Results:
     ) -> pa.Table:  # fmt: skip
         """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
         cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return stacked(self._layout, cells, branches_of, BRANCH, columns)
+        return reading.stacked(self._layout, cells, reading.branches_of, reading.BRANCH, columns)
 
     def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
         """Read a row per trained part: key, kind, folder, seconds, and every number that its stage reports.
@@ -157,7 +140,7 @@ class Results:
             UnknownName: no part has such a task, kind or seed.
         """
         parts = [(part["kind"], part["key"]) for name in self._named for part in self._plans[name].get("parts", ())]
-        return trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
+        return reading.trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
 
     def table(self, name: str = "main") -> pa.Table:
         """Make a table of the report: `main`, `table2`, `figure3`, `statistics`, `operators`, `severity`, `details`, `latency`, ...
@@ -171,7 +154,7 @@ class Results:
         """
         if len(self._named) != 1:
             raise UsageError("a table is of one spec", f"wasp_cli.results(folder, spec=...) with one of: {', '.join(self.specs) or 'none'}")
-        return report_table(self._layout, self._named[0], name)
+        return reading.report_table(self._layout, self._named[0], name)
 
     def cell(self, label: str) -> StoredCell:
         """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its key.
@@ -187,13 +170,13 @@ class Results:
         if len(cells) > 1:
             raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
         (cell,) = cells.values()
-        if table_of(self._layout, cell) is None:
+        if reading.table_of(self._layout, cell) is None:
             raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
         return StoredCell(self._layout, cell)
 
     def _chosen(self, *values: Any) -> list[ListedCell]:
         names = ("task", "method", "variant", "operator", "severity", "value", "seed")
-        return chosen(self.cells, dict(zip(names, values, strict=True)))
+        return reading.chosen(self.cells, dict(zip(names, values, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -227,7 +210,7 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        return stacked(self.layout, [self.names], episodes_of, EPISODE, None)
+        return reading.stacked(self.layout, [self.names], reading.episodes_of, reading.EPISODE, None)
 
     def steps(self, episode: int | None = None) -> pa.Table:
         """Read a row per decision, of one episode or of all.
@@ -235,7 +218,7 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        rows = stacked(self.layout, [self.names], steps_of, STEPS, None)
+        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         if episode is None:
             return rows
         import pyarrow.compute as pc
@@ -248,7 +231,7 @@ class StoredCell:
         Raises:
             StoreError: the rows are damaged.
         """
-        return stacked(self.layout, [self.names], branches_of, BRANCH, None)
+        return reading.stacked(self.layout, [self.names], reading.branches_of, reading.BRANCH, None)
 
     def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined futures, gates; uint8 [704, 976, 3] each.
@@ -265,7 +248,7 @@ class StoredCell:
         """
         from wasp_cli.video.replay import replay_frames
 
-        path = table_of(self.layout, self.names)
+        path = reading.table_of(self.layout, self.names)
         assert path is not None  # the cell is computed: `Results.cell` has seen to it
         yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)
 
@@ -293,7 +276,7 @@ class StoredCell:
 
         if without_steps(self.manifest):
             raise UsageError(f"{self.label} was published without all its steps", "wasp run SPEC --reuse none computes it whole")
-        path = table_of(self.layout, self.names)
+        path = reading.table_of(self.layout, self.names)
         assert path is not None
         manifest, recorded = self.manifest, Recorded(**read_recorded(path))
         repeat, about = int(manifest["settings"]["action_repeat"]), f"{self.label}, {self.key}"

@@ -56,7 +56,6 @@ class Stored:
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
-    """Look at every artifact of some kinds."""
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:

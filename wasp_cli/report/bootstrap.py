@@ -268,7 +268,11 @@ class Contrast:
 def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] | float, key: str, margin: float = 0.0) -> Contrast | None:
     """Return the contrast of the cells to a number, or to a reference's cells under the same conditions; None where they share none."""
     if isinstance(reference, float):
-        reference = [_constant(cell, key, reference) for cell in cells if key in cell.episodes]
+        bound, reference = reference, []  # a cell that has the number wherever the column is defined
+        for cell in (cell for cell in cells if key in cell.episodes):
+            pooled = math.nan if math.isnan(cell.pooled.get(key, math.nan)) else bound
+            column = np.where(np.isnan(cell.episodes[key]), math.nan, bound)
+            reference.append(replace(cell, episodes={**cell.episodes, key: column}, pooled={key: pooled}))
     defined = ([cell for cell in side if not math.isnan(cell.pooled.get(key, math.nan))] for side in (cells, reference))
     own, other = ({condition(cell.identity): cell for cell in side} for side in defined)
     shared = sorted(own.keys() & other.keys(), key=repr)
@@ -280,12 +284,6 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
     limits = limits_of(_resampled(trainings))
     return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
-
-
-def _constant(cell: CellNumbers, key: str, number: float) -> CellNumbers:
-    column, pooled = cell.episodes[key], cell.pooled.get(key, math.nan)
-    changed = {key: np.where(np.isnan(column), math.nan, number)}
-    return replace(cell, episodes={**cell.episodes, **changed}, pooled={key: math.nan if math.isnan(pooled) else number})
 
 
 class _Training:

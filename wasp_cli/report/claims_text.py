@@ -103,14 +103,10 @@ def sentence(answer: Answer) -> str:
     if asked.right is not None:
         sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
     t = f"; t {limits}" if (limits := _limits(answer, answer.contrast.t if answer.contrast else None)) else ""
-    return f"{what}: {', '.join(sides)}; {_contrast_text(answer)}{t}, needed: {needed(answer)}"
-
-
-def _contrast_text(answer: Answer) -> str:
-    if answer.contrast is None:
-        return ""
-    value = COLUMN_OF[answer.asked.column].number(answer.contrast.value, True)
-    return f"{value} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
+    contrast = ""
+    if answer.contrast is not None:
+        contrast = f"{column.number(answer.contrast.value, True)} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
+    return f"{what}: {', '.join(sides)}; {contrast}{t}, needed: {needed(answer)}"
 
 
 def _limits(answer: Answer, limits: Limits | None) -> str:
@@ -144,7 +140,14 @@ def verdict_terminal(verdict: VerdictReport) -> Text:
 
 def verdict_markdown(verdict: VerdictReport) -> str:
     lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
-    lines += _second_table(verdict)
+    if told := second_headlines(verdict):
+        titles = [title_of(who) for who in verdict.others]
+        lines += [*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles)))]
+        for judged in verdict.claims:
+            if judged.part != "untested":
+                seconds = (_second_label(verdict, judged, i) for i in range(len(titles)))
+                lines.append(markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds)))
+        lines.append("")
     for judged in verdict.claims:
         if judged.outcome != "untested" or judged.part != "untested":
             claim = judged.claim
@@ -153,17 +156,6 @@ def verdict_markdown(verdict: VerdictReport) -> str:
     if text := untested(verdict):
         lines += ["", text]
     return "\n".join(lines) + "\n"
-
-
-def _second_table(verdict: VerdictReport) -> Iterator[str]:
-    told, titles = second_headlines(verdict), [title_of(who) for who in verdict.others]
-    if told:
-        yield from (*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles))))
-        for judged in verdict.claims:
-            if judged.part != "untested":
-                seconds = (_second_label(verdict, judged, i) for i in range(len(verdict.others)))
-                yield markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds))
-        yield ""
 
 
 def _told(judged: Judged) -> Iterator[str]:

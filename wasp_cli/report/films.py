@@ -7,7 +7,7 @@ is the median, so that neither the best nor the worst one is picked. Worlds and 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain.episode import LOOKS, Episode, Floats, read_episode, timeline
+from wasp_cli.report.explain.episode import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
 from wasp_cli.report.tables.table import operator_title
@@ -100,7 +100,10 @@ def _of_task(
     chosen = [cell for cell in impaired if (cell.identity.operator, cell.identity.value, cell.identity.seed) == condition]
     chosen += [cell for cell in full if cell.identity.operator == UNIMPAIRED and cell.identity.seed == first.identity.seed]
     alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
-    number = _median_episode((alone or first).episodes)
+    episodes = (alone or first).episodes
+    costs = episodes["cost"]
+    number = int(np.flatnonzero(costs == np.sort(costs)[len(costs) // 2])[0])  # the first one whose cost is the (upper) median
+    number = int(episodes["episode"][number]) if "episode" in episodes else number  # where some are left out, it numbers the others
     how = "the one whose cost is the median under Human-only" if alone is not None else "the one of median cost"
     if any(_is_slim(layout, keys[cell.identity]) for cell in chosen):
         number, how = 0, "the first, since what is published has the steps of no other"
@@ -120,14 +123,6 @@ def _is_slim(layout: Layout, key: str) -> bool:
         return without_steps(read_manifest(layout, KIND, key))
     except WaspError:
         return False
-
-
-def _median_episode(episodes: Mapping[str, Floats]) -> int:
-    """The first episode whose cost is the (upper) median; where some are left out, `episode` numbers the others."""
-    costs = episodes["cost"]
-    median = np.sort(costs)[len(costs) // 2]
-    place = int(np.flatnonzero(costs == median)[0])
-    return int(episodes["episode"][place]) if "episode" in episodes else place
 
 
 def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:

@@ -133,7 +133,9 @@ def node_lines(facts: Facts) -> Iterator[Text]:
     yield _entry("folder", facts["folder"])
     yield from _failure(facts["failure"])
     yield from _section("Numbers", [(name, short(value)) for name, value in scalars(facts["summary"])])
-    yield from _section("Configuration (without defaults)", [(one["name"], _change(one)) for one in facts["changed"]])
+    defaults = [f"  (default {_value(one['default'])})" if one["default"] is not None else "" for one in facts["changed"]]
+    changed = [(one["name"], _value(one["value"]) + default) for one, default in zip(facts["changed"], defaults, strict=True)]
+    yield from _section("Configuration (without defaults)", changed)
     yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(facts["settings"])])
     inputs = [(one["name"], f"{one['key'][:8]}  {one['label']}  {_unless('present', one['state'])}") for one in facts["upstream"]]
     yield from _section("Inputs", inputs)
@@ -141,11 +143,6 @@ def node_lines(facts: Facts) -> Iterator[Text]:
     yield from _section("Files (SHA-256 checked)", files)
     yield from _section("Drawn by wasp report", [("in", folder) for folder in facts["pictures"]])
     yield from _section("Provenance", list(_provenance(facts["provenance"])))
-
-
-def _change(setting: Facts) -> str:
-    default = f"  (default {_value(setting['default'])})" if setting["default"] is not None else ""
-    return _value(setting["value"]) + default
 
 
 def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:

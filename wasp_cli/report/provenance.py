@@ -87,8 +87,11 @@ class Origins:
         for (version, commit), manifests in versions.items():
             kinds = Counter(str(manifest.get("kind")) for manifest in manifests)
             counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+            changes = [change for manifest in manifests for change in (*changed_since(_modules(manifest)), *library_changes(manifest))]
+            since = f"since then has changed: {few(list(dict.fromkeys(changes)))}"
+            since = since if changes else "made with the present code and libraries"
             results = f"{len(manifests)} of {self.total} results here are published ones ({counted})"
-            yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {_code_since(manifests)}."
+            yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {since}."
         cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
         if 0 < len(self.published) < self.total and cells:
             yield f"Published cells: {few(cells, NAMED)}."
@@ -129,13 +132,6 @@ def _when(manifests: Sequence[Mapping[str, Any]]) -> str:
     if not days:
         return "at an unknown time"
     return f"on {days[0]}" if len(days) == 1 else f"from {days[0]} to {days[-1]}"
-
-
-def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
-    changes: dict[str, None] = {}
-    for manifest in manifests:
-        changes |= dict.fromkeys([*changed_since(_modules(manifest)), *library_changes(manifest)])
-    return f"since then has changed: {few(list(changes))}" if changes else "made with the present code and libraries"
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
@@ -238,13 +234,8 @@ def _of_single_tasks(spec: Spec) -> list[Assumption]:
 
 
 def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
-    lines = [
-        "## Assumptions in force",
-        "",
-        "Values that differ from the paper, then those that it leaves open. A spec can change each that is a setting.",
-        "",
-    ]
-    lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
+    said = "Values that differ from the paper, then those that it leaves open. A spec can change each that is a setting."
+    lines = ["## Assumptions in force", "", said, "", "| Field | Value | Why |", "| --- | --- | --- |"]
     for name, value, why in assumed:
         shown = json.dumps(value, default=str, ensure_ascii=False)
         lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))

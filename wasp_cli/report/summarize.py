@@ -15,21 +15,13 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
+from wasp_cli.report import provenance
 from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
-from wasp_cli.report.provenance import (
-    Assumption,
-    Origins,
-    absent_fact,
-    absent_parts,
-    assumptions_in_force,
-    assumptions_markdown,
-    cell_sources,
-)
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
@@ -76,7 +68,7 @@ class Report:
     shown: int  # how many of them
     frame: Frame
     trained: tuple[Trained, ...]
-    assumptions: tuple[Assumption, ...]
+    assumptions: tuple[provenance.Assumption, ...]
     damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
     published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
     remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
@@ -159,7 +151,7 @@ class Report:
             parts.append(f"## Notes\n\n{lines}")
         if self.trained:
             parts.append(trained_markdown(self.trained))
-        parts.append(assumptions_markdown(self.assumptions))
+        parts.append(provenance.assumptions_markdown(self.assumptions))
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
@@ -176,7 +168,7 @@ class Report:
             films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
             training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=cell_sources(self.layout, self.frame.cells, self.keys),
+            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
             notes=lines_of(self.notes),
             style=trusted("style.css"),
             script=trusted("sort.js") + trusted("script.js"),
@@ -242,19 +234,16 @@ def report_run(
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
-    roots = [
-        *(("evaluate", key) for _, key in cells),
-        *((COUNTERFACTUAL, key) for _, key in branched),
-        *((part.kind, key) for part, key in parts),
-    ]
-    origins = Origins()
+    roots = [(kind, key) for kind, things in ((KIND, cells), (COUNTERFACTUAL, branched)) for _, key in things]
+    roots += [(part.kind, key) for part, key in parts]
+    origins = provenance.Origins()
     trained, unreadable = trained_artifacts(layout, roots, origins)
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
-    gone = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
+    gone = provenance.absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if gone:
-        published.append(absent_fact(gone))
+        published.append(provenance.absent_fact(gone))
         # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
         parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
@@ -273,24 +262,20 @@ def report_run(
     further = (
         None if verdict is None else numbers_table(verdict),
         comparison_table(frame),
-        operator_table(frame),
-        severity_table(frame),
-        autonomy_table(frame),
-        detail_table(frame),
-        latency_table(frame),
-        threshold_table(frame),
+        *(table(frame) for table in (operator_table, severity_table, autonomy_table, detail_table, latency_table, threshold_table)),
     )
     back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
+    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged)
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged),
+        facts=facts,
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
         trained=trained,
-        assumptions=tuple(assumptions_in_force(spec)),
+        assumptions=tuple(provenance.assumptions_in_force(spec)),
         damaged=tuple(damaged),
         published=tuple(published),
         remarks=remarks,

@@ -16,16 +16,7 @@ from wasp_cli.report.axis_figures import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
 from wasp_cli.report.stats import Missing
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
-from wasp_cli.report.tables.by_axis import (
-    SWEEP_COLUMNS,
-    SWEEP_OPERATOR_COLUMNS,
-    Swept,
-    combined,
-    lines,
-    operator_lines,
-    sweep_operator_table,
-    sweep_table,
-)
+from wasp_cli.report.tables import by_axis
 from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.derived import Sweep
 
@@ -35,17 +26,17 @@ class SweepReport:
     name: str
     spec: str
     key: str
-    swept: tuple[Swept, ...]
+    swept: tuple[by_axis.Swept, ...]
     damaged: tuple[str, ...] = ()  # records that do not read
     published: tuple[str, ...] = ()  # what was published and not computed here
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        return combined(self.key, self.swept).missing
+        return by_axis.combined(self.key, self.swept).missing
 
     @cached_property
     def tables(self) -> tuple[Table, Table]:
-        return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
+        return by_axis.sweep_table(self.key, self.swept), by_axis.sweep_operator_table(self.key, self.swept)
 
     def terminal(self, console: Console) -> None:
         for table in self.tables:
@@ -64,7 +55,7 @@ class SweepReport:
         return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        frame = combined(self.key, self.swept)
+        frame = by_axis.combined(self.key, self.swept)
         values = ", ".join(f"`{each.text}`" for each in self.swept)
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
@@ -82,25 +73,25 @@ class SweepReport:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        rows = lines(self.swept)
+        rows = by_axis.lines(self.swept)
         return {
             "name": self.name,
             "spec": self.spec,
             "setting": self.key,
             "values": [each.value for each in self.swept],
-            "rows": [line.as_json(SWEEP_COLUMNS) for line in rows],
-            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, rows)],
+            "rows": [line.as_json(by_axis.SWEEP_COLUMNS) for line in rows],
+            "operators": [line.as_json(by_axis.SWEEP_OPERATOR_COLUMNS) for line in by_axis.operator_lines(self.swept, rows)],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
         }
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
-    swept: list[Swept] = []
+    swept: list[by_axis.Swept] = []
     damaged: list[str] = []
     published: list[str] = []
     for point, own in zip(sweep.points, cells, strict=True):
         report = report_run(results, point.loaded.spec, own)
         damaged += report.damaged
         published += [f"`{sweep.key}` = `{point.text}`: {fact}" for fact in report.published]
-        swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in own}))
+        swept.append(by_axis.Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in own}))
     return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(published))

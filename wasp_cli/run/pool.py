@@ -199,8 +199,6 @@ def _end_with(parent: int) -> None:
 
 
 class DaskPool(Pool):
-    """The workers of a dask scheduler."""
-
     name = "dask"
 
     def __init__(self, scheduler: str | None) -> None:
@@ -362,7 +360,6 @@ class SlurmPool(Pool):
         return result
 
     def _watch(self) -> None:
-        """Pass on results as they come."""
         while not self._closed.wait(5 * POLL_SECONDS):
             for result, job in list(self._pending.items()):
                 if not job.done():

@@ -27,24 +27,12 @@ from rich.text import Text
 import wasp_cli
 from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import (
-    commit,
-    corruption,
-    damage,
-    discard,
-    dumps,
-    invalidate,
-    listed_files,
-    read_manifest,
-    stored_keys,
-    stored_kinds,
-)
+from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
@@ -87,16 +75,19 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
     refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
-    elsewhere = [step.node for step in steps if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None]
+    elsewhere = [
+        step.node for step in steps if step.state == "published" and artifact.damage(target, step.node.kind, step.node.key) is not None
+    ]
     refused += [f"{node.label}: it was published elsewhere, and is not in '{layout.root}'" for node in elsewhere]
     sources = [(step.node, layout if step.state == "cached" else target) for step in steps if step.state in ("cached", "published")]
     behind = _behind(grid)
     items = [_item(node, source, behind[node.key]) for node, source in sources if node not in elsewhere]
     small = [item for item in items if item.size <= largest]
-    there = [item for item in small if corruption(target, item.node.kind, item.node.key) is None]
+    there = [item for item in small if artifact.corruption(target, item.node.kind, item.node.key) is None]
     new = [item for item in small if item not in there]
     published = target.reports(spec.name)
-    reports = [path for path in _reports(spec, layout) if not same_bytes(path, published / path.name)]
+    old = {path.name: path.read_bytes() for path in published.glob("*") if path.is_file()}
+    reports = [path for path in _reports(spec, layout) if old.get(path.name) != path.read_bytes()]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
@@ -109,8 +100,8 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
 
 def _item(node: Node, source: Layout, behind: Mapping[str, str]) -> Item:
-    manifest = read_manifest(source, node.kind, node.key)
-    size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
+    manifest = artifact.read_manifest(source, node.kind, node.key)
+    size = sum(artifact.listed_files(manifest, source.manifest(node.kind, node.key)).values())
     provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
     return Item(node, source, size, {**manifest, "provenance": provenance, RECIPE: node.recipe, BEHIND: behind})
 
@@ -128,16 +119,12 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
     return behind
 
 
-def same_bytes(path: Path, other: Path) -> bool:
-    return other.is_file() and other.read_bytes() == path.read_bytes()
-
-
 def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
     kind, key = item.node.kind, item.node.key
-    if (wrong := corruption(item.source, kind, key)) is not None:
+    if (wrong := artifact.corruption(item.source, kind, key)) is not None:
         return wrong
     folder = item.source.artifact(kind, key)
-    texts = [dumps(item.manifest).encode(), *((folder / name).read_bytes() for name in item.manifest["files"])]
+    texts = [artifact.dumps(item.manifest).encode(), *((folder / name).read_bytes() for name in item.manifest["files"])]
     named = next(filter(None, (_named(text, private) for text in texts)), None)
     return None if named is None else f"it names {named}"
 
@@ -182,7 +169,7 @@ def carry_publication(publication: Publication, spec: Spec, layout: Layout, targ
     with held(target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")):
         # What lies there was left by one that was killed: nobody else has the lock. No sweep of a run or of gc touches this folder.
         staged = target.tmp / STAGED
-        discard(staged)
+        artifact.discard(staged)
         try:
             staged.mkdir(parents=True)
             for item in publication.new:
@@ -193,7 +180,7 @@ def carry_publication(publication: Publication, spec: Spec, layout: Layout, targ
                 shutil.copyfile(path, staged / path.name, follow_symlinks=False)
                 os.replace(staged / path.name, reports / path.name)
         finally:
-            discard(staged)
+            artifact.discard(staged)
             with suppress(OSError):  # a run uses the folder too
                 target.tmp.rmdir()
             target.publishing.unlink(missing_ok=True)
@@ -201,15 +188,15 @@ def carry_publication(publication: Publication, spec: Spec, layout: Layout, targ
 
 def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Slimming) -> None:
     kind, key = item.node.kind, item.node.key
-    if corruption(target, kind, key) is None:  # another one has published it since
+    if artifact.corruption(target, kind, key) is None:  # another one has published it since
         return
-    if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
-        invalidate(target, kind, key, "it had other bytes than were published")
+    if artifact.damage(target, kind, key) is None:  # of the right sizes, and with other bytes
+        artifact.invalidate(target, kind, key, "it had other bytes than were published")
     staging = staged / key
     staging.mkdir()
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
-    commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
+    artifact.commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
@@ -269,7 +256,10 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
     card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
-    members |= {"README.md": card.encode(), "LICENSE": _licence()}
+    beside = Path(__file__).parents[2] / "LICENSE"  # of a checkout; else the installed package's
+    path = beside if beside.is_file() else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
+    licence = Path(str(path)).read_bytes()
+    members |= {"README.md": card.encode(), "LICENSE": licence}
     sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
     members["SHA256SUMS"] = sums.encode()
     root = file.name.removesuffix(".tar.gz")
@@ -282,19 +272,11 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
 
 
 def _rows(target: Layout) -> Iterator[str]:
-    for kind in sorted(stored_kinds(target)):
-        keys, tasks = stored_keys(target, kind), set()
+    for kind in sorted(artifact.stored_kinds(target)):
+        keys, tasks = artifact.stored_keys(target, kind), set()
         for key in keys:
             try:
-                tasks.add(str(read_manifest(target, kind, key)["task"]))
+                tasks.add(str(artifact.read_manifest(target, kind, key)["task"]))
             except (ArtifactError, KeyError):
                 tasks.add("damaged")
         yield f"| {kind} | {len(keys)} | {', '.join(sorted(tasks))} |"
-
-
-def _licence() -> bytes:
-    """The text of the licence: that of the checkout, or the installed package's."""
-    beside = Path(__file__).parents[2] / "LICENSE"
-    if beside.is_file():
-        return beside.read_bytes()
-    return next(Path(str(path.locate())).read_bytes() for path in distribution("wasp-cli").files or () if path.name == "LICENSE")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +62,11 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
     sessions = {key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)}
     computing = {key for key in _keys(layout.locks) if is_held(layout.lock(key))}
     keys, other_runs = reach_of_runs(layout, driven | sessions)
-    wanted = {*keys, *keep, *computing, *driven, *_computed_from(driven, upstream)}
+    readers: dict[str, list[str]] = {}
+    for reader, read in upstream.items():
+        for key in read:
+            readers.setdefault(key, []).append(reader)
+    wanted = {*keys, *keep, *computing, *reached(driven, lambda key: readers.get(key, ()))}  # what people did, and what was made of it
     needed = reached(wanted, lambda key: upstream.get(key, ()))
     items = [_rubbish(kind, layout.artifact(kind, key), key) for key in kinds if key not in needed for kind in kinds[key]]
     items += _leavings(layout, kinds, needed, sessions)
@@ -96,15 +100,11 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
         newest.add(run.spec)
         if sessions := by_people & run.nodes.keys():  # a report finds a session by the run that asked for it
             of_people.add(run_id)
-            keys |= _read_by(run, sessions)
+            keys |= reached(sessions, lambda key, nodes=run.nodes: nodes[key].needs if key in nodes else ())  # type: ignore[misc]
     # A sweep that counts keeps the runs of its values: its reports are made from them.
     kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
     keys |= {key for run in counting.values() for key in run.nodes}
     return keys, [run_id for run_id in ids if run_id not in kept]
-
-
-def _read_by(run: PlannedRun, keys: set[str]) -> set[str]:
-    return reached(keys, lambda key: run.nodes[key].needs if key in run.nodes else ())
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
@@ -127,15 +127,6 @@ def _upstream(layout: Layout, kind: str, key: str) -> list[str]:
     except ArtifactError:  # it is damaged, and will be computed again from what the plan says
         return []
     return [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
-
-
-def _computed_from(keys: Iterable[str], upstream: Mapping[str, Sequence[str]]) -> set[str]:
-    """The keys of everything that was computed from something, step by step."""
-    readers: dict[str, list[str]] = {}
-    for reader, read in upstream.items():
-        for key in read:
-            readers.setdefault(key, []).append(reader)
-    return reached(keys, lambda key: readers.get(key, ()))
 
 
 def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:

@@ -49,17 +49,13 @@ class Recorded:
     absent: tuple[str, ...] = ()
 
 
-def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False, aside: bool = False) -> str:
-    """Make the folder of a new run and write down what it is asked for.
-
-    With `reports` this process writes a report afterwards, and says with `reported` that it has; with `aside` it is reported only where it
-    is named.
-    """
+def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
+    """Make the folder of a new run and write down what it is asked for; with `reports` a report follows (see `reported`)."""
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
-        write_record(folder / "plan.json", {"spec": spec.name, **({"aside": True} if aside else {}), **plan.as_json()})
+        write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
     return folder.name
 
 

@@ -109,8 +109,15 @@ class Runner:
                 return
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
-            self._tell_deaths()
-            self._tell_workers()
+            if self._deaths:
+                suspects = [flight for flight, was_running in self._deaths if was_running]
+                held = {flight.node.key: flight.memory for flight in suspects}
+                self._journal.write("worker killed", suspects=list(held), labels=[flight.node.label for flight in suspects], memory_mb=held)
+                self._deaths = []
+            gone = self._pool.gone  # the last worker of a cluster: nothing goes on until one comes back
+            if (gone is None) == self._deserted:
+                self._deserted = gone is not None
+                self._journal.write("workers gone" if self._deserted else "workers back", backend=self._pool.name, start=gone)
 
     def _begin(self, schedule: Schedule) -> None:
         jobs = self._pool.jobs
@@ -215,20 +222,6 @@ class Runner:
             schedule.put(flight.node)
         self._deaths.append((replace(flight, memory=memory), was_running))
         return None
-
-    def _tell_deaths(self) -> None:
-        if self._deaths:
-            suspects = [flight for flight, was_running in self._deaths if was_running]
-            held = {flight.node.key: flight.memory for flight in suspects}
-            self._journal.write("worker killed", suspects=list(held), labels=[flight.node.label for flight in suspects], memory_mb=held)
-            self._deaths = []
-
-    def _tell_workers(self) -> None:
-        """Say when the last worker of a cluster has gone: nothing goes on until one comes back."""
-        gone = self._pool.gone
-        if (gone is None) == self._deserted:
-            self._deserted = gone is not None
-            self._journal.write("workers gone" if self._deserted else "workers back", backend=self._pool.name, start=gone)
 
     def _log(self, job: NodeJob) -> str:
         return str(self._layout.log(job.run_id, job.label, job.key))

@@ -14,11 +14,10 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, together
+from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.plan.select import select
 from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
@@ -40,12 +39,6 @@ def cores() -> int:
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
-def useful_jobs(plan: Plan, jobs: int) -> int:
-    """Return the number of workers: no more than nodes can run side by side, since an idle worker costs memory too."""
-    nodes = plan.to_run()
-    return min(jobs, simulated(nodes, durations(nodes, plan.seconds), None)[1]) if nodes else jobs
-
-
 @dataclass(frozen=True)
 class Session:
     layout: Layout
@@ -60,7 +53,14 @@ class Session:
             raise self.summary.untold
         if not self.summary.complete:
             again = "to retry what failed" if self.summary.failed else "to compute it"
-            raise CellsFailed(_failure_message(self.summary, self.names), f"run the same command again {again}")
+            lines = [f"{len(self.summary.failed)} failed:"] if self.summary.failed else []
+            for node, result in self.summary.failed:
+                lines.append(f"  {self.names.get(node.key, node.label)}: {result.message}")
+                lines += [f"      {text}" for text in (result.hint, result.log and f"log: {result.log}") if text]
+            if blocked := [(self.names.get(node.key, node.label), cause) for node, cause in self.summary.blocked]:
+                named = [f"  {name} (needs {self.names.get(cause.key, cause.label)})" for name, cause in blocked]
+                lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
+            raise CellsFailed("\n".join(lines), f"run the same command again {again}")
 
 
 @dataclass(frozen=True)
@@ -76,22 +76,19 @@ class RunOptions:
 
 
 def run_spec(
-    loaded: Loaded,
-    results: Path,
-    options: RunOptions,
-    chosen: Sequence[str] = (),
-    reuse: str | None = None,
-    *,
-    failed: bool = False,
-    aside: bool = False,
+    loaded: Loaded, results: Path, options: RunOptions, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> Session:
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
     with planning(results, options) as layout:
         plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
-        if _without_slim_inputs(plan, layout):
+        read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.kind == "evaluate"}
+        # Cells that were published without all their steps, and that a node is to read now, are taken back.
+        if slim := [cell for cell in sorted(read) if exists(layout, *cell) and without_steps(read_manifest(layout, *cell))]:
+            for cell in slim:
+                invalidate(layout, *cell, "it was published without the steps of all its episodes, and they are needed")
             plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
-        run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
+        run_id = new_run(layout, loaded, plan, reports=options.reports)
     return carry_out(plan, layout, run_id, options, {})
 
 
@@ -100,15 +97,6 @@ def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | 
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
-
-
-def _without_slim_inputs(plan: Plan, layout: Layout) -> bool:
-    """Take back cells that were published without all their steps and that a node is to read now; whether there were any."""
-    read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.kind == "evaluate"}
-    slim = [cell for cell in sorted(read) if exists(layout, *cell) and without_steps(read_manifest(layout, *cell))]
-    for kind, key in slim:
-        invalidate(layout, kind, key, "it was published without the steps of all its episodes, and they are needed")
-    return bool(slim)
 
 
 @contextmanager
@@ -136,13 +124,17 @@ def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, name
         lines = reason_lines(plan, "published")
         plain("\n  ".join([f"{len(offers)} published results are used:", *lines]))
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
-    plain(_summary_line(plan, summary))
+    parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
+    parts += [f"{len(ended)} {how}" for how, ended in (("failed", summary.failed), ("blocked", summary.blocked)) if ended]
+    busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
+    plain(f"{', '.join(parts)} in {duration(summary.seconds)}{busy}")
     return Session(layout, run_id, plan, summary, names)
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:
     nodes = len(plan.to_run())
-    pool = pool_of(options.backend, useful_jobs(plan, options.jobs), options.scheduler)
+    side_by_side = simulated(plan.to_run(), durations(plan.to_run(), plan.seconds), None)[1]
+    pool = pool_of(options.backend, min(options.jobs, side_by_side), options.scheduler)  # an idle worker costs memory too
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
@@ -162,29 +154,9 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     return summary
 
 
-def _summary_line(plan: Plan, summary: Summary) -> str:
-    parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
-    ended = {"failed": len(summary.failed), "blocked": len(summary.blocked)}
-    parts += [f"{count} {how}" for how, count in ended.items() if count]
-    busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
-    return f"{', '.join(parts)} in {duration(summary.seconds)}{busy}"
-
-
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
     published = plan.count("published")
     return [f"{plan.count('cached') + shared} computed before", *([f"{published} published"] if published else [])]
-
-
-def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
-    lines = [f"{len(summary.failed)} failed:"] if summary.failed else []
-    for node, result in summary.failed:
-        lines.append(f"  {names.get(node.key, node.label)}: {result.message}")
-        lines += [f"      {text}" for text in (result.hint, result.log and f"log: {result.log}") if text]
-    if summary.blocked:
-        lines.append(f"{len(summary.blocked)} blocked by them:")
-        named = [f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked]
-        lines += first(named, 10)
-    return "\n".join(lines)
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:

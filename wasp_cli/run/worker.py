@@ -27,18 +27,7 @@ from wasp_cli.registry import load_target
 from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
-from wasp_cli.store.artifact import (
-    commit,
-    corruption,
-    discard,
-    dumps,
-    exists,
-    invalidate,
-    read_manifest,
-    read_record,
-    replace_file,
-    staging_folder,
-)
+from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
@@ -86,23 +75,22 @@ class Envelope:
         job, layout = self.job, self.layout
         if layout.stop(job.run_id).exists():
             return self._result("skipped")
-        result = self._tried() if is_seen(layout, job.run_id) else None
+        result = None
+        if is_seen(layout, job.run_id):
+            try:
+                with ExitStack() as stack:
+                    stream = stack.enter_context(self.log.open("a", encoding="utf-8", errors="replace", buffering=1))
+                    stack.enter_context(_logged(stream, self.own_process))
+                    result = self._locked()
+            except Exception as error:  # an OSError where the results folder itself is in the way: full, read-only
+                result = self._result("failed", message=f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
         if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
-            error = unseen(job.root, job.run_id)
-            return self._result("unseen", message=error.message, hint=error.hint)
+            why = unseen(job.root, job.run_id)
+            return self._result("unseen", message=why.message, hint=why.hint)
         return result
 
     def _result(self, state: State, **facts: Any) -> NodeResult:
         return NodeResult(self.job.key, state, time.monotonic() - self.started, log=str(self.log), **facts)
-
-    def _tried(self) -> NodeResult:
-        try:
-            with ExitStack() as stack:
-                stream = stack.enter_context(self.log.open("a", encoding="utf-8", errors="replace", buffering=1))
-                stack.enter_context(_logged(stream, self.own_process))
-                return self._locked()
-        except Exception as error:  # an OSError where the results folder itself is in the way: full, read-only
-            return self._result("failed", message=f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
 
     def _locked(self) -> NodeResult:
         job, layout = self.job, self.layout
@@ -116,15 +104,15 @@ class Envelope:
 
             try:
                 with held(layout.lock(job.key), waiting, heartbeat.fixed):
-                    if not exists(layout, job.kind, job.key):
+                    if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
-                    return self._result("shared", summary=read_manifest(layout, job.kind, job.key).get("summary", {}))
+                    return self._result("shared", summary=artifact.read_manifest(layout, job.kind, job.key).get("summary", {}))
             except Busy:
                 return self._result("skipped" if job.wait else "busy")
 
     def _computed(self, progress: Progress) -> NodeResult:
         job, layout = self.job, self.layout
-        staging = staging_folder(layout, job.key)
+        staging = artifact.staging_folder(layout, job.key)
         started_at = datetime.now(UTC).isoformat(timespec="seconds")
         began = time.monotonic()
         self._note(f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
@@ -139,19 +127,19 @@ class Envelope:
             if (changed := _change_of_source(job)) is not None:
                 raise changed
             seconds = time.monotonic() - began
-            commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
+            artifact.commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
         except (Exception, SystemExit) as error:
-            discard(staging)
+            artifact.discard(staging)
             # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
             if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
                 traceback.print_exception(error)
                 error = changed
             return self._explained(error)
         except BaseException:  # Ctrl-C in the process that runs nodes itself
-            discard(staging)
+            artifact.discard(staging)
             raise
         layout.failure(job.key).unlink(missing_ok=True)
-        discard(layout.work(job.key))
+        artifact.discard(layout.work(job.key))
         self._note(f"{job.label}: done in {duration(seconds)}")
         return self._result("done", summary=summary)
 
@@ -195,14 +183,14 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     Nobody computes again what a person drove: it stays as it is.
     """
     for kind, key in inputs:
-        what, why = "damaged", corruption(layout, kind, key)
-        if why is None and without_steps(read_manifest(layout, kind, key)):
+        what, why = "damaged", artifact.corruption(layout, kind, key)
+        if why is None and without_steps(artifact.read_manifest(layout, kind, key)):
             what, why = "not whole", "it was published without the steps of all its episodes, and they are needed"
         if why is None:
             continue
         if (layout.artifact(kind, key) / SESSION_FILE).exists():
             raise ArtifactError(f"what a person drove is {what}: {why}", "bring it back from a copy of the results folder")
-        invalidate(layout, kind, key, why)
+        artifact.invalidate(layout, kind, key, why)
         raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
 
 
@@ -220,8 +208,8 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
     config, settings = stage.config.model_validate(job.config), settings_of(job.settings)
     earlier = None
     # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
-    if job.earlier is not None and corruption(layout, job.kind, job.earlier) is None:
-        whole = not without_steps(read_manifest(layout, job.kind, job.earlier))
+    if job.earlier is not None and artifact.corruption(layout, job.kind, job.earlier) is None:
+        whole = not without_steps(artifact.read_manifest(layout, job.kind, job.earlier))
         earlier = layout.artifact(job.kind, job.earlier) if whole else None
     return Job(job.kind, job.task, job.seed, config, settings, job.axes, inputs, staging, work, progress, earlier, job.threads)
 
@@ -238,51 +226,33 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
     """Return what is stored of a node beside its files: what it is, what it was computed from, and how."""
-    further = {"cuda": cuda_devices(), EARLIER: job.earlier, HALF_INPUTS: _half_inputs(job)}
+    layout, halved = Layout(Path(job.root)), []  # inputs that are in half precision, or computed from such: no key says so
+    for name, (kind, key) in sorted(job.inputs.items()):
+        with suppress(ArtifactError):  # what a person drove is stored also where an input was damaged since
+            halved += [name] if precision_of(artifact.read_manifest(layout, kind, key)) else []
+    further = {"cuda": cuda_devices(), EARLIER: job.earlier, HALF_INPUTS: halved}
     return {
-        "kind": job.kind,
-        "key": job.key,
-        "label": job.label,
-        "task": job.task,
-        "seed": job.seed,
-        "axes": job.axes,
-        "config": job.config,
-        "settings": job.settings,
+        **{name: getattr(job, name) for name in ("kind", "key", "label", "task", "seed", "axes", "config", "settings")},
         "upstream": {name: key for name, (_, key) in job.inputs.items()},
         "upstream_kinds": {name: kind for name, (kind, _) in job.inputs.items()},
         "sources": job.sources,
         "summary": summary,
         "provenance": {
-            **job.provenance,
-            **{name: value for name, value in further.items() if value},
-            "run": job.run_id,
-            "attempt": job.attempt,
-            "threads": job.threads,
-            "started_at": started_at,
-            "seconds": round(seconds, 3),
+            **job.provenance, **{name: value for name, value in further.items() if value}, "run": job.run_id, "attempt": job.attempt,
+            "threads": job.threads, "started_at": started_at, "seconds": round(seconds, 3),
         },
-    }
-
-
-def _half_inputs(job: NodeJob) -> list[str]:
-    """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
-    layout, names = Layout(Path(job.root)), []
-    for name, (kind, key) in sorted(job.inputs.items()):
-        with suppress(ArtifactError):  # what a person drove is stored also where an input was damaged since
-            if precision_of(read_manifest(layout, kind, key)):
-                names.append(name)
-    return names
+    }  # fmt: skip
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
     record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
     with suppress(OSError):  # a full disk, a folder that was moved: the result and the journal of a living run tell it
-        replace_file(layout.failure(job.key), dumps({**record, "attempt": job.attempt, "run": job.run_id}))
+        artifact.replace_file(layout.failure(job.key), artifact.dumps({**record, "attempt": job.attempt, "run": job.run_id}))
 
 
 def attempts(layout: Layout, key: str) -> int:
     try:
-        record = read_record(layout.failure(key))
+        record = artifact.read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost
         return 1
     return 0 if record is None else int(record.get("attempt", 1))

@@ -30,7 +30,6 @@ def model_at(loc: Loc) -> type[BaseModel] | None:
 
 
 def description(loc: Loc) -> str | None:
-    """Return what the models say of a setting."""
     model = model_at(loc[:-1])
     field = model.model_fields.get(str(loc[-1])) if model is not None and loc else None
     return field.description if field is not None else None
@@ -106,8 +105,6 @@ def value_hint(entries: list[dict[str, Any]]) -> str | None:
 
 @dataclass(frozen=True)
 class Finding:
-    """One mistake in a document."""
-
     loc: Loc
     message: str
     hint: str | None = None

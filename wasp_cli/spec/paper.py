@@ -90,8 +90,6 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
 
 class PrintedTable(Config):
-    """A table of the paper."""
-
     name: Text
     columns: Columns
     rows: dict[TaskName, dict[WhoName, tuple[PrintedNumber, ...]]]
@@ -209,7 +207,6 @@ def is_paper(source: Source) -> bool:
 
 
 def paper_of(source: Source) -> Paper:
-    """Validate the document of a paper."""
     document, problems = source.document, list(source.problems)
     places = {problem.position for problem in problems}
     try:

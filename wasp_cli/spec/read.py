@@ -160,7 +160,6 @@ def _has(node: Any, part: str | int) -> bool:
 
 
 def read(path: Path) -> Source:
-    """Read the YAML mapping in a file."""
     return parse(_text(path), str(path))
 
 

@@ -37,7 +37,6 @@ class _Untitled(GenerateJsonSchema):
 
 
 def spec_schema() -> Schema:
-    """Return the schema of a spec file."""
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
     definitions, top = schema["$defs"], schema["properties"]
     for model in definitions.values():

@@ -14,18 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import (
-    commit,
-    corruption,
-    discard,
-    exists,
-    file_digest,
-    listed_files,
-    read_manifest,
-    staging_folder,
-    stored_keys,
-    stored_kinds,
-)
+from wasp_cli.store import artifact
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
@@ -79,8 +68,8 @@ def offers(source: Layout) -> tuple[list[Offer], list[str]]:
     """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at."""
     by_key: dict[str, list[Offer]] = {}
     notes: list[str] = []
-    for kind in stored_kinds(source):
-        for key in sorted(stored_keys(source, kind)):
+    for kind in artifact.stored_kinds(source):
+        for key in sorted(artifact.stored_keys(source, kind)):
             try:
                 by_key.setdefault(key, []).append(_offer(source, kind, key))
             except ArtifactError as error:
@@ -96,9 +85,9 @@ def not_used(kind: str, key: str, why: str) -> str:
 
 
 def _offer(source: Layout, kind: str, key: str) -> Offer:
-    manifest = read_manifest(source, kind, key)
+    manifest = artifact.read_manifest(source, kind, key)
     path = source.manifest(kind, key)
-    if MANIFEST in listed_files(manifest, path):
+    if MANIFEST in artifact.listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
     recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
     texts = [recipe, *behind.keys(), *behind.values()] if isinstance(behind, dict) else []
@@ -112,10 +101,10 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
     """Return what is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
-    if exists(layout, offer.kind, offer.key):
+    if artifact.exists(layout, offer.kind, offer.key):
         return None
     try:
-        return corruption(offer.source, offer.kind, offer.source_key)
+        return artifact.corruption(offer.source, offer.kind, offer.source_key)
     except (ArtifactError, OSError, AttributeError) as error:  # it changes now, or names no digests
         return str(error)
 
@@ -123,27 +112,27 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
     """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there."""
     with held(layout.lock(offer.key), waiting):
-        if exists(layout, offer.kind, offer.key):
+        if artifact.exists(layout, offer.kind, offer.key):
             return False
-        staging = staging_folder(layout, offer.key)
+        staging = artifact.staging_folder(layout, offer.key)
         try:
             copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
             manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
             if offer.episodes is not None:
                 manifest["summary"] = first_episodes(staging, offer.episodes)
-            commit(layout, offer.kind, offer.key, staging, manifest)
+            artifact.commit(layout, offer.kind, offer.key, staging, manifest)
         except BaseException:
-            discard(staging)
+            artifact.discard(staging)
             raise
     return True
 
 
 def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
     """Copy what a manifest lists, and nothing else that lies beside it."""
-    for name in listed_files(manifest, source.manifest(kind, key)):
+    for name in artifact.listed_files(manifest, source.manifest(kind, key)):
         path, copy = source.within(source.artifact(kind, key) / name), folder / name
         copy.parent.mkdir(parents=True, exist_ok=True)
         with open_plain(path) as file, copy.open("wb") as written:
             shutil.copyfileobj(file, written)
-        if file_digest(copy) != manifest["files"][name].get("sha256"):
+        if artifact.file_digest(copy) != manifest["files"][name].get("sha256"):
             raise ArtifactError(f"'{path}' has other bytes than were stored")

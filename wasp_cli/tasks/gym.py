@@ -6,32 +6,103 @@ Importing this module registers every task under the namespace `wasp/`; MuJoCo i
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from typing import Any, Literal, SupportsFloat, cast
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal, SupportsFloat, cast, get_args
 
 import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError, UnknownName, UnknownOption, UsageError
-from wasp_cli.tasks.base import MAP_SIZE, Observation, Pixels, Step, VectorTask
+from wasp_cli.errors import TaskError, UnknownName, UnknownOption, UsageError, did_you_mean
+from wasp_cli.tasks.base import CAMERA_SIZE, MAP_SIZE, Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
-from wasp_cli.tasks.gym_common import (
-    ObservationName,
-    checked_control,
-    drawn_layout,
-    observed_task,
-    refuse_other_task,
-    refuse_unknown,
-    shown,
-    space_of,
-)
+from wasp_cli.tasks.layout import SEED_LIMIT
+from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, task_named
+from wasp_cli.tasks.vision import sensor_shapes, with_vision
 
 Seen = NDArray[Any] | dict[str, NDArray[Any]]  # an observation: an array, or with `all` and `vision` a dictionary
 OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
 _UPSTREAM_ID = re.compile(r"(?P<name>.*?)(?P<vision>Vision)?(?P<five>Gymnasium)?(?P<debug>Debug)?(?P<version>-v\d+)")
+ObservationName = Literal["state", "pixels", "privileged", "all", "vision"]
+_FIELDS: Mapping[str, tuple[str, ...]] = {"all": Observation._fields, "vision": ("pixels", "state")}
+"""Fields of the task's observation that an environment's is made of, where its name is not that of the field."""
+
+
+def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
+    """Make a batch of a task that shows the asked observation."""
+    if observation not in (known := get_args(ObservationName)):
+        raise UsageError(f"task '{task}' has no observation '{observation}'", did_you_mean(str(observation), known))
+    for option, value in (("num_envs", batch), ("action_repeat", action_repeat), ("threads", threads)):
+        if not isinstance(value, int | np.integer) or value < 1:
+            raise UsageError(f"{option} should be an integer of at least 1, not {value!r}")
+    return make_task(task, batch, action_repeat=action_repeat, observe=_FIELDS.get(observation, (observation,)), threads=threads)
+
+
+def refuse_other_task(task: str, registered: str | None) -> None:
+    """Refuse another task under an id that stands for one: results under its name must not be those of another."""
+    if registered is not None and task != registered:
+        hint = f"that is gymnasium.make('{TASKS[task].gym_id}')" if task in TASKS else "leave task= out"
+        raise UsageError(f"'{TASKS[registered].gym_id}' is the task '{registered}', and task={task!r} cannot change it", hint)
+
+
+def refuse_unknown(made: str, task: str, options: Iterable[str], known: tuple[str, ...]) -> None:
+    """Refuse an option that the class `made` does not know, and say what was meant."""
+    for option in (option for option in options if option not in known):
+        words = f"{made}.__init__() got an unexpected keyword argument '{option}'"
+        raise UnknownOption(f"{words}: task '{task}' has no option '{option}' ({did_you_mean(option, known)})")
+
+
+def drawn_layout(draws: np.random.Generator, seed: int | None) -> int:
+    """Return the layout that a seed names; without one, or of one beyond the layouts, the next that a generator (seeded with it) draws."""
+    return int(draws.integers(SEED_LIMIT)) if seed is None or seed >= SEED_LIMIT else int(seed)
+
+
+def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
+    """Return the space of one episode's observation."""
+    if observation == "vision":
+        image = gymnasium.spaces.Box(0, 255, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
+        sensors = {name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64) for name, shape in sensor_shapes(task).items()}
+        return gymnasium.spaces.Dict({**sensors, "vision": image})
+    spaces: dict[str, gymnasium.Space[Any]] = {
+        "state": gymnasium.spaces.Box(-np.inf, np.inf, (task.state_size,), np.float64),
+        "pixels": gymnasium.spaces.Box(0, 255, (6, CAMERA_SIZE, CAMERA_SIZE), np.uint8),
+        "privileged": gymnasium.spaces.Box(-np.inf, np.inf, (task.privileged_size,), np.float32),
+    }
+    return gymnasium.spaces.Dict(spaces) if observation == "all" else spaces[observation]
+
+
+def shown(task: VectorTask, observation: Observation, row: int, name: str) -> NDArray[Any] | dict[str, NDArray[Any]]:
+    """Return what was asked for of the observation of one episode of a batch: of arrays [B, ...] those of a row [...]."""
+    fields: dict[str, NDArray[Any]] = {field: value[row : row + 1] for field, value in observation._asdict().items() if value is not None}
+    if name not in _FIELDS:
+        one: NDArray[Any] = fields[name][0]
+        return one
+    if name == "vision":
+        fields = with_vision(task, Observation(fields["pixels"], fields["state"], None))
+    return {field: value[0] for field, value in fields.items()}
+
+
+def checked_control(action: Any, shape: tuple[int, ...]) -> Floats:
+    """Return an action as float64 of a shape."""
+    try:
+        given = np.asarray(action)
+        # NumPy would drop imaginary parts, and read texts of digits.
+        if given.dtype.kind not in "biufO":
+            raise TypeError(given.dtype)
+        control = given.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        kind = f"{type(action).__name__} of {action.dtype}" if isinstance(action, np.ndarray) else type(action).__name__
+        raise TaskError(f"an action is an array of real numbers, not {kind}") from error
+    if control.shape != shape:
+        raise TaskError(f"action has shape {control.shape}, expected {shape}")
+    if not np.isfinite(control).all():
+        raise TaskError(f"action is not finite: {control.tolist()}")
+    return control
 
 
 class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
@@ -168,6 +239,79 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._seen(observation)
 
 
+VECTOR_OPTIONS = (*(name for name in OPTIONS if name != "upstream_api"), "threads", "autoreset_mode", "max_episode_steps")
+
+
+@dataclass
+class _Batch:
+    """What the rows of a vector share."""
+
+    task: VectorTask
+    step: Step | None = None  # the last one, of all rows
+
+
+class _Row(TaskEnv):
+    """One episode of a batch, which its vector advances."""
+
+    def __init__(self, batch: _Batch, row: int, **options: Any) -> None:
+        self._batch, self._row = batch, row
+        super().__init__(**options)
+
+    def _made(self, task: str, observation: str, action_repeat: int) -> VectorTask:
+        return self._batch.task
+
+    def _advance(self, action: NDArray[Any]) -> Step:
+        assert self._batch.step is not None
+        return self._batch.step
+
+
+class TaskVectorEnv(SyncVectorEnv):
+    """B episodes of a task, stepped in one call: what `gymnasium.make_vec(id, num_envs=B)` gives.
+
+    It is gymnasium's `SyncVectorEnv`, the same step by step, but physics and cameras of all rows are computed together, which is several
+    times as fast. A copy (`copy.deepcopy`, pickle) goes on bit for bit.
+
+    Arguments are those of `TaskEnv`. `autoreset_mode` says what becomes of an episode that ended: another starts with the next step, whose
+    action it ignores (`NextStep`), with the same step (`SameStep`; the last observation is `infos["final_obs"]`), or when `reset` is called
+    (`Disabled`). `threads` of physics and cameras change no result. `max_episode_steps` truncates episodes earlier than the task does.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: str = "goal1",
+        observation: ObservationName = "state",
+        action_repeat: int = 1,
+        threads: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        registered: str | None = None,
+        **options: Any,
+    ) -> None:
+        refuse_other_task(task, registered)
+        refuse_unknown("TaskVectorEnv", task, options, VECTOR_OPTIONS)
+        self._batch = _Batch(observed_task(task, num_envs, observation, action_repeat, threads))
+        options = {"task": task, "observation": observation, **options}
+
+        def made(row: int) -> gymnasium.Env[Any, Any]:
+            env = _Row(self._batch, row, **options)
+            return env if max_episode_steps is None else gymnasium.wrappers.TimeLimit(env, max_episode_steps)
+
+        super().__init__([partial(made, row) for row in range(num_envs)], autoreset_mode=autoreset_mode)
+        self.env_fns = ()  # no pickle could hold them
+
+    def step(self, actions: NDArray[Any]) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Advance every running episode under `actions` [B, A], and start those anew whose turn it is (see `autoreset_mode`)."""
+        control = checked_control(actions, (self.num_envs, self._batch.task.action_size))
+        over = self._autoreset_envs
+        if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
+            ended = ", ".join(map(str, np.flatnonzero(over)))
+            raise TaskError(f"step after the end of row {ended}", "call reset(options={'reset_mask': terminated | truncated})")
+        if not (self.autoreset_mode is AutoresetMode.NEXT_STEP and over.all()):
+            self._batch.step = self._batch.task.step(control)
+        return super().step(control)
+
+
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
     """Make a task that takes actions [A] and gives the reference package's six values: stands for `safety_gymnasium.make(id)`.
 
@@ -195,7 +339,6 @@ def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
 
 
 def register_envs() -> None:
-    """Register every task that is not registered yet."""
     for name in TASKS:
         info = TASKS[name]
         if info.gym_id not in gymnasium.registry:
@@ -204,7 +347,7 @@ def register_envs() -> None:
             gymnasium.register(
                 id=info.gym_id,
                 entry_point="wasp_cli.tasks.gym:TaskEnv",
-                vector_entry_point="wasp_cli.tasks.gym_vector:TaskVectorEnv",
+                vector_entry_point="wasp_cli.tasks.gym:TaskVectorEnv",
                 disable_env_checker=True,
                 kwargs={"task": name, "registered": name},
             )

@@ -65,7 +65,8 @@ def draw_sheet(task: str, seed: int, steps: int, path: Path | None) -> Path:
         f"limit {limit}   ·   success: {goals}   ·   costs: {', '.join(made.cost_sources) or 'none'}",
     )
     sheet = _composed(lines, first.pixels[: 3 * cameras], overview)
-    path = path or Path(f"{_file_name(name)}_seed{seed}.png")
+    usable = "".join(character if character.isalnum() or character in "._-" else "-" for character in name).lstrip(".-")
+    path = path or Path(f"{usable}_seed{seed}.png")
     (_with_strip(sheet, moments, cameras, made.decision_seconds) if steps else sheet).save(path, format="PNG")
     return path
 
@@ -149,8 +150,3 @@ def _composed(lines: tuple[str, ...], pixels: Pixels, overview: Pixels | None) -
         sheet.paste(shown, (x, y))
         draw.text((x, y + side + 3), name, _INK, small)
     return sheet
-
-
-def _file_name(task: str) -> str:
-    """A task's name without what a file name cannot hold."""
-    return "".join(character if character.isalnum() or character in "._-" else "-" for character in task).lstrip(".-")

@@ -19,19 +19,10 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.report.explain.episode import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.video import trace
 from wasp_cli.video.film import checked, write
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
-from wasp_cli.video.trace import (
-    ImaginedTrajectories,
-    PlayedDecision,
-    PlayedEpisode,
-    Progress,
-    Source,
-    imagine,
-    integrated,
-    play_episode,
-    threads_of_evaluations,
-)
+from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, PlayedEpisode, Progress, Source
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
@@ -83,7 +74,7 @@ class Painter:
             self._view = self._fresh_view()  # a map that follows its robot has to be painted from the first frame on
         self._next = index + 1
         decision = self.played.decisions[index]
-        imagined = imagine(self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
+        imagined = trace.imagine(self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
@@ -129,7 +120,7 @@ class Painter:
             return
         for sequence, colour in zip(imagined.features, _SEQUENCES, strict=False):
             dash = 0 if colour == EXECUTED else 1
-            for number, places in reversed(list(enumerate(integrated(pose, self.played.readout(sequence))))):
+            for number, places in reversed(list(enumerate(trace.integrated(pose, self.played.readout(sequence))))):
                 if number == 0:
                     picture.line(places, "#FFFFFFB0", 4.0)
                 picture.line(places, colour, 2.2 if number == 0 else 0.8, dash)
@@ -204,14 +195,14 @@ def film_episode(
     """Play a cell again and write the video of one of its rows: a frame at every `every`-th decision, and at the last."""
     checked(out)
     shown = decisions_shown(stored, every)
-    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
+    played = trace.play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
     painter = Painter(played, stored, horizon, correction)
 
     def painted(index: int) -> None:
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
 
     times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
-    with threads_of_evaluations():
+    with trace.threads_of_evaluations():
         write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
     return WrittenVideo(len(shown), None if played.readout is None else dict(zip(MOVES, played.explained.tolist(), strict=True)))
 
@@ -229,10 +220,10 @@ def decisions_shown(stored: Episode, every: int) -> list[int]:
 def frames_of(source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
     """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
     shown = decisions_shown(stored, every)
-    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
+    played = trace.play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
     painter = Painter(played, stored, horizon, correction)
     for index in range(len(shown)):
-        with threads_of_evaluations():
+        with trace.threads_of_evaluations():
             frame = np.asarray(painter.frame(index))
         yield frame
 

@@ -41,8 +41,6 @@ NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 
 class Films:
-    """The films of a results folder."""
-
     def __init__(self, layout: Layout, room: int = ROOM) -> None:
         """Use a folder within the results, or one of our own where these cannot be written."""
         self._layout, self._room = layout, room
@@ -94,7 +92,6 @@ class Films:
             return None
 
     def close(self) -> None:
-        """Stop drawing."""
         with self._lock:
             for name, process in self._drawing.items():
                 if process.poll() is None:

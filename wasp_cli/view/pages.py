@@ -41,7 +41,6 @@ FIRST = 400  # rows that are laid out at once; a browser takes seconds for thous
 MOST = 1500  # cells whose numbers are read for the first page: seconds
 FACTS = 200  # lines of what is known of a person's session, at most
 NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
-Pair = tuple[tuple[ListedCell, FoundCell], tuple[ListedCell, FoundCell]]
 
 
 def cells_page(site: Site) -> str:
@@ -149,7 +148,11 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
     pair = site.one(a), site.one(b)
-    worlds = _worlds(pair)
+    tables = []
+    for _, artifact in pair:
+        with odd_tables_refused(artifact.path):
+            tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
+    worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}  # both episodes in a world
     first, second = (site.cells.one(cell).numbers for cell, _ in pair)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
@@ -174,15 +177,6 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
         views=[episode.episode_view(site, cell, stored, start) for (cell, _), stored in zip(pair, episodes, strict=False)],
         problem=problem, differs=differs, worlds=worlds, pair=(a, b),
     )  # fmt: skip
-
-
-def _worlds(pair: Pair) -> dict[int, tuple[dict[str, Any], dict[str, Any]]]:
-    """The episodes of both cells in each world that both met, by its seed."""
-    tables = []
-    for _, artifact in pair:
-        with odd_tables_refused(artifact.path):
-            tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
-    return {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}
 
 
 def first_difference(a: Episode, b: Episode) -> int | None:

@@ -57,7 +57,6 @@ class LocalServer:
             time.sleep(0.01)
 
     def stop(self) -> None:
-        """End the connections and the thread."""
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(5.0)

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.episode import LOOKS, Episode, number
-from wasp_cli.report.explain.facts import Decision, Gate, Planned, Run, decision_of, exceeds, merged_runs, runs_of
+from wasp_cli.report.explain.facts import Decision, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,
     INDENT,
@@ -46,26 +46,20 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
     telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
     place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
     hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"
-    return [*set_out(_episode_parts(episode, width), width), Text(hint, "dim")]
-
-
-def _episode_parts(episode: Episode, width: int) -> Iterator[RenderableType]:
-    yield heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}")
-    yield _episode_headline(episode)
-    yield ""
-    yield fields([*cell_fields(episode), *_outcome(episode)])
-    if episode.selective:
-        yield from section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
-    runs = merged_runs(episode, MOST_RUNS)
-    yield from section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs)))
-
-
-def _episode_headline(episode: Episode) -> str:
     intervened, costly, missed, late = _counts(episode)
     changed = f"{intervened} of {count(episode.decisions, 'command')} changed" if intervened else "No command changed"
     blame = f", {missed} of them missed (no gate fired)" if costly and episode.selective else ""
     blame += f", {late} while the assistant was late" if late else ""
-    return f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}."
+    runs = merged_runs(episode, MOST_RUNS)
+    parts = [
+        heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}"),
+        f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}.",
+        "",
+        fields([*cell_fields(episode), *_outcome(episode)]),
+        *(section("Gates" if episode.gated else "Decisions", *_gate_counts(episode)) if episode.selective else ()),
+        *section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs))),
+    ]
+    return [*set_out(parts, width), Text(hint, "dim")]
 
 
 def _counts(episode: Episode) -> tuple[int, int, int, int]:
@@ -198,10 +192,21 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     yield fields(cell_fields(episode))
     yield from section("Action", _action(facts))
     if facts.safety is not None and facts.task is not None:
-        yield from section("Gates", *_gates(episode, facts.safety, facts.task))
+        rows, styles = [], []
+        for look, gate, symbol, limit in (
+            (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r")
+        ):  # fmt: skip
+            value, threshold = beside(gate.value, gate.threshold)
+            rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
+            styles.append(look.style if gate.state == "fired" else "")
+        meanings = notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
+        yield from section("Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings)
         yield from section("Plan", *_plan(episode, facts))
     elif facts.signal is not None:
-        yield from section("Decision", *_signal(episode, facts))
+        signal, fired = episode.signal, facts.gate == "method"
+        row = [signal.name, *beside(facts.signal, episode.signal_limit), short(episode.thresholds.tau_q), "yes" if fired else "no"]
+        drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
+        yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
     shared, time = episode.episodes, "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
         time += f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, divided by {shared}"
@@ -240,24 +245,6 @@ def _action(facts: Decision) -> RenderableType:
     return table(["action", "value", "meaning"], rows)
 
 
-def _gates(episode: Episode, safety: Gate, task: Gate) -> list[RenderableType]:
-    rows: list[list[str]] = []
-    styles: list[str] = []
-    for look, gate, symbol, limit in ((LOOKS[GATE_SAFETY], safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], task, "ΔG", "τ_r")):
-        value, threshold = beside(gate.value, gate.threshold)
-        rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
-        styles.append(look.style if gate.state == "fired" else "")
-    constants = episode.constants
-    return [table(["gate", "value", "threshold", "fires"], rows, styles), *notes(cost_meaning(constants), gain_meaning(constants))]
-
-
-def _signal(episode: Episode, facts: Decision) -> list[RenderableType]:
-    signal, fired = episode.signal, facts.gate == "method"
-    row = [signal.name, *beside(facts.signal, episode.signal_limit), short(episode.thresholds.tau_q), "yes" if fired else "no"]
-    drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
-    return [drawn, *notes(f"{signal.name}: {signal.meaning}")]
-
-
 def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     plan = facts.plan
     if plan is None:
@@ -280,7 +267,12 @@ def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
 
 def _corrections(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
     if plan.empty:
-        return [fields([("correction", f"none: {_no_correction(episode, facts, plan)}")])]
+        why = "no candidate was predicted to be worth its size (Eq. 16-17)"
+        if episode.variant == "no-case2" and not any(plan.safe):
+            why = "no candidate was safe, and this variant has no recovery (Case II)"
+        elif facts.gate == "safety" and plan.alone_cost is not None and not exceeds(plan.alone_cost, episode.thresholds.tau_c):
+            why = "on a second look the command alone was predicted safe, and no correction was worth more"
+        return [fields([("correction", f"none: {why}")])]
     many = len(plan.residuals) if plan.searched else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
     rows = [[f"+{k}", action(residual), "not executed: planned again then"] for k, residual in enumerate(plan.residuals[:many])]
     rows[0][::2] = "now", "executed"
@@ -295,14 +287,6 @@ def _case(episode: Episode, case2: bool) -> str:
     if episode.variant == "no-case2":
         return f"Case II: fewer than {needed} are safe; this variant has no recovery and goes on with these"
     return f"Case II: fewer than {needed} are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)"
-
-
-def _no_correction(episode: Episode, facts: Decision, plan: Planned) -> str:
-    if episode.variant == "no-case2" and not any(plan.safe):
-        return "no candidate was safe, and this variant has no recovery (Case II)"
-    if facts.gate == "safety" and plan.alone_cost is not None and not exceeds(plan.alone_cost, episode.thresholds.tau_c):
-        return "on a second look the command alone was predicted safe, and no correction was worth more"
-    return "no candidate was predicted to be worth its size (Eq. 16-17)"
 
 
 def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:

@@ -10,25 +10,15 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables.main import (
-    AUTONOMY,
-    LABELS,
-    MEANINGS,
-    MORE_COLUMNS,
-    PAPER_COLUMNS,
-    full_groups,
-    labels_of,
-    missing_notes,
-    part_of,
-    values,
-)
+from wasp_cli.report.tables import main
+from wasp_cli.report.tables.main import full_groups, labels_of, missing_notes, part_of, values
 from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
-SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
+SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in main.PAPER_COLUMNS if column.key == key)
 REFERENCE = "human"
-SWEEP_COLUMNS = (*PAPER_COLUMNS, *(column for column in MORE_COLUMNS if column.key == "mag_int"))
-SWEEP_OPERATOR_COLUMNS = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost"))
+SWEEP_COLUMNS = (*main.PAPER_COLUMNS, *(column for column in main.MORE_COLUMNS if column.key == "mag_int"))
+SWEEP_OPERATOR_COLUMNS = tuple(column for column in main.PAPER_COLUMNS if column.key in ("return", "success", "cost"))
 UNTOUCHED = "-"  # the value of a method whose cells are the same for every value
 UNTOUCHED_NOTE = f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are the same for every value."
 DIFFERENCE = "In brackets: mean difference to Human-only over the operators, severities and seeds that both have."
@@ -40,7 +30,7 @@ Condition = tuple[str, float | None]  # operator variant and severity value
 def operator_table(frame: Frame) -> Table:
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
-    columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
+    columns = [(variant, column) for variant in variants for column in main.PAPER_COLUMNS if column.key in ("return", "cost")]
     rows = []
     for group in impaired:
         numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
@@ -50,7 +40,7 @@ def operator_table(frame: Frame) -> Table:
         for variant, column in columns
     ]
     return Table(
-        "operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=("Mean over the severities of a variant.",)
+        "operators", "Per operator variant", main.LABELS, tuple(headings), tuple(rows), meanings=("Mean over the severities of a variant.",)
     )
 
 
@@ -109,7 +99,7 @@ class Line:
         """Return the numbers of the row. Human-only corrects nothing, so the columns of autonomy have no difference to it."""
         pairs = zip(values(self.group, columns), columns, strict=True)
         return tuple(
-            value if column.key in AUTONOMY else replace(value, delta=paired_difference(self.group.cells, self.reference, column.key))
+            value if column.key in main.AUTONOMY else replace(value, delta=paired_difference(self.group.cells, self.reference, column.key))
             for value, column in pairs
         )
 
@@ -159,7 +149,7 @@ def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
     frame = combined(key, swept)
     notes = (spread_note(frame.cells), *missing_notes(frame), CHOICE)
     meanings = (
-        *MEANINGS[:1],
+        *main.MEANINGS[:1],
         *[DIFFERENCE] * any(line.reference for line in rows_of),
         *[UNTOUCHED_NOTE] * any(line.swept is None for line in rows_of),
     )

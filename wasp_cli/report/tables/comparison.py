@@ -40,7 +40,12 @@ def comparison_table(frame: Frame) -> Table | None:
     difference = Column("difference", f"Difference to {METHODS[REFERENCE].title}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
     lonely = [] if referred else ["The reference has no cells here, so that nothing is compared with it."]
-    notes = (*_interval_notes(rows), *lonely, *missing_notes(frame))
+    if many := sum(value.interval is not None for row in rows for value in row.values):
+        counted = f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
+        said = [*limit_notes(rows), counted]
+    else:
+        said = ["No intervals: there is a single world to resample."]
+    notes = (*said, *lonely, *missing_notes(frame))
     labels = ("Task", "Measure", "Method")
     return Table("statistics", "Confidence intervals", labels, columns, tuple(rows), notes, MEANINGS, grouping=2)
 
@@ -73,16 +78,6 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
             coarse = ", so they are coarse" if interval.clusters < 6 else ""
             what = f"trainings, each with its models and worlds; {distinct_resamples(interval.clusters):,} resamples differ{coarse}"
         yield f"[low, high]: {words}, by a bootstrap with {RESAMPLES} resamples of the {what}."
-
-
-def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    intervals = [value.interval for row in rows for value in row.values if value.interval is not None]
-    if not intervals:
-        yield "No intervals: there is a single world to resample."
-        return
-    yield from limit_notes(rows)
-    many = len(intervals)
-    yield f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 
 INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
@@ -143,7 +138,13 @@ def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
 
 def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
     if frame.judged:
-        yield f"{_thresholds(frame)}."
+        windows = " and ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
+        gains: dict[str, list[float]] = {}
+        for identity, judged in frame.judged.items():
+            gains.setdefault(identity.task, []).append(judged.tau_R)
+        spans = {task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()}
+        named = (f"{low if low == high else f'{low} to {high}'} on {task_title(task)}" for task, (low, high) in spans.items())
+        yield f"W = {windows} decisions, τ_R = {', '.join(named)}."
         yield from limit_notes(rows)
         if any(identity.operator == PERSON for identity in frame.judged):
             yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
@@ -159,13 +160,3 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
             f"INCOMPLETE: {len(frame.unbranched)} {have} no counterfactual branches. "
             "Rows with [x of y cells] are partial and never marked best."
         )
-
-
-def _thresholds(frame: Frame) -> str:
-    windows = " and ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
-    gains: dict[str, list[float]] = {}
-    for identity, judged in frame.judged.items():
-        gains.setdefault(identity.task, []).append(judged.tau_R)
-    spans = {task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()}
-    named = (f"{low if low == high else f'{low} to {high}'} on {task_title(task)}" for task, (low, high) in spans.items())
-    return f"W = {windows} decisions, τ_R = {', '.join(named)}"

@@ -15,16 +15,7 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
-from wasp_cli.report.summary import (
-    UNDEFINED,
-    Value,
-    over_episodes,
-    over_seeds,
-    paired_difference,
-    same_episodes,
-    spread_note,
-    summarise,
-)
+from wasp_cli.report.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, same_episodes, spread_note, summarise
 from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 PAPER_COLUMNS = (
@@ -210,19 +201,18 @@ def latency_table(frame: Frame) -> Table | None:
 def threshold_table(frame: Frame) -> Table:
     rows = []
     for group in groups(frame):
-        numbers = tuple(_threshold(group.cells, column.key) for column in THRESHOLD_COLUMNS)
+        numbers = []
+        for column in THRESHOLD_COLUMNS:
+            by_seed = {cell.identity.seed: getattr(cell.thresholds, column.key) for cell in group.cells}
+            known = (value for value in by_seed.values() if value is not None and math.isfinite(value))
+            numbers.append(over_seeds(known, ranked=False))
         if any(value.mean is not None for value in numbers):
-            rows.append(Row(labels_of(group), numbers))
+            rows.append(Row(labels_of(group), tuple(numbers)))
     meanings = (
         "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from here on (safety filter); tau_r: return; "
         "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",
     )
     return Table("thresholds", "Thresholds in force", ("Task", "Method"), THRESHOLD_COLUMNS, tuple(rows), meanings=meanings)
-
-
-def _threshold(cells: tuple[CellNumbers, ...], key: str) -> Value:
-    by_seed = {cell.identity.seed: getattr(cell.thresholds, key) for cell in cells}
-    return over_seeds((value for value in by_seed.values() if value is not None and math.isfinite(value)), ranked=False)
 
 
 def in_words(frame: Frame) -> list[str]:

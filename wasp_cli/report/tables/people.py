@@ -247,22 +247,24 @@ def _order(sittings: Sequence[Sitting]) -> Table:
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
-    notes = (*_notes(sittings), *_balance(sittings))
+    placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
+    conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
+    balanced = len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(places_there)
+    unbalanced = () if balanced else ("NOT BALANCED: not every condition stood in every place equally often.",)
+    notes = (*_notes(sittings), *unbalanced)
     meanings = ("Difference to the mean of the condition: what being driven first, second, ... changed, whichever condition it was.",)
     return Table("order", "People: effect of the order", ("Task", "Place"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
-
-
-def _balance(sittings: Sequence[Sitting]) -> tuple[str, ...]:
-    placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
-    cells = {condition for condition, _ in placed}, {place for _, place in placed}
-    balanced = len(set(placed.values())) == 1 and len(placed) == len(cells[0]) * len(cells[1])
-    return () if balanced else ("NOT BALANCED: not every condition stood in every place equally often.",)
 
 
 def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     rows = []
     for condition, own in groups.items():
-        summary = timing_summary(pa.concat_tables([_own_beats(each, number) for number, each in enumerate(own)]))
+        tables = []
+        for number, each in enumerate(own):  # episodes of several cells are told apart, since a key of one is not held in the next
+            episodes = pa.array(np.asarray(each.beats["episode"]) + 1_000_000 * number, pa.int32())
+            where = each.beats.schema.get_field_index("episode")
+            tables.append(each.beats.set_column(where, each.beats.schema.field("episode"), episodes))
+        summary = timing_summary(pa.concat_tables(tables))
         summary |= {name: sum(getattr(each, name) for each in own) for name in ("pauses", "cut", "lost")}
         numbers = [summary[column.key] for column in TIMES]
         people = len({each.participant for each in own})
@@ -275,10 +277,3 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
     )
     title, notes = "People: were decisions in time?", (people_fact(sittings),)
     return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)
-
-
-def _own_beats(sitting: Sitting, number: int) -> pa.Table:
-    """The decisions of a cell; episodes of several cells are told apart, since a key of one is not held in the next."""
-    episodes = np.asarray(sitting.beats["episode"]) + 1_000_000 * number
-    where = sitting.beats.schema.get_field_index("episode")
-    return sitting.beats.set_column(where, sitting.beats.schema.field("episode"), pa.array(episodes, pa.int32()))

@@ -78,7 +78,12 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
     All seeds of a name look the same. A rollout in which no episode ended has no return.
     """
-    curves = [*driving_curves(layout, trained), *map(_smoothed, loss_curves(layout, trained))]
+    curves = driving_curves(layout, trained)
+    for curve in loss_curves(layout, trained):
+        width = min(SMOOTHED, len(curve.x))
+        middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
+        smooth = {name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()}
+        curves.append(replace(curve, x=middle, y=smooth))
     tasks = list(dict.fromkeys(curve.task for curve in curves))
     shown = [quantity for quantity in QUANTITIES if any(np.isfinite(curve.y.get(quantity, np.nan)).any() for curve in curves)]
     if not tasks or not shown:
@@ -140,12 +145,6 @@ def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
             areas = 6.0 + 10.0 * np.log10(each.size[here])
             x, y = each.predicted[here], each.seen[here]
             yield Line(x, y, label, colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)
-
-
-def _smoothed(curve: Curve) -> Curve:
-    width = min(SMOOTHED, len(curve.x))
-    middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
-    return replace(curve, x=middle, y={name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()})
 
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:

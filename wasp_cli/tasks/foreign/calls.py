@@ -134,7 +134,6 @@ def _number(value: Any) -> float | None:
 
 
 def _shown(value: Any) -> str:
-    """A value in one short line."""
     number = _number(value)
     text = f"{number:g}" if number is not None and not isinstance(value, bool | np.bool_) else " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

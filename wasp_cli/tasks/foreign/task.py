@@ -108,7 +108,6 @@ class GymTask:
         self._observe_row(row, done.seen, first=False)
 
     def _count(self, row: int, done: EnvStep, totals: Totals) -> None:
-        """Add up cost and goals of an env step."""
         totals.cost[row] += done.cost > 0
         for source, value in done.sources.items():
             if source not in totals.sources:
