@@ -1,7 +1,5 @@
 """The commands that the documentation shows exist, with the options that it shows."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The command line from outside: exit codes, messages, what goes to which stream, what is imported."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

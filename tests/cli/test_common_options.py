@@ -1,7 +1,5 @@
 """Options that commands share, and what a terminal, a pipe and a folder without permission get."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """`wasp compare` from outside."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a shell offers behind TAB."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

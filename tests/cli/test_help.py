@@ -1,7 +1,5 @@
 """What `--help` shows: all commands on one screen, and examples that can be typed after the quickstart."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wasp check` and `wasp schema` from outside."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

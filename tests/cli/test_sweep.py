@@ -1,7 +1,5 @@
 """`wasp sweep` from end to end, over fake stages whose evaluations leave cells that can be worked out by hand."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

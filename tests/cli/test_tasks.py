@@ -1,7 +1,5 @@
 """`wasp list` and `wasp draw`: the lists, the picture of a layout, what they say to wrong input."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The grid as Slurm jobs: submitit is real, and `sbatch`, `srun`, `sacct` and `scancel` run the jobs on this machine."""
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

@@ -1,7 +1,5 @@
 """A cell of `wasp_cli.results` played again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What docs/results.md shows is run: its lines over the small run that is checked in, its readers over cells of today's layout."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

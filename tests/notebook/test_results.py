@@ -1,7 +1,5 @@
 """`wasp_cli.results` over the small run that is checked in, which earlier versions wrote: rows, choices, tables, and what goes wrong."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

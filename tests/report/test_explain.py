@@ -1,7 +1,5 @@
 """Why an assistant did what it did: from invented rows to facts, tables and JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Whatever a table holds can be explained."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable

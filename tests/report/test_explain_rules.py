@@ -1,7 +1,5 @@
 """Other rules, the other WASPs, late assistants and searches that were cut off, as `wasp explain` tells them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

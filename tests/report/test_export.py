@@ -1,7 +1,5 @@
 """`wasp export`: stored curves and the main table, read again by TensorBoard and Trackio themselves."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_golden_store.py`. How the store was made: golden_store.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -57,15 +55,7 @@ def test_every_table_in_every_format_is_the_same_to_the_byte(report: Report) -> 
 def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Report) -> None:
     assert not report.missing
     assert not report.damaged
-    assert {table.name for table in report.tables} >= {
-        "table1",
-        "table2",
-        "figure3",
-        "paper",
-        "statistics",
-        "severity",
-        "latency",
-    }
+    assert {table.name for table in report.tables} >= {"table1", "table2", "figure3", "paper", "statistics", "severity", "latency"}
     assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
 
 

@@ -1,7 +1,5 @@
 """Figure 3: as a table and as a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

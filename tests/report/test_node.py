@@ -1,7 +1,5 @@
 """`wasp show`: what is known of a node."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Notes beside the store: reports show them, leave out what is invalid, and say so; no result changes."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What a table cannot see: changed rows, cells of several versions, and a method that is not installed any more."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

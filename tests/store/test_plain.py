@@ -6,16 +6,7 @@ import os
 import pytest
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import (
-    commit,
-    damage,
-    discard,
-    is_file_name,
-    read_manifest,
-    read_record,
-    staging_folder,
-    stored_keys,
-)
+from wasp_cli.store.artifact import commit, damage, discard, is_file_name, read_manifest, read_record, staging_folder, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
 

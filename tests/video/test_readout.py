@@ -1,7 +1,5 @@
 """Paths that are read out of latents: the geometry, and that the fit finds what is linear and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Videos of episodes: what is gathered is what was recorded, and what is drawn is where it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

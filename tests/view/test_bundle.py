@@ -1,7 +1,5 @@
 """The pages as a folder: from file:// a real Chromium walks to a step and back, and asks nobody for anything."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

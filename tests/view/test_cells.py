@@ -1,7 +1,5 @@
 """The table of a store that grows and is noted on, and two cells beside each other."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Films on demand: what is drawn is kept, bounded, and never of a module that results name."""
 
-from __future__ import annotations
-
 import io
 import os
 import time

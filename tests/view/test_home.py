@@ -1,7 +1,5 @@
 """The first page: the main table of each spec, whose numbers lead to their cells, and its report, which is a stranger to the server."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from html import unescape

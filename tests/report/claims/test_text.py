@@ -1,7 +1,5 @@
 """The verdict as tables, text and HTML: the paper that is shipped, over a grid of invented cells."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """The verdict: the rule for a comparison, what a claim makes of its comparisons, and what stands beside the paper's numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product

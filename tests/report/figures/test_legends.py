@@ -1,7 +1,5 @@
 """The legend of every figure lies within it, whatever the number of tasks and of methods."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product

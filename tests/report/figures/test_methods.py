@@ -1,7 +1,5 @@
 """Figures of methods, and of methods along the severities."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The curves of a sweep: what the lines show, and that the same numbers draw the same bytes."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

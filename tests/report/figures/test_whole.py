@@ -1,7 +1,5 @@
 """A figure is there whole or not at all, whenever the process that draws it is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

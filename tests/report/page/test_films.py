@@ -1,7 +1,5 @@
 """Which episode is shown, and that it is the recorded one."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

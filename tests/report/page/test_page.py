@@ -1,7 +1,5 @@
 """The page as a whole: everything is in it, nothing is fetched, nobody's text becomes markup."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What a timeline draws: each gate's curve against its threshold, what was done, what it cost."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

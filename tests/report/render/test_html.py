@@ -1,7 +1,5 @@
 """Tables and pages as HTML, and text that somebody else wrote in Markdown: nothing of it becomes markup."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 from typing import Any
 

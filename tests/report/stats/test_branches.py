@@ -1,7 +1,5 @@
 """Counterfactual branches beside the other numbers of a cell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The numbers of cells, and what a row of a table makes of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the printed WASP is a method of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

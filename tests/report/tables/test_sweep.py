@@ -1,7 +1,5 @@
 """The tables of a sweep against numbers worked out by hand (tests/report/swept.py says how)."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

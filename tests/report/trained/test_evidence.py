@@ -1,7 +1,5 @@
 """Pictures and pages of trained parts: all that there are, and nothing from what is damaged or leads elsewhere."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
