@@ -47,11 +47,6 @@ def test_what_an_earlier_report_drew_goes(store: tuple[Layout, list[Trained]], t
     assert [path.name for path in files] == ["quality.md"]
 
 
-def test_a_report_without_trained_parts_has_no_such_folder(tmp_path: Path) -> None:
-    assert write_evidence(Layout(tmp_path), [], tmp_path) == []
-    assert not (tmp_path / "trained").exists()
-
-
 def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
