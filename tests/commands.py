@@ -9,8 +9,8 @@ from wasp_cli import console
 from wasp_cli.cli.app import app
 
 
-def run_here(*arguments: str | Path, columns: int) -> Result:
-    """`wasp ARGUMENTS` with a terminal of so many columns.
+def run_here(*arguments: str | Path, columns: int, code: int | None = None) -> Result:
+    """`wasp ARGUMENTS` with a terminal of so many columns, and the exit code that is asked for.
 
     The consoles keep the stream of their first use, which belongs to an earlier test or is closed with the runner.
     """
@@ -18,7 +18,9 @@ def run_here(*arguments: str | Path, columns: int) -> Result:
     for made in consoles:
         made.cache_clear()
     try:
-        return CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": str(columns)})
+        done = CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": str(columns)})
     finally:
         for made in consoles:
             made.cache_clear()
+    assert code in (None, done.exit_code), done.output
+    return done

@@ -1,7 +1,5 @@
 """docs/examples/severities.py judges the published operators without assistance."""
 
-from __future__ import annotations
-
 from tests.test_docs import ROOT
 
 

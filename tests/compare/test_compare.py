@@ -1,7 +1,5 @@
 """Two results folders side by side: which cells are alike, what changed behind those that are not, and what is more than noise."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two evaluations of one cell: the test against every flip written out, and the corrections against their definitions."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whole results folders of invented cells, to be compared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -71,8 +71,7 @@ def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes, small_s
     results = small_disk / "results"
     run(small_spec, results)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    refused = run_here("run", small_spec, "--results", results, "-j", "0", columns=400)
-    assert refused.exit_code == 1
+    refused = run_here("run", small_spec, "--results", results, "-j", "0", columns=400, code=1)
     assert refused.stderr.startswith(f"error: cannot write results to '{results}': read-only file system")
     for command in (("plan", small_spec, "--results", results), ("status", results), ("show", "goal1 s0 expert", "--results", results)):
         assert run_here(*command, columns=80).exit_code == 0

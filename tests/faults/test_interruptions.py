@@ -2,10 +2,22 @@
 
 import os
 import signal
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from tests.run.harness import as_undisturbed, finished, group_is_gone, run, start, wait_until, wasp
+from tests.commands import run_here
+from tests.run.harness import as_undisturbed, finished, group_is_gone, prepared, run, start, wait_until, wasp
+from wasp_cli.errors import TimeLimitExceeded
+from wasp_cli.run.job import interruptible, was_ended
+from wasp_cli.run.pool import InlinePool, LokyPool, Pool
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import Runner, Summary
+from wasp_cli.run.worker import KILLED
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_json_lines
 
@@ -102,3 +114,144 @@ def test_two_runs_share_one_store(fakes, small_spec, tmp_path):
     ran = fakes.executions()
     assert len(ran) == len(set(ran)) == len(finished(results))
     assert as_undisturbed(small_spec, results)
+
+
+# Nodes that take too long, sleep for ever, hang in native code, kill their worker, or eat memory until they are killed.
+
+
+NODE = "goal1 s0 evaluate human {} noisy"
+LABEL = "goal1 s0 human noisy=0.2"
+
+
+def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retries: int = 0) -> Summary:
+    loaded, layout, plan = prepared(spec, results)
+    try:
+        return Runner(layout, new_run(layout, loaded, plan), pool, limit=limit, retries=retries).run(plan)
+    finally:
+        pool.close(kill=True)
+
+
+@pytest.mark.parametrize(
+    "pool",
+    [
+        pytest.param(InlinePool, id="inline"),
+        pytest.param(lambda: LokyPool(1), id="one worker", marks=pytest.mark.slow),
+        pytest.param(lambda: LokyPool(2), id="two workers"),
+    ],
+)
+def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fakes, small_spec, tmp_path):
+    fakes.set(behave={NODE: "sleep"})
+    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=8.0)
+    ((node, result),) = summary.failed
+    assert node.label == LABEL
+    assert result.message == "it took longer than the limit of 8.0 s"
+    assert not summary.blocked
+    fakes.set()
+    assert run(small_spec, tmp_path / "results").complete
+    assert as_undisturbed(small_spec, tmp_path / "results")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, fakes, small_spec, tmp_path):
+    fakes.set(behave={NODE: "hang"})
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
+    ((node, result),) = summary.failed
+    assert node.label == LABEL
+    assert result.message == "it exceeded its time limit and did not stop, so its process was ended"
+    assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
+    assert not list((tmp_path / "results").glob("runs/*/running/*"))
+    fakes.set()
+    assert run(small_spec, tmp_path / "results").complete
+
+
+@pytest.mark.slow
+def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes, small_spec, tmp_path):
+    results = tmp_path / "results"
+    fakes.set(behave={NODE: "eat"})
+    process = start("run", small_spec, "--results", results, "-j", "2")
+    killed = 0
+
+    def killer() -> None:
+        """The kernel, when memory runs out."""
+        nonlocal killed
+        while process.poll() is None:
+            for path in results.glob("runs/*/running/*.json"):
+                record = read_record(path) or {}
+                if record.get("label") == LABEL and float(record.get("memory_mb", 0)) > 300:
+                    os.kill(int(record["pid"]), signal.SIGKILL)
+                    killed += 1
+                    time.sleep(0.5)
+            time.sleep(0.02)
+
+    thread = threading.Thread(target=killer)
+    thread.start()
+    _, errors = process.communicate(timeout=600)
+    thread.join()
+    assert process.returncode == 1
+    assert killed == 2
+    assert f"{LABEL}: {KILLED}; it last held " in errors
+    held = float(errors.partition(f"{KILLED}; it last held ")[2].split()[0])
+    assert 300 < held < 3000
+    fakes.set()
+    again = run(small_spec, results)
+    assert (again.done, again.complete) == (1, True)
+
+
+def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, small_spec, tmp_path):
+    fakes.set(behave={NODE: "raise once", "goal1 s0 ida_q": "refuse"})
+    summary = limited_run(small_spec, tmp_path / "results", InlinePool(), limit=None, retries=2)
+    assert [node.label for node, _ in summary.failed] == ["goal1 s0 ida_q"]
+    assert sum(NODE in line for line in fakes.executions()) == 2
+    assert sum("s0 ida_q" in line for line in fakes.executions()) == 1
+
+
+def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
+    """As in a dask worker, where no signal arrives."""
+    caught: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            with interruptible(0.2, tmp_path / "marker", own_process=False):
+                while True:
+                    time.sleep(0.01)
+        except TimeLimitExceeded as error:
+            caught.append(error)
+        for _ in range(50):  # a late alarm would end this
+            time.sleep(0.002)
+        caught.append(StopIteration())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(300)
+    assert [type(error) for error in caught] == [TimeLimitExceeded, StopIteration]
+    assert not was_ended(tmp_path / "marker")
+
+
+def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monkeypatch):
+    fakes.set(behave={NODE: "sleep"})
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
+    done = run_here("run", small_spec, "--results", tmp_path / "results", "-j", "0", "--timeout", "8s", columns=200, code=1)
+    assert f"{LABEL}: it took longer than the limit of 8.0 s\n      allow more time with --timeout" in done.stderr
+    refused = run_here("run", small_spec, "--timeout", "soon", columns=80)
+    assert (refused.exit_code, "invalid duration 'soon'" in refused.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(jobs, fakes, small_spec, tmp_path):
+    fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)
+    pool = LokyPool(jobs)
+    try:
+        summary = run(small_spec, tmp_path / "results", pool)
+    finally:
+        pool.close(kill=True)
+    assert [node.label for node, _ in summary.failed] == ["goal1 s0 human noisy=0.2"]
+    assert summary.failed[0][1].message.startswith(f"{KILLED}; it last held ")
+    assert not summary.blocked
+    ran = fakes.executions()
+    # In flight at a death: the victim and at most one other. Nothing else runs twice.
+    assert len(ran) - len(set(ran)) <= 2 * jobs
+    fakes.set()
+    again = run(small_spec, tmp_path / "results")
+    assert (again.done, again.complete) == (1, True)
+    assert as_undisturbed(small_spec, tmp_path / "results")

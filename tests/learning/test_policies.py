@@ -1,5 +1,7 @@
 """Labelling of latents, on-policy rounds and the rule that keeps one of them."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -7,11 +9,14 @@ from torch import Tensor
 
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning import policies
-from wasp_cli.learning.configs import PoliciesConfig
+from wasp_cli.learning.configs import PoliciesConfig, ReinforceConfig
 from wasp_cli.learning.dataset import Behaviour
+from wasp_cli.learning.latent_ppo import FilteredTask
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.policies import Labelled, explained, fit, new_skills
+from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
+from wasp_cli.methods.base import Parts
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.stages.base import no_progress
@@ -166,3 +171,40 @@ def test_the_share_of_the_return_comes_with_its_standard_error():
     one = Drive.of(none[:1] + 3.0, none[:1], none[:1], 1, none[:1])
     assert compare(one, one, PoliciesConfig(), 1000).return_share_se is None
     assert "returns" not in one.shown()
+
+
+# Reinforcement of a distilled actor, and the task behind the filter.
+
+
+REINFORCED = ReinforceConfig(interactions=3000, envs=4, rollout=64, batch=64, learning_rate=2e-3, value_warmup=0.05, gamma=0.5)
+
+
+def reward_of(parts: Parts, actor: torch.nn.Module) -> float:
+    """Mean reward per step of the deterministic actor: the staggered task pays the first component of the action."""
+    env = FilteredTask(Staggered(8), parts.world_model, iter(range(100_000)).__next__)
+    seen, total = env.reset(), 0.0
+    for _ in range(20):
+        with torch.inference_mode():
+            env.step_async(actor(torch.from_numpy(seen)).numpy())
+        seen, reward, _, _ = env.step_wait()
+        total += float(reward.mean()) / 20
+    return total
+
+
+def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts):
+    actor = copy.deepcopy(parts.skills.expert)
+    with torch.no_grad():
+        actor.net[-1].weight.mul_(0.1)
+    before = copy.deepcopy(actor.state_dict())
+    better, curve = reinforce(actor, Staggered(4), parts.world_model, REINFORCED, 1e9, "t", 0, no_progress)
+    assert all(torch.equal(value, before[name]) for name, value in actor.state_dict().items())
+    assert reward_of(parts, better) > reward_of(parts, actor) + 0.3
+    assert not any(parameter.requires_grad for parameter in better.parameters())
+    assert curve[-1]["interactions"] >= 3000
+
+
+def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts):
+    short = REINFORCED.model_copy(update={"interactions": 512, "value_warmup": 0.0})
+    task, actor = Staggered(4), parts.skills.expert
+    run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]
+    assert run[0][-1]["multiplier"] > short.multiplier_init > run[1][-1]["multiplier"]

@@ -1,15 +1,32 @@
 """Training sequences, what followed them, and the latents from which they go on."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
-from tests.learning.recordings import MIRROR, ROWS, TINY, recording
+from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
+from wasp_cli.config import Config
 from wasp_cli.errors import TrainingError
+from wasp_cli.learning import world_model as training
+from wasp_cli.learning.configs import LatentsConfig
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.latents import save_latents
+from wasp_cli.learning.readout import StateReadout, fit_ridge, imagined_features
+from wasp_cli.learning.rounding import rounded
 from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import write_shard
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.base import Latent
+from wasp_cli.models.weights import load_weights, save_weights
+from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.stages.latents import LatentsStage
+from wasp_cli.stages.world_model import WorldModelStage
+from wasp_cli.store.slim import Slimming, slim
 
 
 def test_sampled_sequences_begin_without_a_past_and_hold_costs():
@@ -123,3 +140,116 @@ def test_an_imagined_rollout_is_scored_as_its_steps_are():
 def test_a_dataset_that_is_too_small_says_so():
     with pytest.raises(TrainingError, match="fewer than one sequence"):
         Windows(recording((3,)), np.arange(3), 10, 0.0)
+
+
+# What stages store: latents as they were inferred, and weights rounded once, as they ship.
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("chain")
+    folders = {name: root / name for name in ("dataset", "world_model", "latents", "work")}
+    for folder in folders.values():
+        folder.mkdir()
+    write_shard(folders["dataset"] / "shard-0000.parquet", recording(), SOURCES)
+    return folders
+
+
+def job(kind: str, config: Config, inputs: dict[str, Path]) -> Job:
+    needed = {name: inputs[name] for name in ("dataset", "world_model") if name != kind}
+    return Job(kind, "goal1", 0, config, {"action_repeat": 4}, {}, needed, inputs[kind], inputs["work"])
+
+
+def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(inputs, monkeypatch):
+    met: list[Any] = []
+
+    def refit(model: Any, rows: Any, latents: Any, *rest: Any) -> None:
+        met.append(latents)
+        refit_heads(model, rows, latents, *rest)
+
+    refit_heads = training.refit_heads
+    monkeypatch.setattr(training, "refit_heads", refit)
+    WorldModelStage().run(job("world_model", TINY, inputs))
+    assert not list(inputs["world_model"].glob("latents*"))
+    shown = LatentsStage().run(job("latents", LatentsConfig(), inputs))
+    assert shown["rows"] == 36
+    save_latents(met[0], inputs["work"])
+    before, after = (load_file(inputs[name] / "latents.safetensors") for name in ("work", "latents"))
+    assert before.keys() == after.keys() == {"h", "z", "classes"}
+    torch.testing.assert_close(before["h"], after["h"], atol=5e-3, rtol=0.0)
+    assert float((before["z"] == after["z"]).float().mean()) > 0.98
+    assert after["h"].dtype == torch.float16
+
+
+def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp_path):
+    trained = torch.nn.Sequential(torch.nn.Linear(7, 5), torch.nn.BatchNorm1d(5))
+    before = {name: value.clone() for name, value in trained.state_dict().items()}
+    save_weights(rounded(trained), tmp_path / "m.safetensors")
+    again = torch.nn.Sequential(torch.nn.Linear(7, 5), torch.nn.BatchNorm1d(5))
+    load_weights(again, tmp_path / "m.safetensors")
+    for name, value in again.state_dict().items():
+        assert torch.equal(value, trained.state_dict()[name])
+        assert value.dtype == before[name].dtype
+        if value.is_floating_point():
+            assert torch.equal(value, before[name].half().float())
+    assert not torch.equal(again.state_dict()["0.weight"], before["0.weight"])
+    assert slim(tmp_path, "critics", Slimming(half=True)) == {}  # publishing leaves nothing out
+
+
+@pytest.mark.parametrize("value", [1e6, float("nan")])
+def test_a_weight_that_16_bits_cannot_hold_ends_the_training(value):
+    module = torch.nn.Linear(2, 2)
+    torch.nn.init.constant_(module.bias, value)
+    with pytest.raises(TrainingError, match="weight 'bias' does not fit into 16 bits"):
+        rounded(module)
+    assert torch.equal(module.bias.isnan(), torch.full((2,), value != value))
+
+
+# The readout of the privileged vector against plain numpy.
+
+
+def test_a_ridge_regression_is_the_textbook_one():
+    random = np.random.default_rng(0)
+    x, fresh = random.normal(size=(80, 6)), random.normal(size=(50, 6))
+    mixing = random.normal(size=(6, 4))
+    y, true = ((part @ mixing + 0.5 * random.normal(size=(len(part), 4))) * [1, 10, 3, 0] + 7 for part in (x, fresh))
+    ridge = fit_ridge(torch.from_numpy(x).float(), y, 0.3)
+    found = ridge.explained(torch.from_numpy(fresh).float(), true, {"all": slice(0, 4), "two": slice(1, 3), "constant": slice(3, 4)})
+
+    x = x - (centre := x.mean(0))
+    penalty = 0.3 * (x**2).sum(0).mean()
+    share = []
+    for j in range(3):
+        unit = y[:, j].std()
+        weight = np.linalg.inv(x.T @ x + penalty * np.eye(6)) @ x.T @ ((y[:, j] - y[:, j].mean()) / unit)
+        told, wanted = (fresh - centre) @ weight, (true[:, j] - y[:, j].mean()) / unit
+        share.append((((told - wanted) ** 2).mean(), wanted.var()))
+    for name, part in (("all", share), ("two", share[1:])):
+        assert found[name] == pytest.approx(1 - sum(e for e, _ in part) / sum(v for _, v in part), rel=1e-4)
+    assert 0.3 < found["all"] < 1
+    assert np.isnan(found["constant"]), "an entry that never varies is asked of nobody"
+
+
+def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch):
+    data = recording((40,))
+    torch.manual_seed(0)
+    model = build(TINY, 2)
+    latents = encode(model, data, no_progress)
+    starts = np.arange(30)
+    exact = imagined_features(model, data, latents, starts, 4, 3, 5)
+    asked: list[Any] = []
+
+    class Told:
+        def explained(self, features: torch.Tensor, privileged: Any, groups: Any) -> dict[str, float]:
+            asked.append((features, privileged))
+            return {}
+
+    StateReadout(model, {}, Told(), Told()).imagined(data, latents, starts, 4, 3, 5)
+    features, privileged = asked[0]
+    assert torch.equal(features, exact)
+    np.testing.assert_array_equal(privileged, data.privileged[4:34])
+    # One sample of one step is the model's own step from the filtered latent under the action that led on.
+    one = imagined_features(model, data, latents, starts[:1], 1, 1, 5)
+    noise = -(-torch.rand((1, 1, model.noise_size), generator=torch.Generator().manual_seed(5)).clamp(1e-20, 1 - 1e-7).log()).log()
+    wanted = model.imagine(latents.at(torch.tensor([0])), torch.from_numpy(data.action[1:2]), noise[0]).features
+    assert torch.allclose(one, wanted, atol=1e-6)

@@ -1,16 +1,22 @@
 """The planner alone: nobody's command is read, and its plans are no worse than the expert on what it imagines."""
 
-from typing import Any
+from typing import Any, get_args
 
+import pytest
 import torch
 from torch import Tensor
 
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Decision, Parts, checked
+from wasp_cli.methods.configs import WASPVariant
 from wasp_cli.methods.planner import Planner
+from wasp_cli.methods.record import blank_record
+from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+from wasp_cli.store.tables import Thresholds
 
 B, T = 6, 3
 SMALL: dict[str, Any] = {
@@ -95,3 +101,78 @@ def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(part
         assert (plan.reward - plan.alone_reward > bar)[acts].all()
         changed += int(acts.sum())
     assert 0 < changed < T * B
+
+
+# What the closed loop asks of every decision.
+
+
+COMMANDS = torch.tensor([[0.5, -0.5], [0.0, 1.0]])
+CHANGED = torch.tensor([[0.5, -0.5], [0.0, 0.9]])
+
+
+class Mine:
+    """The assistant that is named in messages."""
+
+
+def test_a_command_may_change_where_a_gate_fired():
+    record = blank_record(2)
+    record.gate[1] = 3
+    decision = Decision(CHANGED, record)
+    assert checked(decision, Mine(), COMMANDS, COMMANDS.clone()) is decision
+
+
+@pytest.mark.parametrize(
+    ("decision", "message"),
+    [
+        (CHANGED, "'Mine' returned a Tensor, not a Decision"),
+        (None, "'Mine' returned a NoneType, not a Decision"),
+        (Decision(CHANGED), "'Mine' changed a command without a record"),
+        (Decision(CHANGED, blank_record(2)), "although its record says that no gate fired"),
+        (Decision(CHANGED[0]), r"shape \[2\] for commands of shape \[2, 2\]"),
+    ],
+)
+def test_what_breaks_the_contract_is_said(decision, message):
+    with pytest.raises(WaspError, match=message):
+        checked(decision, Mine(), COMMANDS, COMMANDS.clone())
+
+
+@pytest.mark.parametrize("to", [0.0, torch.nan])
+def test_a_command_that_was_changed_in_place_is_refused(to):
+    """What is recorded as the command would be what the assistant made of it, without any intervention."""
+    commands = COMMANDS.clone()
+    given = commands.clone()
+    commands[1] = to
+    with pytest.raises(WaspError, match="'Mine' changed the operator's command in place"):
+        checked(Decision(commands), Mine(), commands, given)
+
+
+# What registry entries say of assistants, and what is no configuration.
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_an_entry_says_how_its_method_decides(name):
+    info = METHODS[name]
+    assert info.rule.endswith(".")
+    config = info.config_model()
+
+    limit = info.signal.limit
+    assert not limit or limit in vars(Thresholds()) or limit in config.model_fields
+    if len(info.variants) > 1:
+        assert "variant" in config.model_fields
+
+
+def test_the_variants_of_wasp_are_those_of_its_configuration():
+    assert tuple(METHODS["printed"].variants) == tuple(METHODS["wasp"].variants) == get_args(WASPVariant)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("wasp_cli.methods.human:HumanOnly", "is no configuration"),
+        ("wasp_cli.methods.human:Nobody", "does not load"),
+        ("wasp_cli.methods.nowhere:Config", "does not load"),
+    ],
+)
+def test_what_is_no_configuration_is_said(config, message):
+    with pytest.raises(WaspError, match=message):
+        MethodInfo("mine", "Mine", "wasp_cli.methods.human:HumanOnly", config).config_model()

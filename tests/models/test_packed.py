@@ -4,12 +4,14 @@ import pytest
 import torch
 from torch.nn import functional as F
 
+from wasp_cli.errors import ArtifactError
 from wasp_cli.models.base import Latent
 from wasp_cli.models.coded import Coded, first_layer
-from wasp_cli.models.critics import LatentCritics
+from wasp_cli.models.critics import LatentCritics, TwoHot
 from wasp_cli.models.nets import mlp
 from wasp_cli.models.packed import PackedModel
 from wasp_cli.models.policy import LatentPolicy
+from wasp_cli.models.weights import load_weights, read_arguments, save_weights
 from wasp_cli.models.world_model import SafetyWorldModel, Sizes
 
 H, B, COPIES = 6, 5, 7
@@ -90,3 +92,73 @@ def test_weights_that_have_changed_are_laid_out_anew():
         net[0].weight.mul_(3.0)
         coded.known.clear()
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
+
+
+def values() -> torch.Tensor:
+    source = torch.Generator().manual_seed(0)
+    spread = torch.randn(200, generator=source) * torch.logspace(-4, 2, 200)
+    return torch.cat([spread, torch.tensor([0.0, -1e-6, 1.0, 999.9, -1000.0, 1000.0])])
+
+
+@pytest.mark.parametrize("bins", [3, 63, 255])
+def test_a_number_comes_back_from_its_two_bins(bins):
+    scale = TwoHot(bins, 1000.0)
+    weights = scale.encode(values())
+    assert (weights >= 0).all()
+    torch.testing.assert_close(weights.sum(-1), torch.ones(len(values())))
+    assert ((weights > 0).sum(-1) <= 2).all()
+    decoded = scale.decode(weights.double().clamp(min=1e-30).log())
+    torch.testing.assert_close(decoded, values(), rtol=1e-4, atol=1e-4)
+
+
+def test_bins_in_their_own_places_and_beyond_the_reach():
+    scale = TwoHot(5, 8.0)  # symlog 9 = ln 9; halfway lies ln 3
+    torch.testing.assert_close(scale.bins, torch.tensor([-8.0, -2.0, 0.0, 2.0, 8.0]))
+    weights = scale.encode(torch.tensor([[-8.0, 0.0, 3.5], [2.0, 8.0, 1e9]]))
+    wanted = torch.tensor(
+        [[[1.0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0.75, 0.25]], [[0, 0, 0, 1, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 1]]]
+    )
+    torch.testing.assert_close(weights, wanted)
+    torch.testing.assert_close(scale.encode(torch.tensor(-1e9)), torch.tensor([1.0, 0, 0, 0, 0]))
+
+
+def test_opposite_logits_have_opposite_values_and_equal_ones_exactly_zero():
+    scale = TwoHot(63, 1000.0)
+    logits = torch.randn(20, 63, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(scale.bins, -scale.bins.flip(0))
+    torch.testing.assert_close(scale.decode(logits.flip(-1)), -scale.decode(logits))
+    assert scale.decode(torch.full((1, 63), 0.3)).item() == 0.0
+    critics = LatentCritics(6, (8,))
+    latent = Latent(torch.randn(5, 4), torch.randn(5, 2))
+    assert (critics.value_r(latent) == 0).all()
+    assert (critics.value_c(latent) == 0).all()
+
+
+@pytest.mark.parametrize("bins", [1, 2, 64])
+def test_bins_without_a_middle_are_refused(bins):
+    with pytest.raises(ValueError, match="odd"):
+        TwoHot(bins, 10.0)
+
+
+def test_weights_and_arguments_come_back(tmp_path):
+    path = tmp_path / "critics.safetensors"
+    critics = LatentCritics(4, (8,))
+    save_weights(critics, path, features=4, hidden=[8])
+    again = LatentCritics(**read_arguments(path))
+    load_weights(again, path)
+    assert all(torch.equal(a, b) for a, b in zip(critics.state_dict().values(), again.state_dict().values(), strict=True))
+    assert not any(p.requires_grad for p in again.parameters())
+
+
+@pytest.mark.parametrize("damage", ["missing", "truncated", "other shape", "no arguments"])
+def test_a_damaged_artifact_is_named(tmp_path, damage):
+    path = tmp_path / "critics.safetensors"
+    save_weights(LatentCritics(4, (8,)), path, features=4, hidden=[8])
+    if damage == "missing":
+        path.unlink()
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-20])
+    elif damage == "no arguments":
+        path.with_suffix(".json").write_text("{")
+    with pytest.raises(ArtifactError, match="critics"):
+        load_weights(LatentCritics(**read_arguments(path)) if damage != "other shape" else LatentCritics(5, (8,)), path)

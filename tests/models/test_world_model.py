@@ -1,9 +1,12 @@
+import math
+
 import pytest
 import torch
+from torch import Tensor
 
 from wasp_cli.models.base import Latent
 from wasp_cli.models.nets import Encoder
-from wasp_cli.models.rssm import Observed, balanced_kl
+from wasp_cli.models.rssm import RSSM, Observed, balanced_kl, kl_divergence
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 
 SIZES = Sizes(action=2, deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, unimix=0.01, reward_scale=5.0, cost_weight=5.0)
@@ -120,3 +123,158 @@ def test_an_event_one_step_after_a_reset_is_learned_and_imagined():
                 arrived = world.imagine(start, torch.tensor([[command, 0.0]]).expand(rows, 2), torch.zeros(rows, world.noise_size))
                 assert (world.cost(arrived) >= low).all(), (t, command)
                 assert (world.cost(arrived) <= high).all(), (t, command)
+
+
+def small() -> RSSM:
+    torch.manual_seed(0)
+    return RSSM(action=2, embed=6, deter=8, hidden=8, variables=3, classes=4, unimix=0.01)
+
+
+def logs(*rows: tuple[float, ...]) -> torch.Tensor:
+    return torch.tensor(rows, dtype=torch.float64).log()
+
+
+def test_kl_is_the_sum_over_variables_by_hand():
+    q, p = logs((0.5, 0.5), (0.9, 0.1)), logs((0.25, 0.75), (0.5, 0.5))
+    by_hand = 0.5 * math.log(2) + 0.5 * math.log(0.5 / 0.75) + 0.9 * math.log(1.8) + 0.1 * math.log(0.2)
+    assert kl_divergence(q, p).item() == pytest.approx(by_hand)
+    assert kl_divergence(q, q).item() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_free_nats_clip_every_step_by_itself_by_hand():
+    """Two steps, one variable: the one below a free nat counts as 1, the one above as it is, alone in the gradient."""
+    q = torch.tensor([[[0.5, 0.5]], [[0.99, 0.01]]], dtype=torch.float64).log().requires_grad_()
+    p = torch.tensor([[[0.9, 0.1]], [[0.1, 0.9]]], dtype=torch.float64).log().requires_grad_()
+    below = 0.5 * math.log(0.5 / 0.9) + 0.5 * math.log(0.5 / 0.1)
+    above = 0.99 * math.log(0.99 / 0.1) + 0.01 * math.log(0.01 / 0.9)
+    assert below < 1.0 < above
+    representation, prediction = balanced_kl(q, p, 1.0)
+    assert representation.item() == pytest.approx((1.0 + above) / 2)
+    assert prediction.item() == pytest.approx((1.0 + above) / 2)
+    (0.1 * representation + prediction).backward()
+    assert (q.grad[0] == 0).all()
+    assert (p.grad[0] == 0).all()
+    # d/d log p_i of sum q (log q - log p) is -q_i; half of it for the mean over two steps.
+    torch.testing.assert_close(p.grad[1, 0], torch.tensor([-0.99, -0.01], dtype=torch.float64) / 2)
+    # d/d log q_i is q_i (log q_i - log p_i + 1); a tenth of it is the weight of the representation term.
+    by_hand = [0.1 * 0.5 * x * (math.log(x / y) + 1) for x, y in ((0.99, 0.1), (0.01, 0.9))]
+    torch.testing.assert_close(q.grad[1, 0], torch.tensor(by_hand, dtype=torch.float64))
+
+
+def test_samples_are_one_hot_and_follow_the_distribution():
+    rssm = small()
+    log_probs = torch.tensor([0.7, 0.1, 0.1, 0.1]).log().expand(20000, 3, 4)
+    uniform = torch.rand(20000, 3, 4, generator=torch.Generator().manual_seed(0)).clamp(1e-9)
+    with torch.no_grad():
+        drawn = rssm.sample(log_probs, -(-uniform.log()).log()).unflatten(-1, (3, 4))
+        mode = rssm.sample(log_probs, None).unflatten(-1, (3, 4))
+    assert (drawn.sum(-1) == 1).all()
+    torch.testing.assert_close(drawn.mean((0, 1)), torch.tensor([0.7, 0.1, 0.1, 0.1]), atol=0.01, rtol=0)
+    assert (mode[..., 0] == 1).all()
+
+
+def test_an_episode_start_masks_h_z_and_the_action():
+    rssm = small()
+    projected, noise = torch.randn(1, 6, 8), torch.randn(1, 6, 3, 4)
+    first = torch.tensor([[1.0, 0, 0, 1, 0, 0]])
+    with torch.no_grad():
+        action = torch.randn(1, 6, 2)
+        whole = rssm.observe(projected, action, first, noise)
+        changed = action.clone()
+        changed[:, :4] += 5.0  # everything before the second episode, and the action that "led" to its first step
+        other = rssm.observe(projected + 0, changed, first, noise)
+        rest = rssm.observe(projected[:, 3:], action[:, 3:], first[:, 3:], noise[:, 3:])
+    assert not torch.equal(whole.latent.h[:, 1], other.latent.h[:, 1])
+    assert torch.equal(whole.latent.h[:, 3:], other.latent.h[:, 3:])
+    torch.testing.assert_close(whole.latent.h[:, 3:], rest.latent.h)
+
+
+def test_the_recurrence_reads_the_action_at_every_scale():
+    model = RSSM(action=2, embed=6, deter=8, hidden=8, variables=3, classes=4, unimix=0.01, action_scales=(1.0, 0.1))
+    action = torch.tensor([[0.5, -0.05], [1.0, -0.2]])
+    torch.testing.assert_close(model.scaled(action), torch.tensor([[0.5, -0.05, 1.0, -0.5], [1.0, -0.2, 1.0, -1.0]]))
+    assert (model.scaled(-action) == -model.scaled(action)).all(), "a mirror turns the action over, and so what is read of it"
+
+
+# A whole sequence and its hand-written way back are the steps that they stand for.
+
+
+B, T, A, S, C, D, H = 5, 6, 2, 3, 4, 12, 10
+
+
+@pytest.fixture
+def rssm() -> RSSM:
+    torch.manual_seed(0)
+    made = RSSM(action=A, embed=20, deter=D, hidden=H, variables=S, classes=C, unimix=0.01, action_scales=(1.0, 0.3)).double()
+    for parameter in made.parameters():  # scales of 1 and shifts of 0 would hide a wrong gradient
+        parameter.data += 0.1 * torch.randn_like(parameter)
+    return made
+
+
+def draws(*shape: int) -> Tensor:
+    return torch.randn(shape, dtype=torch.double)
+
+
+def gradients(outputs: tuple[Tensor, ...], inputs: list[Tensor]) -> list[Tensor]:
+    torch.manual_seed(1)
+    total = torch.stack([(output * draws(*output.shape)).sum() for output in outputs]).sum()
+    return list(torch.autograd.grad(total, inputs))
+
+
+def start() -> Latent:
+    z = torch.nn.functional.one_hot(torch.randint(C, (B, S)), C).double().flatten(1)
+    return Latent(draws(B, D).requires_grad_(True), z.requires_grad_(True))
+
+
+def trained(rssm: RSSM, *without: str) -> list[Tensor]:
+    return [value for name, value in rssm.named_parameters() if not name.startswith(without)]
+
+
+def mixed(rssm: RSSM, logits: Tensor) -> Tensor:
+    return ((1 - rssm.unimix) * logits.unflatten(-1, (S, C)).softmax(-1) + rssm.unimix / C).log()
+
+
+def test_filtering_is_its_steps(rssm):
+    begin, projected, action = start(), draws(B, T, H).requires_grad_(True), draws(B, T, A)
+    first, noise = (torch.rand(B, T) < 0.3).double(), draws(B, T, S, C)
+    assert first[:, 1:].any()
+    assert not first.all()
+    latent, hs, zs, logs = begin, [], [], []
+    for t in range(T):
+        keep = 1.0 - first[:, t, None]
+        h = rssm.recur(Latent(latent.h * keep, latent.z * keep), action[:, t] * keep)
+        logs.append(mixed(rssm, rssm.posterior_net(rssm.posterior_h(h) + projected[:, t])))
+        latent = Latent(h, rssm.sample(logs[-1], noise[:, t]))
+        hs.append(h)
+        zs.append(latent.z)
+    steps = tuple(torch.stack(each, 1) for each in (hs, zs, logs))
+    seen = rssm.observe(projected, action, first, noise, begin)
+    whole = (seen.latent.h, seen.latent.z, seen.posterior)
+    inputs = [projected, *begin, *trained(rssm, "prior_net", "posterior_o")]
+    torch.testing.assert_close(whole, steps, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(gradients(whole, inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
+
+
+def test_imagining_is_its_steps(rssm):
+    begin, action, noise = start(), draws(B, T, A), draws(T, B, S * C)
+    latent, hs, zs = begin, [], []
+    for t in range(T):
+        h = rssm.recur(latent, action[:, t])
+        latent = Latent(h, rssm.sample(mixed(rssm, rssm.prior_net(h)), noise[t].unflatten(-1, (S, C))))
+        hs.append(h)
+        zs.append(latent.z)
+    steps = torch.stack(hs, 1), torch.stack(zs, 1)
+    whole = rssm.imagine(begin, action, noise)
+    inputs = [*begin, *trained(rssm, "posterior")]
+    torch.testing.assert_close(tuple(whole), steps, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(gradients(tuple(whole), inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
+
+
+def test_half_precision_around_it_does_not_reach_it(rssm):
+    single, begin = rssm.float(), Latent(*(value.detach().float() for value in start()))
+    action, noise = draws(B, T, A).float(), draws(T, B, S * C).float()
+    expected = single.imagine(begin, action, noise)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = single.imagine(begin, action, noise)
+    assert found.h.dtype == torch.float32
+    torch.testing.assert_close(found.h, expected.h, rtol=0.05, atol=0.05)  # the action's layer alone is rounded

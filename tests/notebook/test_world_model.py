@@ -1,7 +1,5 @@
 """`wasp_cli.load_world_model`: the published one filters as the closed loop does, and what it imagines has the asked shapes."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,17 +1,31 @@
 import ast
+import json
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib.machinery import ModuleSpec
-from importlib.util import spec_from_file_location
+from importlib.util import find_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.plugins import forget
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan import closure as module
+from wasp_cli.plan import node as keys
 from wasp_cli.plan.closure import closure, closure_hash, source_hash
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.node import LENGTH, canonical, key_of, libraries, recipe_of
 from wasp_cli.registry import module_of
+from wasp_cli.spec.model import validate
+from wasp_cli.spec.names import training_stages
+from wasp_cli.stages.registry import STAGES
+from wasp_cli.tasks.registry import TASKS
 
 Write = Callable[[str, str], None]
 
@@ -173,3 +187,136 @@ def test_every_node_of_the_syntax_is_told_apart():
         "def x(a=1): 0", "def x(*, a=1): 0", "x = [1]", "x = (1,)", "def x(a): 0", "async def x(a): 0", "x = lambda a: 0",
     ]  # fmt: skip
     assert len({text(source) for source in sources}) == len(sources)
+
+
+# What the key of each sort of node may cover: a training module in an evaluation, or a picture in a stage, fails here.
+
+
+NEVER = ("tasks.sheet", "tasks.driver", "tasks.camera.topdown", "tasks.camera.view3d")
+"""What only checks and shows worlds."""
+STAGES_MAY_HAVE = frozenset({"stages", "stages.base", "stages.finite"})
+SECTIONS = {
+    "recorded": "expert dataset",
+    "world": "world_model latents diagnostics",
+    "latent": "policies critics clone",
+    "baselines": "ida_q denoiser residual",
+    "consistency": "consistency",
+    "reachability": "reachability",
+    "judged": "heldout calibration evaluate counterfactual",
+}
+"""By file of `learning.configs`, the kinds whose sections are in it."""
+
+
+@cache
+def closures() -> dict[str, frozenset[str]]:
+    """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
+    document = {
+        "name": "all", "preset": "smoke", "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
+        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS},
+    }  # fmt: skip
+    found: dict[str, frozenset[str]] = {}
+    for node in lay_out(validate(document)).nodes:
+        found[node.kind] = found.get(node.kind, frozenset()) | closure(node.modules)
+    return found
+
+
+def short(modules: frozenset[str]) -> set[str]:
+    return {module.removeprefix("wasp_cli.") for module in modules}
+
+
+@pytest.mark.parametrize("kind", sorted(STAGES))
+def test_a_node_s_key_covers_its_own_stage_and_settings_and_nobody_else_s(kind):
+    covered = short(closures()[kind])
+    (section,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
+    assert {module for module in covered if module.startswith("stages")} - STAGES_MAY_HAVE == {f"stages.{kind}"}
+    configs = {module for module in covered if module.startswith("learning.configs.")}
+    assert configs <= {"learning.configs.shared", f"learning.configs.{section}"}
+    assert not covered & set(NEVER)
+
+
+@pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
+def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind):
+    reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
+    known = "configs configs.judged configs.shared assistants closed_loop device evaluation "
+    known += "heldout informed nominal counterfactual playback rerun"
+    assert reached <= {f"learning.{name}" for name in known.split()}
+
+
+DRAWS = ("matplotlib", "PIL.ImageDraw", "PIL.ImageFont", "imageio", "rich", "jinja2", "markupsafe", "typer", "click")
+ROOMS = ("report", "video", "cli", "compare")
+
+
+def imported(module: str) -> Iterator[str]:
+    """Everything that the source of a module imports anywhere, functions included, whoever's it is."""
+    spec = find_spec(module)
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        return
+    for node in ast.walk(ast.parse(Path(spec.origin).read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_nothing_in_a_key_draws_lays_out_or_belongs_to_a_report():
+    everything = frozenset().union(*closures().values())
+    forbidden = (*DRAWS, *(f"wasp_cli.{room}" for room in ROOMS))
+    found = {
+        (module, name) for module in everything for name in imported(module) if any(f"{name}.".startswith(f"{part}.") for part in forbidden)
+    }
+    assert found == set()
+    assert not {module for module in everything if module.split(".")[1] in ROOMS}
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    max_leaves=12,
+)
+IDENTITIES = st.dictionaries(st.text(max_size=6), VALUES, max_size=5)
+
+
+def reordered(value: Any) -> Any:
+    """The same content with the keys of every mapping in the opposite order."""
+    if isinstance(value, dict):
+        return {key: reordered(value[key]) for key in reversed(list(value))}
+    return [reordered(item) for item in value] if isinstance(value, list) else value
+
+
+@settings(max_examples=30)
+@given(IDENTITIES)
+def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity):
+    key = key_of(identity)
+    assert len(key) == LENGTH
+    assert set(key) <= set("0123456789abcdef")
+    assert key_of(reordered(identity)) == key
+    assert key_of(json.loads(json.dumps(identity))) == key
+
+
+@settings(max_examples=30)
+@given(IDENTITIES, IDENTITIES)
+def test_same_content_if_and_only_if_same_key(one, other):
+    assert (canonical(one) == canonical(other)) == (key_of(one) == key_of(other))
+
+
+def test_what_is_no_number_has_no_key():
+    with pytest.raises(ValueError, match="JSON"):
+        key_of({"tau": float("nan")})
+
+
+def test_every_library_that_computes_is_in_the_key():
+    assert set(libraries()) == {"mujoco", "numpy", "stable-baselines3", "torch"}
+    assert "absent" not in libraries().values()
+
+
+def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeypatch):
+    identity = {"kind": "expert"}
+    key, recipe = key_of(identity), recipe_of(identity)
+    with monkeypatch.context() as other:
+        changed = libraries() | {"torch": "0.1"}
+        other.setattr(keys, "libraries", lambda: changed)
+        assert key_of(identity) != key
+        assert recipe_of(identity) == recipe
+    monkeypatch.setattr(keys, "SCHEMA", keys.SCHEMA + 1)
+    assert key_of(identity) != key
+    assert recipe_of(identity) != recipe

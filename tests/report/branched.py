@@ -1,7 +1,5 @@
 """Invented counterfactual branches beside invented cells, written through the real tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

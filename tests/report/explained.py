@@ -1,7 +1,5 @@
 """An invented episode, decision by decision, for what explains it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

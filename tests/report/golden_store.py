@@ -5,8 +5,6 @@ python -m tests.report.golden_store /tmp/golden
 WASP_GOLDEN=write pytest tests/report/test_golden_store.py
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

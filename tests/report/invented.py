@@ -1,7 +1,5 @@
 """Cells with invented numbers, written through the real tables."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

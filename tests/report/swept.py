@@ -9,8 +9,6 @@ steps:
     mag_int |(0.375, 0.5)| = 0.625
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

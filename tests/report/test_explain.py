@@ -1,7 +1,5 @@
 """Why an assistant did what it did: from invented rows to facts, tables and JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -28,97 +26,12 @@ def mixed(tmp_path: Path) -> Episode:
     return made.read(tmp_path)
 
 
-EPISODE = """\
-goal1 s0 wasp laggy=0.7 · episode 0  (of 0 to 2)
-3 of 8 commands changed; 2 decisions with cost, 1 of them missed (no gate fired).
-
-  cell      Goal1, WASP, seed 0, world 100
-  operator  laggy 0.7 (probability of repeating the last command)
-  method    WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe
-            correction is expected to gain more return than τ_r.
-  key       0123456789abcdef0123
-  outcome   return 3.50, 1 goal (no success), 8 decisions of 4 env steps (0.08 s)
-  cost      4 env steps, in 2 decisions: 1 missed, 1 although a gate fired
-  changed   3 decisions (37.5%, Int.), by 0.71 on average (|a - a^H|)
-  Case II   33% of the planner's iterations: too few safe candidates
-  time      2 ms per decision (p50), 2 ms (p95); the time of all 3 episodes, decided side by side, divided by 3
-
-Gates
-  gate    fires where      decisions  share
-  safety  G^c > τ_c 0.300          2  25.0%
-  task    ΔG > τ_r 0.500           1  12.5%
-  none    -                        5  62.5%
-  G^c: expected costly decisions within the next 4 decisions, discounted, if the expert follows (Eq. 9)
-  ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
-
-Runs of decisions
-  decisions  gate    changed          command → executed (means)       G^c (τ_c 0.300)  ΔG (τ_r 0.500)  cost  missed at
-  0-1        -       -                (+0.50, -0.25) as commanded                0.125           0.250     -          -
-  2-3        safety  2 of 2, by 0.71  (+0.50, -0.25) → (+0.00, +0.25)            0.500           0.625     2          -
-  4-5        -       -                (+0.50, -0.25) as commanded                0.125           0.250     2          5
-  6          task    1 of 1, by 0.71  (+0.50, -0.25) → (+0.00, +0.25)            0.125           0.750     -          -
-  7          -       -                (+0.50, -0.25) as commanded                0.125           0.250     -          -
-  changed: decisions with another action than the command, and by how much (|a - a^H|); cost: env steps with cost;
-  missed: cost, and no gate fired
-  one decision in full: wasp explain CELL --episode 0 --step 5"""
-
-DECISION = """\
-goal1 s0 wasp laggy=0.7 · episode 0 · decision 2  (of 0 to 7)
-The safety gate fired (G^c 0.500 > τ_c 0.300): the command was changed by 0.707.
-
-  cell      Goal1, WASP, seed 0, world 100
-  operator  laggy 0.7 (probability of repeating the last command)
-  method    WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe
-            correction is expected to gain more return than τ_r.
-  key       0123456789abcdef0123
-
-Action
-  action     value           meaning
-  command    (+0.50, -0.25)  a^H, from the operator
-  executed   (+0.00, +0.25)  a, command and first correction (Eq. 18)
-  deviation  0.707           |a - a^H|, an intervention
-
-Gates
-  gate    value      threshold  fires
-  safety  G^c 0.500  τ_c 0.300  yes
-  task    ΔG 0.625   τ_r 0.500  not asked: the safety gate fired
-  G^c: expected costly decisions within the next 4 decisions, discounted, if the expert follows (Eq. 9)
-  ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
-
-Plan
-  iteration  safe (|F_s|)  case
-  1                     3  II
-  2                    12  I
-  3                    30  I
-  Case I: at least N_f = 10 candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)
-  Case II: fewer than N_f = 10 are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)
-
-  step  correction δa (Eq. 13)  use
-  now   (-0.50, +0.50)          executed
-  +1    (+0.25, +0.00)          not executed: planned again then
-
-  predicted            cost (G^c)  within τ_c 0.300  return (G^r)
-  with the correction       0.200  yes                      1.500
-  command alone             0.600  no, above 0.300          1.250
-  the gate used other rollouts, so its G^c may differ
-
-What then happened
-  decisions  changed  reward  cost  costly decisions  goals
-  2                1   +0.25     0                 0      0
-  2-5              2   +1.75     4                 2      0
-  cost: env steps with cost
-  costly decisions                                discounted (γ_c 0.500)
-  expected of the command, then the expert (G^c)                   0.500
-  observed, with the interventions                                 0.625
-  decision time  2 ms: the time of 3 episodes decided side by side, 6 ms, divided by 3"""
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
-def test_an_episode_as_printed(mixed: Episode) -> None:
-    assert episode_text(mixed) == EPISODE
-
-
-def test_a_decision_as_printed(mixed: Episode) -> None:
-    assert decision_text(mixed, 2, 120) == DECISION
+def test_an_episode_and_a_decision_as_printed(mixed: Episode) -> None:
+    assert episode_text(mixed) + "\n" == (GOLDEN / "explain_episode.txt").read_text(encoding="utf-8")
+    assert decision_text(mixed, 2, 120) + "\n" == (GOLDEN / "explain_decision.txt").read_text(encoding="utf-8")
 
 
 def test_what_came_is_counted_from_the_decision_on(mixed: Episode) -> None:

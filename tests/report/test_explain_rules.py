@@ -1,16 +1,23 @@
 """Other rules, the other WASPs, late assistants and searches that were cut off, as `wasp explain` tells them."""
 
-from __future__ import annotations
-
+import json
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import Result
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from tests.report.explained import NAN, PRINTED, Invented, decision_text, episode_text
-from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK, episode_metrics
+from tests.commands import run_here
+from tests.report.explained import KEY, NAN, PRINTED, WASP, Invented, decision_text, episode_text, text_of
+from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK, Plans, episode_metrics
 from wasp_cli.report.explain.episode import Episode, timeline
-from wasp_cli.report.explain.facts import episode_json, places_of
+from wasp_cli.report.explain.facts import decision_json, episode_json, merged_runs, places_of, runs_of
+from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.tables import Thresholds
 
 
@@ -117,3 +124,119 @@ def test_a_search_that_was_cut_off_shows_the_iterations_that_it_made(tmp_path: P
     assert "case 1 4 II 2 12 I " in text
     assert "the search was cut off before its last 1 iteration: its time was up" in text
     assert np.isnan(made.plans.share()[0])
+
+
+# Whatever a table holds can be explained.
+
+
+numbers = st.one_of(st.just(NAN), st.floats(-2, 2), st.sampled_from([0.0, 0.3, 1e6]))
+thresholds = st.one_of(st.none(), st.just(NAN), st.floats(-1, 2), st.just(0.0))
+
+
+@st.composite
+def cells(draw: st.DrawFn) -> Invented:
+    method = draw(st.sampled_from(["wasp", "printed", "ida", "filter", "human", "diffusion", "theirs"]))
+    variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
+    limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
+    config = draw(st.sampled_from([{}, WASP, PRINTED, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))
+    made = Invented(draw(st.integers(1, 6)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
+
+    def series(elements: Callable[[], Any]) -> Any:
+        return np.array([elements() for _ in range(made.steps)])
+
+    made.gate = series(lambda: draw(st.integers(0, 3)))
+    made.cost_env = series(lambda: draw(st.sampled_from([0, 0, 3])))
+    made.a = series(lambda: draw(st.sampled_from([[0.5, -0.25], [0.0, 0.0], [-1.0, 1.0]])))
+    for name in ("g_cost", "g_return", "delta_g", "signal"):
+        setattr(made, name, series(lambda: draw(numbers)))
+    steps, iterations = draw(st.integers(1, 3)), draw(st.integers(1, 3))
+    planned, searched = (series(lambda: draw(st.booleans())).astype(bool) for _ in range(2))
+    searched &= planned
+    made.plans = Plans(
+        residuals=np.where(planned[:, None, None], draw(st.sampled_from([0.0, 0.5])), np.full((made.steps, steps, 2), NAN)),
+        safe=np.where(searched[:, None], draw(st.integers(0, 30)), np.full((made.steps, iterations), -1)),
+        case2=np.broadcast_to(searched[:, None], (made.steps, iterations)) & draw(st.booleans()),
+        cost=series(lambda: draw(numbers)),
+        reward=series(lambda: draw(numbers)),
+        alone_cost=series(lambda: draw(numbers)),
+        alone_reward=series(lambda: draw(numbers)),
+    )
+    return made
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(made=cells(), manifest=st.booleans(), width=st.integers(30, 140))
+def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        episode = made.read(Path(folder), manifest)
+    text = text_of(episode_lines(episode, width))
+    json.dumps(episode_json(episode), allow_nan=False)
+    assert "nan" not in text.split()
+    for most in (1, 3):
+        pieces = merged_runs(episode, most)
+        assert len(pieces) <= most
+        assert [run.first for run in pieces[1:]] == [run.last + 1 for run in pieces[:-1]]
+        assert (pieces[0].first, pieces[-1].last) == (0, episode.decisions - 1)
+        for name in ("cost", "intervened"):
+            assert sum(getattr(run, name) for run in pieces) == sum(getattr(run, name) for run in runs_of(episode))
+        assert tuple(t for run in pieces for t in run.missed) == places_of(episode.missed)
+    for t in range(episode.decisions):
+        assert decision_lines(episode, t, width)
+        json.dumps(decision_json(episode, t), allow_nan=False)
+
+
+# `wasp explain` from outside.
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def wasp(*arguments: str | Path) -> Result:
+    return run_here(*arguments, columns=200)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = Invented()
+    made.fire(2, GATE_SAFETY)
+    folder = tmp_path_factory.mktemp("explain") / "results"
+    made.store(folder)
+    return folder
+
+
+def test_the_command_by_key_label_and_path(results: Path) -> None:
+    folder = results / "store" / "evaluate" / KEY
+    said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
+    browser = f"in a browser: wasp view {results} --open /cell/01234567/episode/0\n"
+    assert {(done.exit_code, done.stderr) for done in said} == {(0, browser)}
+    assert len({done.stdout for done in said}) == 1
+    hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"
+    assert said[0].stdout.endswith(hint)
+    done = wasp(*hint.split()[5:], "--json")
+    assert json.loads(done.stdout)["plan"]["safe"] == [3, 12, 30]
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["0123", "-e", "3"], "this cell has the episodes 0 to 2"),
+        (["0123", "-e", "0", "-s", "8"], "episode 0 has the decisions 0 to 7"),
+        (["0123", "-e", "0", "-s", "-1"], "episode 0 has the decisions 0 to 7"),
+        (["goal1 s0 wasp lagy=0.7", "-e", "0"], "did you mean 'goal1 s0 wasp laggy=0.7'?"),
+        (["../../x", "-e", "0"], "no evaluation '../../x'"),
+        (["0123"], "Missing option"),
+    ],
+)
+def test_wrong_usage_of_the_command_ends_with_2(arguments: list[str], expected: str, results: Path) -> None:
+    done = wasp("explain", *arguments, "--results", results)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert expected in done.stderr
+
+
+def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cell.parquet"
+    path.write_bytes(b"PAR1 no table")
+    done = wasp("explain", path, "-e", "0")
+    assert done.exit_code == 1
+    assert "is damaged or was cut off" in done.stderr

@@ -3,8 +3,6 @@
 After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_golden_store.py`. How the store was made: golden_store.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -57,15 +55,7 @@ def test_every_table_in_every_format_is_the_same_to_the_byte(report: Report) -> 
 def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Report) -> None:
     assert not report.missing
     assert not report.damaged
-    assert {table.name for table in report.tables} >= {
-        "table1",
-        "table2",
-        "figure3",
-        "paper",
-        "statistics",
-        "severity",
-        "latency",
-    }
+    assert {table.name for table in report.tables} >= {"table1", "table2", "figure3", "paper", "statistics", "severity", "latency"}
     assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
 
 
@@ -81,8 +71,7 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     cell = sorted(partial.glob("store/evaluate/*/episodes.parquet"))[0]
     key = cell.parent.name
     shutil.rmtree(cell.parent)
-    strict = run_here("report", partial, "--no-films", "--strict", columns=120)
-    assert strict.exit_code == 1
+    strict = run_here("report", partial, "--no-films", "--strict", columns=120, code=1)
     assert "1 of 32 cells is missing" in strict.output
     assert "not computed yet" in strict.output
     recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
@@ -95,8 +84,7 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
 @pytest.mark.slow
 def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(results, tmp_path / "results")
-    done = run_here("report", folder, columns=120)
-    assert done.exit_code == 0, done.output
+    run_here("report", folder, columns=120, code=0)
     page = (folder / "reports" / "golden" / "report.html").read_text(encoding="utf-8")
     films = re.findall(r'<figure class="film".*?</figure>', page, re.DOTALL)
     assert [re.findall(r"<strong>(.*?)</strong>", film) for film in films] == [["Human-only"], ["IDA"], ["Diffusion"], ["WASP"], ["Expert"]]
@@ -119,8 +107,7 @@ def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(results: Path, t
     paper = tmp_path / "mine.yaml"
     if text is not None:
         paper.write_text(text)
-    done = run_here("report", results, "--no-films", "--paper", paper, columns=200)
-    assert done.exit_code == 3
+    done = run_here("report", results, "--no-films", "--paper", paper, columns=200, code=3)
     assert f"{paper}:" in done.stderr
     assert what in done.stderr
     assert "cannot be read" not in done.stderr
@@ -132,7 +119,6 @@ def test_a_paper_of_ones_own_is_the_one_that_is_judged(results: Path, tmp_path: 
     paper = tmp_path / "mine.yaml"
     statement = "{tasks: [goal1], left: [human], relation: at_most, columns: [int_rate], bound: 0.5}"
     paper.write_text(f"title: Mine\ntables: []\nclaims:\n- id: alone\n  section: '1'\n  says: Nobody helps\n  statements: [{statement}]\n")
-    done = run_here("report", results, "--no-films", "--strict", "--paper", paper, columns=200)
-    assert done.exit_code == 0
+    done = run_here("report", results, "--no-films", "--strict", "--paper", paper, columns=200, code=0)
     assert "The paper's claims: of 1 claim 1 holds" in done.stdout
     assert "Nobody helps" in (results / "reports" / "golden" / "report.md").read_text()

@@ -1,7 +1,5 @@
 """Notes beside the store: reports show them, leave out what is invalid, and say so; no result changes."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -104,8 +102,7 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
     key = next(iter(report_of(results).keys.values()))
-    done = run_here("note", key, "worth a look", "--results", results, columns=200)
-    assert done.exit_code == 0
+    done = run_here("note", key, "worth a look", "--results", results, columns=200, code=0)
     assert "worth a look" in done.stdout
     report = report_of(results)
     assert not report.frame.missing
@@ -121,8 +118,7 @@ def test_a_note_alone_excludes_nothing(results: Path) -> None:
 )  # fmt: skip
 def test_what_cannot_be_noted_is_said(results: Path, arguments: tuple[str, ...], expected: str) -> None:
     key = next(iter(report_of(results).keys.values()))
-    done = run_here("note", *(key if word == "KEY" else word for word in arguments), "--results", results, columns=300)
-    assert done.exit_code == 2
+    done = run_here("note", *(key if word == "KEY" else word for word in arguments), "--results", results, columns=300, code=2)
     assert expected in done.stderr
     assert not (results / FILE).exists()
 

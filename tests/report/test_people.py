@@ -1,7 +1,5 @@
 """What a report says of the cells that people drove, against numbers that can be worked out by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

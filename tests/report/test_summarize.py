@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -300,15 +298,3 @@ def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells
     report = report_run(tmp_path, spec, cells, parts(spec))
     assert needless not in report.published
     assert "4 of 8 parts are missing" in report.markdown()
-
-
-@pytest.mark.parametrize("sources", [None, [1], {"../../etc/hosts": "x", "": "y", "a..b": 7}])
-def test_odd_sources_of_a_published_result_are_harmless(sources: Any, spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
-    import_artifact(layout, "evaluate", cells[0][1])
-    record = json.loads(layout.manifest("evaluate", cells[0][1]).read_text())
-    record |= {"sources": sources, "provenance": {"published": True, "versions": [1], "git": 3, "started_at": None}}
-    del record["kind"]
-    write_record(layout.manifest("evaluate", cells[0][1]), record)
-    (told,) = report_run(tmp_path, spec, cells).published
-    assert told.startswith("1 of 16 results here are published ones (1 None), computed by wasp of an unknown version at an unknown time; ")

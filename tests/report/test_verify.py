@@ -1,17 +1,18 @@
 """What a table cannot see: changed rows, cells of several versions, and a method that is not installed any more."""
 
-from __future__ import annotations
-
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+import pytest
 
 from tests.commands import run_here
 from tests.compare.two_runs import write_results
+from tests.report.golden_store import STORE
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 REPORT = ("--no-films", "--no-trained", "--paper", "none")
@@ -30,8 +31,7 @@ def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
     record = json.loads(manifest.read_text(encoding="utf-8"))
     record["files"][EPISODES_FILE]["size"] = path.stat().st_size  # as large as before, for all that a plan sees
     manifest.write_text(json.dumps(record), encoding="utf-8")
-    told = run_here("report", side.layout.root, *REPORT, "--verify", columns=300)
-    assert told.exit_code == 1
+    told = run_here("report", side.layout.root, *REPORT, "--verify", columns=300, code=1)
     assert f"'{path}' has other bytes than were stored" in told.output
     assert "files are not those that were stored (1):" in told.output
 
@@ -61,10 +61,55 @@ def without(folder: Path, method: str, **changes: Any) -> Path:
 
 def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> None:
     results = without(tmp_path / "results", "wasp")
-    told = run_here("report", results, *REPORT, columns=200)
-    assert told.exit_code == 0, told.output
+    told = run_here("report", results, *REPORT, columns=200, code=0)
     assert "none is left out" not in told.output
     assert "4 of 4 planned cells of what is installed here are finished" in told.output
     assert "held: not installed here; its 4 cells are left out." in told.output
     assert "held: not installed here" in (results / "reports/tiny/report.md").read_text(encoding="utf-8")
     assert run_here("report", results, *REPORT, "--strict", columns=200).exit_code == 1
+
+
+# `wasp export`: stored curves and the main table, read again by TensorBoard and Trackio themselves.
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(STORE, tmp_path_factory.mktemp("golden") / "results"))
+
+
+def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    run_here("export", results, "--tensorboard", tmp_path / "runs", columns=200, code=0)
+    runs = {str(path.parent.relative_to(tmp_path / "runs/golden")): path.parent for path in (tmp_path / "runs").rglob("events.*")}
+    assert {"goal1/table/IDA", "goal1/table/Human-only", "goal1/s0/Expert"} <= runs.keys()
+    numbers = EventAccumulator(str(runs["goal1/table/IDA"]))
+    numbers.Reload()
+    from wasp_cli.notebook.results import open_results
+
+    rows = open_results(results).table().to_pylist()
+    (row,) = [row for row in rows if row["method"] == "IDA"]
+    assert numbers.Scalars("cost")[0].value == pytest.approx(row["cost"])
+    curve = EventAccumulator(str(runs["goal1/s0/Expert"]))
+    curve.Reload()
+    steps = [point.step for point in curve.Scalars("return")]
+    assert len(steps) > 1
+    assert steps == sorted(steps)
+    again = run_here("export", results, "--tensorboard", tmp_path / "runs", columns=200)
+    assert (again.exit_code, "is there already" in again.stderr) == (2, True)
+
+
+def test_trackio_reads_them_too(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path))  # the package reads it once, when it is imported
+    import trackio
+
+    done = run_here("export", results, "--trackio", tmp_path, columns=200, code=0)
+    assert "Trackio metrics" not in done.stdout
+    names = {run.name for run in trackio.Api().runs("golden")}
+    assert {"goal1/table/IDA", "goal1/s0/Expert"} <= names
+
+
+def test_bad_calls_are_told(results: Path, tmp_path: Path) -> None:
+    for arguments, said in (([], "neither"), (["--spec", "other", "--tensorboard", tmp_path / "x"], "spec in these results")):
+        done = run_here("export", results, *arguments, columns=200)
+        assert (done.exit_code, said in done.stderr) == (2, True), done.stderr

@@ -1,24 +1,31 @@
 """`wasp gc`: what no spec reaches goes, and nothing that somebody reads."""
 
+import hashlib
 import json
 import os
 import re
 import shutil
 import signal
+import tarfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.commands import run_here
 from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
-from tests.run.recorded import process
+from tests.run.recorded import key, planned, process, write_run
+from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.notebook.results import open_results
 from wasp_cli.plan.recorded import run_ids
+from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import reach
+from wasp_cli.run.publish import write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
-from wasp_cli.store.artifact import staging_folder, sweep, write_record
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
+from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
 
@@ -55,8 +62,7 @@ def results(both, fakes, tmp_path) -> Path:
 
 
 def collect(results: Path, *options: str | Path) -> str:
-    done = run_here("gc", results, *options, columns=80)
-    assert done.exit_code == 0, done.output
+    done = run_here("gc", results, *options, columns=80, code=0)
     return done.stdout
 
 
@@ -166,9 +172,9 @@ def test_what_runs_leave_behind(fakes, small_spec, tmp_path):
     layout = Layout(results)
     (failed,) = (path.stem for path in layout.failures.iterdir())
     done, unreached_key, busy = sorted(finished(results))[0], "ab" * 10, "cd" * 10
-    for key in (done, failed, unreached_key, busy):
-        layout.work(key).mkdir(exist_ok=True)
-        (layout.work(key) / "checkpoint").write_bytes(b"x" * 1000)
+    for name in (done, failed, unreached_key, busy):
+        layout.work(name).mkdir(exist_ok=True)
+        (layout.work(name) / "checkpoint").write_bytes(b"x" * 1000)
     write_record(layout.failure(unreached_key), {"message": "of an older version"})
     left, written = staging_folder(layout, unreached_key), staging_folder(layout, busy)
     with held(layout.lock(busy), lambda: None):
@@ -188,8 +194,7 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, 
     whole = json.loads(plan.read_text())
     for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
         plan.write_text(text)
-        done = run_here("gc", results, "--yes", columns=80)
-        assert done.exit_code == 1
+        done = run_here("gc", results, "--yes", columns=80, code=1)
         assert "what it needs is unknown" in done.stderr
     plan.unlink()
     assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
@@ -230,3 +235,127 @@ def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_s
     assert left.items() <= whole.items()
     assert sweep(layout) == 1
     assert not list(layout.tmp.iterdir())
+
+
+# `wasp publish --archive`: a folder for an archive, whose sums hold, and from which rows are read again.
+
+
+PUBLISHED = Path(__file__).parents[2] / "results" / "published"
+KEY = "ab95264a06906dcda61e"  # race1 s1 wasp laggy=0.7
+
+
+@pytest.fixture
+def target(tmp_path):
+    shutil.copytree(PUBLISHED / "store/evaluate" / KEY, tmp_path / "published/store/evaluate" / KEY)
+    (tmp_path / "published/reports/mine").mkdir(parents=True)
+    (tmp_path / "published/reports/mine/report.md").write_text("# Report: mine\n")
+    (tmp_path / "published/private").symlink_to("/etc/hostname")
+    return Layout(tmp_path / "published")
+
+
+def test_an_archive_has_sums_that_hold_a_licence_and_a_card_and_is_read_again(target, tmp_path):
+    file = tmp_path / "mine-1.0.tar.gz"
+    count = write_archive(target, "mine", file)
+    with tarfile.open(file) as archive:
+        assert len(archive.getnames()) == count
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    root = tmp_path / "unpacked/mine-1.0"
+    lines = (root / "SHA256SUMS").read_text().splitlines()
+    assert {line.split("  ")[1] for line in lines} | {"SHA256SUMS"} == {str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()}
+    for line in lines:
+        digest, name = line.split("  ")
+        assert hashlib.sha256((root / name).read_bytes()).hexdigest() == digest
+    card = (root / "README.md").read_text()
+    assert card.startswith("---\nlicense: apache-2.0\n")
+    assert "| evaluate | 1 | race1 |" in card
+    assert "Apache License" in (root / "LICENSE").read_text()
+    assert not (root / "private").exists()
+    assert open_results(root).episodes().num_rows == 30
+
+
+def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten(target, tmp_path):
+    first, second = tmp_path / "a/mine.tar.gz", tmp_path / "b/mine.tar.gz"
+    for file in (first, second):
+        file.parent.mkdir()
+        write_archive(target, "mine", file)
+    assert first.read_bytes() == second.read_bytes()
+    for name in ("mine.tar.gz", "mine.zip"):
+        with pytest.raises(UsageError):
+            write_archive(target, "mine", tmp_path / "a" / name)
+    with pytest.raises(StoreError):
+        write_archive(Layout(tmp_path / "none"), "mine", tmp_path / "c.tar.gz")
+
+
+# `wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted.
+
+
+LONG_AGO = time.time() - 7200
+MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED, UNWANTED = range(1, 12)
+
+
+def stored(layout: Layout, kind: str, number: int, reads: int | None = None, variant: str = "noisy", *, session: bool = False) -> Path:
+    staging = staging_folder(layout, key(number))
+    (staging / "rows").write_bytes(b"rows")
+    if session:
+        write_record(staging / SESSION_FILE, {"number": 1})
+    upstream = {} if reads is None else {"read": key(reads)}
+    manifest = {"kind": kind, "key": key(number), "label": f"n{number}", "axes": {"operator": variant}, "upstream": upstream}
+    return commit(layout, kind, key(number), staging, manifest)
+
+
+def begin(layout: Layout, number: int) -> None:
+    write_record(layout.work(key(number)) / SESSION_FILE, {"number": 2})
+    (layout.work(key(number)) / "episodes.parquet").write_bytes(b"two episodes")
+
+
+def drove(layout: Layout, second: int, *nodes: dict[str, Any]) -> str:
+    run_id = f"20260501-1200{second:02d}-drive-0001"
+    write_run(layout, run_id, list(nodes), spec="drive")
+    os.utime(layout.run(run_id), (LONG_AGO, LONG_AGO))
+    return run_id
+
+
+def left(layout: Layout) -> set[int]:
+    return {int(path.name, 16) for path in layout.store.glob("*/*")}
+
+
+def collect_people(layout: Layout) -> str:
+    done = run_here("gc", layout.root, "--yes", "--runs", columns=80, code=0)
+    return done.stdout
+
+
+def test_the_next_participant_displaces_nobody(layout):
+    stored(layout, "world_model", MODEL)
+    stored(layout, "evaluate", ALONE, MODEL, "person", session=True)
+    damaged = stored(layout, "evaluate", OTHER, MODEL, "person", session=True)
+    (damaged / "_manifest.json").write_text("{")
+    stored(layout, "clone", CLONE, ALONE, "person")
+    stored(layout, "evaluate", CLONED, CLONE, "cloned")
+    stored(layout, "counterfactual", BRANCHES, CLONED, "cloned")
+    stored(layout, "evaluate", NEWEST, MODEL, "person", session=True)
+    stored(layout, "world_model", BEGUN_MODEL)
+    stored(layout, "evaluate", UNWANTED)
+    begin(layout, BEGUN)
+    begun = [planned(BEGUN_MODEL, "model", "cached"), planned(BEGUN, "begun", needs=[BEGUN_MODEL])]
+    first = drove(layout, 1, planned(ALONE, "alone"))
+    second = drove(layout, 2, *begun)
+    nobody = drove(layout, 3, planned(UNWANTED, "a grid of the same name", "cached"))
+    newest = drove(layout, 4, planned(NEWEST, "newest"))
+    collect_people(layout)
+    assert left(layout) == {MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN_MODEL}
+    assert (layout.work(key(BEGUN)) / "episodes.parquet").read_bytes() == b"two episodes"
+    assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
+
+
+def test_what_a_note_is_about_stays(layout):
+    stored(layout, "world_model", MODEL)
+    stored(layout, "evaluate", NOTED, MODEL)
+    stored(layout, "evaluate", UNWANTED, MODEL)
+    add_note(layout, Note(key(NOTED), "noted", 3, "it starts within a hazard", "invalid"))
+    collect_people(layout)
+    assert left(layout) == {MODEL, NOTED}
+    (layout.root / "notes.jsonl").unlink()
+    (layout.root / "notes.jsonl").mkdir()
+    done = run_here("gc", layout.root, "--yes", columns=80)
+    assert (done.exit_code, "the notes cannot be read" in done.stderr) == (1, True)
+    assert left(layout) == {MODEL, NOTED}

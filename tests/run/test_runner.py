@@ -1,19 +1,33 @@
 """A plan carried out over fake stages: order, failure, repetition, records, counterfactual branches."""
 
 import json
-import random
+import os
+import signal
+import subprocess
+import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import data_of, prepared, run
+from tests.run.fake_stages import Fake
+from tests.run.harness import ROOT, data_of, prepared, run
+from wasp_cli.errors import StoreError
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.run.pool import InlinePool, LokyPool
-from wasp_cli.run.record import new_run, read_run
-from wasp_cli.run.runner import Runner, Summary
-from wasp_cli.store.artifact import read_manifest
+from wasp_cli.run import worker
+from wasp_cli.run.job import SIGNALS, NodeJob, forget
+from wasp_cli.run.pool import InlinePool, LokyPool, _signals_wait
+from wasp_cli.run.record import new_run, read_run, results_of
+from wasp_cli.run.runner import Runner, Summary, job_of
+from wasp_cli.run.worker import execute
+from wasp_cli.spec.derived import limited
+from wasp_cli.spec.load import Loaded, load
+from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import read_json_lines
@@ -101,16 +115,6 @@ def test_workers_give_the_same_bytes_as_this_process(fakes, small_spec, tmp_path
     assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
 
 
-def test_the_order_of_the_work_changes_no_byte(fakes, small_spec, tmp_path, monkeypatch):
-    run(small_spec, tmp_path / "calm")
-    calm = fakes.executions()
-    chance = random.Random(1)
-    monkeypatch.setattr("wasp_cli.run.runner.durations", lambda nodes, seconds: {node.key: chance.random() for node in nodes})
-    run(small_spec, tmp_path / "shuffled")
-    assert fakes.executions()[len(calm) :] != calm
-    assert data_of(tmp_path / "shuffled") == data_of(tmp_path / "calm")
-
-
 def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes, small_spec, tmp_path):
     """The other one goes on for a while: meanwhile everything is done that does not need it."""
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
@@ -177,3 +181,192 @@ def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_pa
     options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
     assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
     assert len(branches(tmp_path / "results")) == 1
+
+
+# One node in a worker, and worker processes under the signals that a terminal sends to the whole group.
+
+
+@pytest.fixture
+def job(fakes, small_spec, tmp_path) -> NodeJob:
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+    run_id = new_run(layout, loaded, plan)
+    layout.journal(run_id).touch()  # by which a worker sees that it is in the right folder
+    return job_of(layout, run_id, plan.to_run()[0])
+
+
+def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):
+    monkeypatch.setattr(Fake, "run", lambda self, job: {"written": os.write(1, b"one") + os.write(2, b"two")})
+    result = execute(job)
+    assert result.summary == {"written": 6}
+    begun, ended = Path(result.log).read_text(encoding="utf-8").splitlines()
+    assert begun.startswith(f"{job.label}: begun 20")
+    assert ended.startswith(f"onetwo{job.label}: done in "), "a log says when the node began and ended, also where nothing is printed"
+    os.write(1, b"restored")
+    assert capfd.readouterr() == ("restored", "")
+
+
+def test_a_result_of_changed_source_is_not_published(job):
+    result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}))
+    assert result.state == "failed"
+    assert result.message == "the source changed during the run: wasp_cli.config"
+    assert not exists(Layout(Path(job.root)), job.kind, job.key)
+
+
+def test_numbers_of_numpy_and_nested_ones_become_plain():
+    import numpy as np
+
+    summary = {"a": np.float32(0.5), "b": [np.int64(2), float("inf")], "c": {"d": True}}
+    assert worker.finite(summary) == {"a": 0.5, "b": [2, None], "c": {"d": True}}
+
+
+def test_an_order_that_cannot_even_start_fails_without_raising(job, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert execute(replace(job, root=str(tmp_path / "file"))).state == "unseen"
+    log = Layout(Path(job.root)).log(job.run_id, job.label, job.key)
+    log.mkdir()
+    result = execute(job)
+    assert result.state == "failed"
+    assert "IsADirectoryError" in result.message
+
+
+def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
+    """A process can be killed between writing the next heartbeat and giving it its name."""
+    ours, partial, other = (tmp_path / name for name in ("f077.json", ".f077.json-8848987e", ".f078.json-8848987e"))
+    for path in (ours, partial, other):
+        path.write_text("{}", encoding="utf-8")
+    forget(ours)
+    forget(ours)
+    assert sorted(tmp_path.iterdir()) == [other]
+
+
+MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
+
+
+def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
+    with _signals_wait():
+        process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    process.send_signal(signal.SIGINT)
+    out, errors = process.communicate(timeout=600)
+    assert (process.returncode, errors) == (0, "")
+    assert all(number.name in out for number in SIGNALS)
+
+
+def test_a_worker_that_is_ready_has_no_signals_waiting():
+    code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
+    with _signals_wait():
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+# A look at the first episodes of every cell before the whole.
+
+
+METHODS = {"human", "ida", "wasp", "expert"}
+"""Of the small spec."""
+
+
+def loaded_with(spec: Path, limit: int | None, *settings: str) -> Loaded:
+    return limited(load(spec, ("episodes=30", *settings)), limit)
+
+
+def planned(loaded: Loaded, layout: Layout) -> Plan:
+    return plan_against(lay_out(loaded.spec), layout)
+
+
+def carried_out(loaded: Loaded, layout: Layout) -> dict[str, dict[str, Any]]:
+    """Compute what is missing; returns the manifests of the cells of this run by label."""
+    layout.prepare()
+    plan = planned(loaded, layout)
+    assert Runner(layout, new_run(layout, loaded, plan), InlinePool()).run(plan).complete
+    manifests = [json.loads(layout.manifest(node.kind, node.key).read_text()) for node in plan.to_run() if node.kind == "evaluate"]
+    return {manifest["label"]: manifest for manifest in manifests}
+
+
+def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes, small_spec, tmp_path):
+    layout = Layout(tmp_path / "results")
+    look, all_ = loaded_with(small_spec, 10), loaded_with(small_spec, None)
+    first = carried_out(look, layout)
+    assert {manifest["config"]["episodes"] for manifest in first.values()} == {10}
+    assert not any("earlier" in manifest["provenance"] for manifest in first.values())
+    assert planned(look, layout).to_run() == []
+
+    plan = planned(all_, layout)
+    cells = {node.key for node in plan.to_run() if node.kind == "evaluate"}
+    assert cells == plan.begun.keys()
+    assert {node.kind for node in plan.to_run()} <= {"evaluate", "counterfactual"}  # nothing is trained again
+    whole = carried_out(all_, layout)
+    assert whole.keys() == first.keys()
+    for label, manifest in whole.items():
+        assert manifest["config"]["episodes"] == 30
+        assert manifest["key"] != first[label]["key"]
+        assert manifest["provenance"]["earlier"] == first[label]["key"]
+    again = planned(all_, layout)
+    assert again.to_run() == []
+    assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), "a part of a cell was taken for its time"
+
+
+@pytest.mark.parametrize(
+    ("setting", "methods"),
+    [
+        ("evaluate.safe_cost=25.0", METHODS),
+        ("side_by_side=5", set()),
+        ("evaluate.safe_cost=3.0", set()),
+        ("wasp.candidates=9", METHODS - {"wasp"}),
+    ],
+)
+def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, fakes, small_spec, tmp_path):
+    layout = Layout(tmp_path / "results")
+    carried_out(loaded_with(small_spec, 10), layout)
+    plan = planned(loaded_with(small_spec, None, setting), layout)
+    assert {node.axes["method"] for node in plan.to_run() if node.key in plan.begun} == methods
+
+
+# What the surroundings of a run can do to it: folders that cannot be read, readers that go away, plugins that break.
+
+
+def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(StoreError, match="file name too long"):
+        results_of(tmp_path / ("x" * 300))
+
+    def forbid(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("wasp_cli.run.record.os.scandir", forbid)
+    with pytest.raises(StoreError, match="permission denied"):
+        results_of(tmp_path)
+
+
+def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
+    fakes.set(behave={"goal1": "raise"})
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+    run_id = new_run(layout, loaded, plan)
+    layout.journal(run_id).touch()
+    job = job_of(layout, run_id, plan.to_run()[0])
+    result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
+    assert result.message == "the source changed during the run: wasp_cli.config"
+    assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
+
+
+def closed_pipe() -> int:
+    reader, writer = os.pipe()
+    os.close(reader)
+    return writer
+
+
+def wasp(*arguments: str | Path, stdout: int, program: tuple[str, ...] = ("-m", "wasp_cli")) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *program, *map(str, arguments)]
+    try:
+        return subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
+    finally:
+        os.close(stdout)
+
+
+def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spec, tmp_path):
+    fakes.set(behave={"s1 critics": "refuse"})
+    arguments = ("run", small_spec, "--results", tmp_path / "results", "-j", "0")
+    done = wasp(*arguments, stdout=closed_pipe(), program=("tests/run/fake_wasp.py",))
+    assert done.returncode == 1
+    assert "1 failed:" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "BrokenPipe" not in done.stderr

@@ -22,8 +22,7 @@ RUN = "20260501-120000-small-0001"
 
 
 def status(layout: Layout, *options: str) -> str:
-    done = run_here("status", layout.root, *options, columns=120)
-    assert done.exit_code == 0, done.output
+    done = run_here("status", layout.root, *options, columns=120, code=0)
     return done.stdout
 
 
@@ -82,8 +81,7 @@ def test_the_log_of_any_node(fakes, small_spec, tmp_path):
     fakes.set(behave={"s0 ida_q": "refuse"})
     run(small_spec, results)
     for label in ("goal1 s0 world_model", "goal1 s0 ida_q", "GOAL1 s1 human noisy=0.2", "goal1 human noisy=0.2 seed 1"):
-        done = run_here("logs", label, "--results", results, columns=80)
-        assert done.exit_code == 0, done.output
+        done = run_here("logs", label, "--results", results, columns=80, code=0)
         begun, printed, *_ = done.stdout.splitlines()
         assert ": begun 20" in begun
         assert printed.startswith("fake goal1 s")
@@ -92,8 +90,7 @@ def test_the_log_of_any_node(fakes, small_spec, tmp_path):
     assert path.is_file()
     by_key = run_here("logs", path.stem.rpartition("-")[2], "--path", "--results", results, columns=20)
     assert by_key.stdout.rstrip("\n") == str(path)
-    unknown = run_here("logs", "goal1 s0 ida_p", "--results", results, columns=200)
-    assert unknown.exit_code == 2
+    unknown = run_here("logs", "goal1 s0 ida_p", "--results", results, columns=200, code=2)
     assert "did you mean 'goal1 s0 ida_q'" in unknown.stderr
 
 
@@ -104,16 +101,14 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     layout.log(RUN, "b", key(7)).write_text("of b\n")
 
     def log(*arguments: str) -> str:
-        done = run_here("logs", *arguments, "--results", layout.root, columns=80)
-        assert done.exit_code == 0, done.output
+        done = run_here("logs", *arguments, "--results", layout.root, columns=80, code=0)
         return done.stdout
 
     assert log("a") == "of 20260501-140000-small-0003\n"
     assert log(key(1)) == "of 20260501-130000-small-0002\n"
     assert log(key(1), "--run", "0001") == f"of {RUN}\n"
     assert log("b") == "of b\n"  # computed in the first run; later ones found it there
-    several = run_here("logs", "0000", "--results", layout.root, columns=80)
-    assert several.exit_code == 2
+    several = run_here("logs", "0000", "--results", layout.root, columns=80, code=2)
     assert "'0000' names 3 nodes" in several.stderr
 
 
@@ -183,8 +178,7 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_p
     assert run_ids(layout) == [newest, ahead]
     assert last_runs(layout) == ({"small": newest}, [])
     assert json.loads(run_here("status", results, "--json", columns=80).stdout)[0]["run_id"] == newest
-    done = run_here("gc", results, "--yes", columns=80)
-    assert done.exit_code == 0, done.output
+    run_here("gc", results, "--yes", columns=80, code=0)
     assert finished(results) == keys_of(later, results)
 
 
@@ -209,8 +203,7 @@ def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_sp
         before = keys_of(small_spec, results)
         run(later, results)
         for _ in range(2):
-            done = run_here("gc", results, "--yes", "--runs", columns=80)
-            assert done.exit_code == 0, done.output
+            run_here("gc", results, "--yes", "--runs", columns=80, code=0)
         assert before <= finished(results)
     finally:
         gate.touch()

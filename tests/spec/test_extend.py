@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from tests.spec.good import mistakes
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
@@ -113,21 +114,7 @@ def test_the_name_is_said_by_the_file_itself(base):
     assert load(written(base.parent, "named", "extends: base.yaml\nname: named\n")).spec.name == "named"
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("absent.yaml", "no such file: '{folder}/absent.yaml'"),
-        ("absent", "no such file: '{folder}/absent'"),
-        ("base.json", "should be the name of a spec or of a .yaml file, not 'base.json'"),
-        ('"."', "should be the name of a spec or of a .yaml file, not '.'"),
-        ('"a\\0.yaml"', "should be the name of a spec or of a .yaml file, not 'a\\x00.yaml'"),
-        ('"\\ud800.yaml"', "holds an unpaired surrogate escape"),
-        ("{file: base.yaml}", "should be the name of a spec or of a .yaml file, not a mapping"),
-        ("3", "should be the name of a spec or of a .yaml file, not a number"),
-        ("", "should be the name of a spec or of a .yaml file, not nothing"),
-        ("2020-01-01", "a date is no value of a spec; put it in quotes"),
-    ],
-)
+@pytest.mark.parametrize(("value", "message"), mistakes("extend: what cannot be extended is refused where it is said"))
 def test_what_cannot_be_extended_is_refused_where_it_is_said(base, value, message):
     path = written(base.parent, "fast", f"name: fast\nextends: {value}\n")
     ((file, place, found),) = places(path)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.spec.good import GOOD
+from tests.spec.good import GOOD, mistakes
 from wasp_cli.errors import UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
@@ -52,76 +52,13 @@ def test_episodes_at_the_top_reach_the_evaluation():
     assert read(GOOD).spec.stage("evaluate").model_dump()["episodes"] == 2
 
 
-@pytest.mark.parametrize(
-    ("addition", "place", "message", "hint"),
-    [
-        ("wasp:\n  candidats: 64\n", (9, 3), "unknown key 'candidats'", "did you mean 'candidates'?"),
-        (
-            "candidates: 64\n",
-            (8, 1),
-            "unknown key 'candidates'",
-            "did you mean 'wasp.candidates', 'printed.candidates' or 'ida-guarded.candidates'?",
-        ),
-        ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' belongs at the top level, outside every section"),
-        ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
-        ("wasp: {horizon: 3}\n", (8, 1), "residual_steps (5) is longer than horizon (3)", None),
-        ("wasp: {variant: no-case2}\n", (8, 8), "'variant' is not set here", "write `variants: [full]` at the top, outside every section"),
-        ("evaluate: {episodes: 3}\n", (8, 12), "'episodes' is not set here", "write `episodes: 30` at the top, outside every section"),
-        ("wasp: 3\n", (8, 7), "should be a mapping of keys to values, not 3", None),
-        ("returns: {gamma_c: .nan}\n", (8, 20), "should be a finite number, not nan", None),
-        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.67, not 1", None),
-        ("by_task: {goal1: {wasp: {candidats: 9}}}\n", (8, 26), "unknown key 'candidats'", "did you mean 'candidates'?"),
-        ("by_task: {goal1: {wasp: {horizon: 3}}}\n", (8, 19), "residual_steps (5) is longer than horizon (3)", None),
-        ("by_task: {goal1: {wsap: {}}}\n", (8, 19), "unknown section 'wsap'", "did you mean 'wasp'?"),
-        (
-            "by_task: {goal1: {evaluate: {safe_cost: 3}}}\n",
-            (8, 19),
-            "'evaluate' is the same for all tasks",
-            "set 'evaluate' outside `by_task`",
-        ),
-        (
-            "by_task: {goal1: {residual: {operators: {noisy: [0.2]}}}}\n",
-            (8, 30),
-            "'residual.operators' is the same for all tasks",
-            "set 'residual.operators' outside `by_task`",
-        ),
-        (
-            "by_task: {goal1: {wasp: {variant: full}}}\n",
-            (8, 26),
-            "'variant' is not set here",
-            "write `variants: [full]` at the top, outside every section",
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("addition", "place", "message", "hint"), mistakes("load: mistakes have a place and a suggestion"))
 def test_mistakes_have_a_place_and_a_suggestion(addition, place, message, hint):
     problem = only(GOOD + addition)
     assert (at(problem), problem.message, problem.hint) == (place, message, hint)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place", "message", "hint"),
-    [
-        ("[goal1]", "[goal7]", (3, 9), "unknown task 'goal7'", "did you mean 'goal0', 'goal1' or 'goal2'?"),
-        ("[goal1]", "[goal1, goal1]", (3, 8), "'goal1' is listed twice", None),
-        ("[goal1]", "[]", (3, 8), "should not be empty", "the tasks"),
-        ("mild: 0.2", "mild: 1.2", (6, 17), "should lie between 0 and 1 (probability of a uniform action), not 1.2", None),
-        ("noisy: {mild: 0.2}", "limited-skill: {mild: 0.3}", (6, 25), "no such value in expert.checkpoints",
-         "checkpoints: 0.1, 0.25, 0.5, 1"),
-        ("{mild: 0.2}", "{}", (6, 10), "should not be empty", None),
-        ("seeds: [0]\n", "", (1, 1), "missing key 'seeds'", "evaluation seeds"),
-        ("seeds: [0]", "seeds: [0]\nepisodes: 1000000000", (8, 11), "should be less than or equal to 100000, not 1000000000", None),
-        ("seeds: [0]", "seeds:", (7, 1), "should be a list, not nothing (null)", None),
-        ("name: good", "name: ../good", (1, 7), "'../good' is not a usable name",
-         "letters, digits, dot, dash and underscore, beginning with a letter or a digit"),
-        ("operators:\n  noisy: {mild: 0.2}\n", "", (1, 1), "the listed methods assist an operator; name at least one variant", None),
-        ("[human, wasp]", "[]\nstages: []", (4, 10), "neither methods nor stages are listed",
-         "name a method, or under `stages` what is to be trained"),
-        ("[human, wasp]", "[]\nstages: [critics]\nvariants: [no-case2]", (6, 12), "unknown variant of the listed methods 'no-case2'",
-         "known: full"),
-        ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
-         "'evaluate' runs for a method", "list its method under `methods`"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "place", "message", "hint"), mistakes("load: wrong names and values are told where they stand"))
 def test_wrong_names_and_values_are_told_where_they_stand(old, new, place, message, hint):
     assert old in GOOD
     problem = only(GOOD.replace(old, new))
@@ -148,49 +85,14 @@ def test_stages_mix_known_operators_at_known_values():
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "message"),
-    [
-        ("", (1, 1), "the file is empty"),
-        ("- a\n", (1, 1), "a spec is a mapping of keys to values, not a list"),
-        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not text"),
-        ("a: [1\nb: 2\n", (2, 2), "not valid YAML: expected ',' or ']', but got ':'"),
-        ("a: 1\nb: 2\na: 3\n", (3, 1), "found duplicate key 'a'"),
-        ("a: 1\n\tb: 2\n", (2, 1), "not valid YAML: found character '\\t' that cannot start any token"),
-        ("a: *x\n", (1, 4), "an alias (*) is no part of a spec"),
-        ("a: 1\nb: &b {c: 2}\n", (2, 4), "an anchor (&) is no part of a spec"),
-        ("a: {<<: {b: 1}}\n", (1, 5), "a merge (<<) is no part of a spec"),
-        ("a: !!set {b}\n", (1, 4), "a tag (!) is no part of a spec"),
-        ("a: 1\n---\nb: 1\n", (2, 1), "not valid YAML: but found another document"),
-        ("name: \x01\n", (1, 7), "not a text file: special characters are not allowed"),
-        ("a: " + "9" * 5000, (1, 4), "not valid YAML: '9999999999999999999999999999999999999...' is not an integer"),
-        ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is not a valid date"),
-        ("a: {b: [0x_]}\n", (1, 9), "not valid YAML: '0x_' is not an integer"),
-        ("[" * 600, (1, 1), "nested too deeply"),
-    ],
-)
+@pytest.mark.parametrize(("text", "place", "message"), mistakes("load: what is not a yaml mapping is refused with a place"))
 def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text, place, message):
     problem = only(text)
     assert at(problem) == place
     assert problem.message.startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("2020-01-01", "a date is no value of a spec"),
-        ("{[a]: b}", "a key should be a plain word, not a list"),
-        ("{? {a: 1} : b}", "a key should be a plain word, not a mapping"),
-        ("{~: b}", "a key should be a plain word, not None"),
-        ("{.nan: b}", "a key should be a plain word, not so large a number"),
-        ("{? 0x" + "f" * 5000 + " : b}", "a key should be a plain word, not so large a number"),
-        ("{1: a, '1': b}", "found duplicate key '1'"),
-        ("0x" + "f" * 5000, "is too large a number"),
-        ('"\\ud800"', "holds an unpaired surrogate escape"),
-        ('{"\\udfff": a}', "a key should be a plain word, not an unpaired surrogate escape"),
-        ("[" * 40 + "]" * 40, "nested too deeply"),
-    ],
-)
+@pytest.mark.parametrize(("value", "message"), mistakes("load: values without a plain form are refused"))
 def test_values_without_a_plain_form_are_refused(value, message):
     assert any(problem.message.startswith(message) for problem in problems(f"{GOOD}extra: {value}\n"))
 
@@ -224,27 +126,7 @@ def test_files_that_cannot_be_read_say_so(tmp_path):
     assert at(caught.value.problems[0]) == (2, 5)
 
 
-@pytest.mark.parametrize(
-    ("addition", "hint"),
-    [
-        ("extend: base.yaml\n", "did you mean 'extends'?"),
-        ("waps: {probe: 8}\n", "did you mean 'wasp'?"),
-        ("world-model: {updates: 8}\n", "did you mean 'world_model'?"),
-        ("wasp: {extends: base.yaml}\n", "'extends' belongs at the top level, outside every section"),
-        ("policies: {rollout: 32}\n", "did you mean 'policies.reinforce.rollout', 'expert.rollout' or 'residual.rollout'?"),
-        ("policies: {reinforce: {intractions: 32}}\n", "did you mean 'interactions'?"),
-        ("wasp: {warmups: 3}\n", "did you mean 'world_model.warmup'?"),
-        ("world_model: {mirror: yes}\n", "write true"),
-        ("ida: {copilot: Expert}\n", "did you mean 'expert'?"),
-        ("filter: {tau_c: auto}\n", "known: calibrated"),
-        ("filter: {tau_c: '0.3'}\n", "without quotes: 0.3"),
-        ("wasp: {rollouts: '3.5'}\n", None),
-        ("expert: {hidden: 64}\n", "write [64]"),
-        ("residual: {operators: {noisy: 0.3}}\n", "write [0.3]"),
-        ("residual: {operators: {nosiy: [0.3]}}\n", "did you mean 'noisy'?"),
-        ("by_task: {goal1: 0.2}\n", "with a name, for example {moderate: 0.2}"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("addition", "hint"), mistakes("load: keys and values have suggestions"))
 def test_keys_and_values_have_suggestions(addition, hint):
     assert only(GOOD + addition).hint == hint
 

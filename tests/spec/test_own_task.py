@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.spec.good import mistakes
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run, read_run
@@ -47,24 +48,7 @@ def test_one_task_may_be_written_without_a_list():
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
 
 
-@pytest.mark.parametrize(
-    ("line", "column", "message", "hint"),
-    [
-        ("task: gaol1", 7, "unknown task 'gaol1'", "did you mean 'goal"),
-        ("tasks: [goal1, puddle:Pudle-v0]", 16, "module 'puddle' registers no 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
-        ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "run in the folder that holds 'nowhere'"),
-        ("task: json:MyEnv-v0", 7, "module 'json' registers no 'MyEnv-v0'", "gymnasium.register('MyEnv-v0'"),
-        ("task: CartPole-v1", 7, "environment 'CartPole-v1': its action space is Discrete(2)", "float Box"),
-        ("task: unlimited:Puddle-v1", 7, "environment 'unlimited:Puddle-v1': it has no time limit", "max_episode_steps=500"),
-        ("task: wasp/SafetyPointGoal1-v0", 7, "'wasp/SafetyPointGoal1-v0' is built in under another name", "write 'goal1'"),
-        ("task: wasp/SafetyPointGaol1-v0", 7, "unknown task", "did you mean 'wasp/SafetyPointGoal1-v0'"),
-        ("task: unlimited:Fails-v0", 7, "environment 'unlimited:Fails-v0': its step failed: RuntimeError: the wheel fell off", "line"),
-        ("task: ../../etc/passwd", 7, "no task and no gymnasium id is called", "module:"),
-        ("task: 'my pkg:MyEnv-v0'", 7, "unknown task 'my pkg:MyEnv-v0'", ""),
-        ("task: [goal1]", 7, "should be one name, not a list", "write tasks: [...]"),
-        ("task: goal1\ntasks: [goal1]", 1, "both 'task' and 'tasks' are given", "write one of them"),
-    ],
-)
+@pytest.mark.parametrize(("line", "column", "message", "hint"), mistakes("own_task: mistakes have a place and a remedy"))
 def test_mistakes_have_a_place_and_a_remedy(line, column, message, hint, tmp_path, monkeypatch):
     module = """\
 import gymnasium

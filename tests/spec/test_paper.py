@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
+from tests.spec.good import mistakes
 from wasp_cli.spec.paper import Comparison, Paper, Printed, Who, load_paper, paper_of
 from wasp_cli.spec.read import InvalidSpec, parse
 
@@ -112,25 +113,7 @@ claims:
 """
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        ("return, cost]", "return, cots]", (4, 23, "unknown column 'cots'", "did you mean 'cost'?")),
-        ("3]", "3 ± x]", (7, 28, "no printed number", "write it as the paper prints it: 13.74 ± 4.15, or 0")),
-        ("human: [", "humna: [", (7, 9, "unknown method 'humna'", "did you mean 'human'?")),
-        ("no-case2:", "no-case-2:", (8, 9, "unknown assistant variant 'no-case-2'", "did you mean 'no-case2'?")),
-        ("goal1:\n", "gaol1:\n", (6, 7, "unknown task 'gaol1'", "did you mean 'goal1'?")),
-        ("2.0, 3]", "2.0]", (7, 16, "1 numbers for 2 columns", None)),
-        ("says:", "sais:", (12, 5, "unknown key 'sais'", "did you mean 'says'?")),
-        (", right: [human]", "", (14, 9, "'lower' needs 'right', the rows to compare with, and no 'bound'", None)),
-        (", bound: 3", ", right: [human]", (15, 9, "'at_most' needs 'bound', a number, and neither 'right' nor 'margin'", None)),
-        ("bound: 3", "bound: 3, either: [viol]",
-         (15, 9, "one of 'columns' (all of them) and 'either' (one is enough) is needed", None)),
-        ("lower", "not_lower",
-         (14, 9, "'not_lower' needs a 'margin' above 0: no finite number of seeds shows that two means are equal", None)),
-        ("[human]}", "[human], margin: 1}", (14, 98, "should be less than 1", None)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "expected"), mistakes("paper: a mistake has its place and its remedy"))
 def test_a_mistake_has_its_place_and_its_remedy(old, new, expected):
     assert expected in problems(GOOD.replace(old, new, 1))
 

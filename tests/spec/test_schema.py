@@ -1,5 +1,10 @@
 """The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that an editor should mark."""
 
+import json
+import os
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +16,11 @@ from hypothesis import strategies as st
 from tests.commands import run_here
 from tests.spec import good
 from wasp_cli.methods.registry import METHODS, MethodInfo
+from wasp_cli.spec.load import load
 from wasp_cli.spec.model import spec_type
 from wasp_cli.spec.read import parse, read
 from wasp_cli.spec.schema import FOREIGN, spec_schema
+from wasp_cli.spec.shipped import published_folder, shipped_names, spec_path, specs_folder
 from wasp_cli.tasks.registry import is_foreign
 
 SPECS = Path(__file__).parents[2] / "specs"
@@ -37,8 +44,7 @@ def document(text: str) -> dict[str, Any]:
 
 
 def test_the_committed_file_is_current():
-    done = run_here("schema", columns=80)
-    assert done.exit_code == 0
+    done = run_here("schema", columns=80, code=0)
     assert FILE.read_text(encoding="utf-8") == done.stdout, "wasp schema > specs/wasp.schema.json"
 
 
@@ -113,3 +119,125 @@ def test_names_of_plugins_are_there(monkeypatch):
     assert "mine" in own
     assert "mine" in own["methods"]["items"]["enum"]
     assert "half" in own["variants"]["items"]["enum"]
+
+
+# Specs by name, from any folder; and a wheel that brings them and the published parts, installed into an empty folder.
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_names_are_those_of_the_specs():
+    assert {"quickstart", "smoke", "table1", "table2", "figure3"} <= {*shipped_names()}
+    assert "paper" not in shipped_names()
+    assert published_folder() == ROOT / "results" / "published"
+
+
+@pytest.mark.parametrize("typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"])
+def test_a_spec_is_found_by_its_name(typed, elsewhere):
+    assert spec_path(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
+    assert load(Path(typed)).spec.name == "quickstart"
+
+
+@pytest.mark.parametrize("typed", ["mine/quickstart.yaml", "../quickstart", "quickstart.txt", "/quickstart", "quick\nstart", "nothing", ""])
+def test_nothing_else_is_taken_for_a_name(typed, elsewhere):
+    assert spec_path(Path(typed)) == Path(typed)
+
+
+def test_a_file_that_is_there_comes_first(elsewhere):
+    assert run_here("init", columns=200).exit_code == 0
+    shipped = {path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))}
+    assert {path.name for path in Path("specs").iterdir()} == shipped
+    Path("specs/table1.yaml").write_text("name: mine\n")
+    assert "specs/table1.yaml: is there, not changed" in run_here("init", columns=200).output
+    assert Path("specs/table1.yaml").read_text() == "name: mine\n"
+    assert spec_path(Path("smoke")) == Path("specs/smoke.yaml")
+    Path("smoke").write_text("name: own\n")
+    assert spec_path(Path("smoke")) == Path("smoke")
+
+
+@pytest.mark.parametrize("value", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml"])
+def test_a_shipped_spec_is_extended_by_its_name_from_any_folder(value, elsewhere):
+    mine = elsewhere / "own" / "mine.yaml"
+    mine.parent.mkdir()
+    mine.write_text(f"extends: {value}\nname: mine\nseeds: [7]\n")
+    spec = load(mine).spec
+    assert (spec.name, spec.seeds, spec.tasks) == ("mine", (7,), load(Path("quickstart")).spec.tasks)
+    (mine.parent / "quickstart.yaml").write_text("name: nearer\ntasks: [race1]\nmethods: [human]\noperators: {laggy: {moderate: 0.7}}\n")
+    assert load(mine).spec.tasks == (load(Path("quickstart")).spec.tasks if "/" in value else ("race1",)), "a file beside it comes first"
+
+
+@pytest.mark.parametrize("command", [("check",), ("run",), ("sweep", "--vary", "episodes=1,2")])
+def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
+    (elsewhere / "other.yaml").write_text("name: other\n")
+    done = run_here(*command, "nope", columns=200)
+    assert (done.exit_code, f"known: other, {', '.join(shipped_names())}" in done.output) == (3, True)
+    assert "did you mean 'quickstart'?" in run_here(*command, "quikstart", columns=200).output
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("goal9", "unknown task or spec 'goal9'\n       did you mean 'goal0', 'goal1' or 'goal2'?"),
+        ("studdy", "did you mean 'study'?"),
+        ("puddle:Puddle-v0", "'puddle:Puddle-v0' cannot be driven: own tasks have no page"),
+        ("mine/study.yaml", "mine/study.yaml:1:1: no such file"),
+    ],
+)
+def test_a_word_that_cannot_be_driven_is_answered_with_those_that_can(typed, message, elsewhere):
+    for more in ((), ("--withdraw",)):
+        done = run_here("drive", typed, *more, columns=200)
+        assert done.exit_code in (2, 3)
+        assert message in done.output
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Path:
+    """A folder that a wheel of this tree was installed into, without what it needs."""
+    builder = pytest.importorskip("hatchling.build")
+    place = tmp_path_factory.mktemp("wheel")
+    before = Path.cwd()
+    os.chdir(ROOT)
+    try:
+        name = builder.build_wheel(str(place))
+    finally:
+        os.chdir(before)
+    with zipfile.ZipFile(place / name) as wheel:  # an archive of what is installed
+        wheel.extractall(place / "site")
+    return place / "site"
+
+
+@pytest.mark.slow
+def test_an_installed_wheel_has_the_specs_and_the_published_parts(installed, tmp_path):
+    code = f"""
+import sys
+sys.path.insert(0, {str(installed)!r})
+import wasp_cli
+from wasp_cli.cli.app import main
+
+print(wasp_cli.__file__)
+for command in (["check", "quickstart", "specs/table1.yaml", "paper"], ["plan", "quickstart", "--json"]):
+    sys.argv[1:] = command
+    try:
+        main()
+    except SystemExit as end:
+        print(end.code)
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+    where, checked, _, _, code_of_check, plan = done.stdout.split("\n", 5)
+    assert where.startswith(str(installed)), "another installation was asked"
+    assert checked == "quickstart: ok, 29 cells"
+    plan, _, code_of_plan = plan.strip().rpartition("\n")
+    assert code_of_check == code_of_plan == "0", done.stderr
+    assert not list(tmp_path.iterdir())
+    states = {node["label"]: node["state"] for node in json.loads(plan)["nodes"]}
+    assert states["goal1 s1 world_model"] == states["goal1 s1 policies"] == states["goal1 s1 critics"] == "published"
+    spec, results = ROOT / "specs" / "quickstart.yaml", tmp_path / "results"
+    here = json.loads(run_here("plan", spec, "--results", results, "--json", columns=200).stdout)
+    assert states == {node["label"]: node["state"] for node in here["nodes"]}

@@ -1,7 +1,5 @@
 """A name of any length is refused at once."""
 
-from __future__ import annotations
-
 from difflib import SequenceMatcher
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,23 +1,25 @@
 """Small files that others have written."""
 
 import json
+import multiprocessing
 import os
+import threading
+from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
-from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import (
-    commit,
-    damage,
-    discard,
-    is_file_name,
-    read_manifest,
-    read_record,
-    staging_folder,
-    stored_keys,
-)
+from tests.store.test_tables import CELL, invent
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.metrics.episode import episode_metrics
+from wasp_cli.store.artifact import commit, damage, discard, is_file_name, read_manifest, read_record, staging_folder, stored_keys
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.tables import STEPS_FILE, Thresholds, write_cell
 
 KEY = "a" * 20
 
@@ -117,3 +119,114 @@ def test_what_a_link_leads_to_is_not_discarded(tmp_path):
         discard(path)
     assert not (tmp_path / "link").exists()
     assert (tmp_path / "precious").is_dir()
+
+
+# Locks whose files are removed meanwhile.
+
+
+def nothing() -> bool:
+    return True
+
+
+def test_a_file_that_nobody_holds_goes(tmp_path):
+    path = tmp_path / "key"
+    assert not remove_lock(path)
+    with held(path, nothing):
+        assert not remove_lock(path)
+        assert path.exists()
+    assert remove_lock(path)
+    assert not path.exists()
+
+
+def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):
+    """Without looking again, it would hold a file that no path names, and the next process another one."""
+    path = tmp_path / "key"
+    waits, holds, end = threading.Event(), threading.Event(), threading.Event()
+
+    def wait_and_hold() -> None:
+        with held(path, lambda: waits.set() is None):
+            holds.set()
+            end.wait(600)
+
+    with held(path, nothing):
+        waiter = threading.Thread(target=wait_and_hold)
+        waiter.start()
+        assert waits.wait(600)
+        path.unlink()
+    assert holds.wait(600)
+    assert is_held(path)
+    assert not remove_lock(path)
+    end.set()
+    waiter.join()
+
+
+def count_up(lock: str, counter: str, times: int) -> None:
+    for _ in range(times):
+        with held(Path(lock), nothing):
+            number = int(Path(counter).read_text())
+            os.sched_yield()
+            Path(counter).write_text(str(number + 1))
+
+
+def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path):
+    counter = tmp_path / "counter"
+    counter.write_text("0")
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 100)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    removed = 0
+    while any(process.is_alive() for process in processes):
+        removed += remove_lock(tmp_path / "key")
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert counter.read_text() == "200"
+    assert removed > 1
+
+
+def test_some_share_a_lock_and_nobody_then_has_it_alone(tmp_path):
+    path = tmp_path / "planning"
+    with (
+        held(path, nothing, shared=True),
+        held(path, lambda: pytest.fail("a shared lock is shared"), shared=True),
+        held_if_free(path) as mine,
+    ):
+        assert not mine
+    with held_if_free(path) as mine:
+        assert mine
+        assert is_held(path)
+
+
+EPISODES = [invent(0, 5), invent(1, 1), invent(2, 9)]
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in EPISODES]
+    return write_cell(tmp_path, CELL, EPISODES, rows, Thresholds(), [np.ones(t.steps) for t in EPISODES], [11, 12, 13])
+
+
+def test_commands_actions_and_rewards_come_back_episode_by_episode(path):
+    recorded = read_recorded(path)
+    assert recorded["layouts"] == [11, 12, 13]
+    for e, trajectory in enumerate(EPISODES):
+        for name in ("a_h", "a", "reward"):
+            assert recorded[name][e].dtype == np.float32
+            np.testing.assert_array_equal(recorded[name][e], getattr(trajectory, name).astype(np.float32))
+
+
+@pytest.mark.parametrize("damage", ["no episode", "an episode is missing", "steps are missing", "no actions"])
+def test_rows_that_are_no_whole_episodes_are_refused(path, damage):
+    table = pq.read_table(path)
+    if damage == "no episode":
+        table = table.slice(0, 0)
+    elif damage == "an episode is missing":
+        table = pa.concat_tables([table.slice(0, 1), table.slice(2, 1)])
+    elif damage == "steps are missing":
+        table = table.set_column(table.column_names.index("decisions"), table.schema.field("decisions"), [pa.array([5, 2, 9], pa.int32())])
+    else:
+        steps = pq.read_table(path.with_name(STEPS_FILE))
+        rows = [step | {"a": []} for step in steps.to_pylist()]
+        pq.write_table(pa.Table.from_pylist(rows, schema=steps.schema), path.with_name(STEPS_FILE))
+    pq.write_table(table, path)
+    with pytest.raises(StoreError, match=r"whole episodes|'a' is missing"):
+        read_recorded(path)

@@ -1,13 +1,22 @@
 """The tasks against recordings of the reference package."""
 
 from functools import cache
+from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.conformance import __main__ as conformance
 from tests.conformance.comparison import compare
 from tests.tasks.conftest import DATA, load_recording
+from tests.tasks.test_gym import ID, text
+from wasp_cli.errors import UnknownName, UnknownOption, UsageError
+from wasp_cli.tasks import sheet
+from wasp_cli.tasks.gym import upstream
+from wasp_cli.tasks.sheet import GAP, MOMENT, MOMENTS, draw_sheet
 
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
 
@@ -110,3 +119,151 @@ def test_nan_is_out_of_tolerance():
     assert not compare("q", [], [], 1.0).ok
     with pytest.raises(ValueError, match="shapes"):
         compare("q", [1.0], [1.0, 2.0], 1.0)
+
+
+# The reference package's interface: six values, its ids and its options.
+
+
+def test_upstream_gives_six_values_and_its_keys(monkeypatch):
+    env, usual = upstream("SafetyPointGoal1-v0", action_repeat=10), gymnasium.make(ID, action_repeat=10)
+    first, nothing = env.reset(seed=9)
+    assert text(first) == text(usual.reset(seed=9)[0])
+    assert nothing == {"cost_hazards": 0.0, "cost_sum": 0.0}
+    costs = 0.0
+    for _ in range(100):
+        action = np.array([1.0, 0.1])  # through a hazard
+        observation, reward, cost, terminated, truncated, info = env.step(action)
+        expected = usual.step(action)
+        assert text(observation) == text(expected[0])
+        assert (reward, terminated, truncated) == expected[1:4]
+        assert cost == info["cost_sum"] == expected[4]["cost"]
+        assert info.keys() - {"goal_met"} == {"cost_sum", "cost_hazards"}
+        costs += cost
+    assert truncated
+    assert costs > 0
+    env.reset(seed=0)
+    assert "goal_met" not in env.step(np.zeros(2))[5]
+    task = env.unwrapped._task
+    real = task.step
+    monkeypatch.setattr(task, "step", lambda action: real(action)._replace(goals=np.array([1])))
+    assert env.step(np.zeros(2))[5]["goal_met"] is True
+
+
+BODY = ["accelerometer", "velocimeter", "gyro", "magnetometer"]
+CASTER = ["ballangvel_rear", "ballquat_rear"]
+
+
+@pytest.mark.parametrize(
+    ("name", "sensors"),
+    [
+        ("SafetyPointGoal1", [*BODY, "goal_lidar", "hazards_lidar", "vases_lidar"]),
+        ("SafetyPointGoal0", [*BODY, "goal_lidar"]),
+        ("SafetyCarRace1", [*BODY, *CASTER, "goal_lidar", "hazards_lidar"]),
+        ("SafetyCarFormulaOne1", [*BODY, *CASTER, "staged_goal_lidar", "vases_lidar"]),
+    ],
+)
+def test_upstream_takes_vision_ids(name, sensors):
+    env, plain = upstream(f"{name}Vision-v0"), gymnasium.make(f"wasp/{name}-v0", observation="all")
+    image, _ = env.reset(seed=3)
+    everything, _ = plain.reset(seed=3)
+    assert list(image) == [*sensors, "vision"]
+    assert env.observation_space.contains(image)
+    assert np.concatenate([image[name].ravel() for name in sensors]).tobytes() == everything["state"].tobytes()
+    assert (image["vision"] == np.moveaxis(everything["pixels"][:3], 0, -1)).all()
+    assert len(env.step(np.zeros(2))) == 6
+
+
+def test_upstream_takes_gymnasium_ids():
+    env = upstream(id="wasp/SafetyCarRace1VisionGymnasium-v0", max_episode_steps=7)
+    assert env.spec.max_episode_steps == 7
+    assert env.reset(seed=0)[0]["vision"].shape == (64, 64, 3)
+    assert len(env.step(np.zeros(2))) == 5
+
+
+def test_upstream_says_what_it_does_not_have():
+    for option in (
+        "autoreset",
+        "max_episode_steps",
+        "camera_id",
+        "camera_name",
+        "config",
+        "disable_env_checker",
+        "apply_api_compatibility",
+    ):
+        with pytest.raises(UnknownOption, match=f"unexpected keyword argument '{option}'"):
+            upstream("SafetyPointGoal1-v0", **{option: 1})
+    for mode in ("human", "depth_array"):
+        with pytest.raises(UsageError, match=f"cannot render '{mode}'"):
+            upstream("SafetyPointGoal1-v0", render_mode=mode)
+    with pytest.raises(UsageError, match="keyboard"):
+        upstream("SafetyPointGoal1Debug-v0")
+    for name in ("SafetyPointButton1Vision-v0", "SafetyPointGaol1-v0"):
+        with pytest.raises(UnknownName, match=name) as caught:
+            upstream(name)
+    assert "wasp/SafetyPointGoal1-v0" in caught.value.hint
+
+
+# The picture of an episode: which moments it shows.
+
+
+class Clock(gymnasium.Env[Any, Any]):
+    """Shows its clock as a colour, and ends early."""
+
+    metadata = {"render_modes": [], "render_fps": 25}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
+    observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+    ends_at = 10**9
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.clock = 0
+        return self.seen(), {}
+
+    def seen(self):
+        return np.full((64, 64, 3), 1 + self.clock // 4 % 250, np.uint8)
+
+    def step(self, action):
+        self.clock += 1
+        return self.seen(), 0.0, self.clock >= self.ends_at, False, {"cost": 0.0}
+
+
+class Short(Clock):
+    ends_at = 4 * 29
+
+
+gymnasium.register("SheetClock-v0", entry_point=Clock, max_episode_steps=4 * 40)
+gymnasium.register("SheetShort-v0", entry_point=Short, max_episode_steps=4 * 1000)
+gymnasium.register("SheetLong-v0", entry_point=Clock, max_episode_steps=4 * 240)
+
+
+def read(path: Path) -> np.ndarray[Any, Any]:
+    return np.asarray(Image.open(path).convert("RGB"))
+
+
+def decisions(path: Path) -> list[int]:
+    """The clocks of a strip, in decision steps."""
+    picture = read(path)
+    row = picture.shape[0] - 2 * sheet.CAPTION - MOMENT // 2
+    columns = [GAP + column * (MOMENT + GAP // 2) + MOMENT // 2 for column in range(MOMENTS)]
+    return [int(picture[row, x, 0]) - 1 for x in columns if x < picture.shape[1] and picture[row, x, 0] != 255]
+
+
+@pytest.mark.parametrize(
+    ("task", "steps", "expected"),
+    [
+        ("SheetClock-v0", 14, [0, 2, 4, 6, 8, 10, 12, 14]),
+        ("SheetClock-v0", 3, [0, 1, 2, 3]),
+        ("SheetClock-v0", 100_000, [0, 6, 11, 17, 23, 29, 34, 40]),
+        ("SheetShort-v0", 1000, [0, 4, 8, 12, 17, 21, 25, 29]),
+    ],
+    ids=["as asked", "few", "no longer than an episode", "an early end"],
+)
+def test_the_moments_are_spread_over_what_was_driven(task, steps, expected, tmp_path):
+    assert decisions(draw_sheet(task, 0, steps, tmp_path / "a.png")) == expected
+
+
+def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):
+    monkeypatch.setattr(sheet, "make_task", lambda *_, **__: pytest.fail("driven"))
+    with pytest.raises(UsageError) as caught:
+        draw_sheet("goal1", 0, 3, tmp_path / "missing" / "x.png")
+    assert caught.value.hint == f"create the folder '{tmp_path / 'missing'}'"

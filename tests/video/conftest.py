@@ -1,7 +1,5 @@
 """Tiny untrained models, and a cell that an assistant was evaluated in with them."""
 
-from __future__ import annotations
-
 from tests.learning.conftest import cell, inputs
 
 __all__ = ["cell", "inputs"]

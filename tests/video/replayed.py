@@ -1,7 +1,5 @@
 """A results folder with one cell of tiny models, as runs leave it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Mapping

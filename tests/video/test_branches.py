@@ -1,7 +1,5 @@
 """Both branches of a decision as they are watched: the same numbers as the counterfactual stage, and the same paths."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Films of stored episodes: they show the world that was recorded, or nothing."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

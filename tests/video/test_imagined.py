@@ -1,7 +1,5 @@
 """Imagined trajectories are those whose returns the gates look at."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

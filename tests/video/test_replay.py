@@ -1,7 +1,5 @@
 """`wasp replay`: an episode, or one decision, from a results folder to a picture."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The pages as a folder: from file:// a real Chromium walks to a step and back, and asks nobody for anything."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -43,8 +41,7 @@ def test_reports_are_linked_beside_the_bundle_and_never_copied_into_it(tmp_path:
     report.parent.mkdir(parents=True)
     report.write_text("a report<script>window.owned=1</script>")
     for folder in (results / "pages", tmp_path / "pages"):
-        done = run_here("view", results, "--bundle", folder, "--cell", STEPLESS, "--episodes", "0", columns=200)
-        assert done.exit_code == 0, done.output
+        done = run_here("view", results, "--bundle", folder, "--cell", STEPLESS, "--episodes", "0", columns=200, code=0)
         assert "the steps of episode 0 are not here" in done.stderr
         index = (folder / "index.html").read_text()
         href = re.search(r'<a href="([^"]+)">report.html</a>', index)
@@ -109,8 +106,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     results, mine, pages = brought(tmp_path / "results", STEPLESS), tmp_path / "mine", tmp_path / "pages"
     mine.mkdir()
     (mine / "mine.txt").write_text("mine")
-    done = run_here("view", results, "--bundle", mine, columns=200)
-    assert done.exit_code == 2
+    done = run_here("view", results, "--bundle", mine, columns=200, code=2)
     assert "holds something else" in done.stderr
     assert [path.name for path in mine.iterdir()] == ["mine.txt"]
     written = []

@@ -1,7 +1,5 @@
 """A live run's page follows it in a real Chromium; its nodes are counted by stage, and a log is text."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

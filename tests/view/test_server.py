@@ -1,7 +1,5 @@
 """Who may ask: token, Host, Origin; nothing that is asked for becomes a path; and the command as a process."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -1,7 +1,5 @@
 """Untrusted, damaged and hostile results in the viewer: it shows what is wrong, executes nothing, reads nothing outside of the folder."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A real Chromium walks from the table of cells to a decision and back, and asks nobody else for anything."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Claims about a method are judged again with the row of another that stands for it."""
 
-from __future__ import annotations
-
 from tests.report.claims.test_verdict import against, asked, cell, frame_of, paper_with
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import second_headlines, verdict_html, verdict_markdown, verdict_terminal

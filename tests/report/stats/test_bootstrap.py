@@ -1,7 +1,5 @@
 """Intervals against all that a bootstrap does, step by step; contrasts against all their resamples, and the t interval against SciPy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -243,10 +241,7 @@ def covered(trainings: int, between: float, times: int = 400, worlds: int = 12) 
     return float(found[0] / times), float(found[1] / times)
 
 
-@pytest.mark.parametrize(
-    ("trainings", "between", "hierarchical"),
-    [(1, 0.0, (0.87, 0.96)), (3, 2.0, (0.70, 0.90))],
-)
+@pytest.mark.parametrize(("trainings", "between", "hierarchical"), [(1, 0.0, (0.87, 0.96)), (3, 2.0, (0.70, 0.90))])
 def test_coverage(trainings: int, between: float, hierarchical: tuple[float, float]) -> None:
     """Nominal 95 %. Three trainings that differ are covered too seldom, which is why the t interval, which is right, stands beside."""
     bootstrap, t = covered(trainings, between)

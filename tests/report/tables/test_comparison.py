@@ -1,18 +1,33 @@
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.report.claims.test_verdict import cell, frame_of
+from tests.report.swept import invent_sweep
 from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
-from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
-from wasp_cli.report.summary import Value
-from wasp_cli.report.tables.by_axis import severity_table
+from wasp_cli.report.figures import cost_return_figure
+from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
+from wasp_cli.report.summary import Value, same_episodes
+from wasp_cli.report.sweep import SweepReport
+from wasp_cli.report.tables.by_axis import (
+    CHOICE,
+    DIFFERENCE,
+    UNTOUCHED_NOTE,
+    Swept,
+    lines,
+    operator_table,
+    severity_table,
+    sweep_operator_table,
+    sweep_table,
+)
 from wasp_cli.report.tables.comparison import MEASURES, comparison_table
-from wasp_cli.report.tables.main import latency_table, main_table
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.table import Row, Table
+from wasp_cli.store.tables import CellIdentity
 
 Grid = Callable[..., list[Wanted]]
 
@@ -65,9 +80,9 @@ def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
 def test_gaps(grid: Grid) -> None:
     assert comparison_table(Frame(())) is None
     wanted = grid(seeds=(0, 1))
-    for cell in wanted:
-        if cell.identity.method == "human" or (cell.identity.method, cell.identity.seed) == ("saferl", 0):
-            cell.path.unlink()
+    for one in wanted:
+        if one.identity.method == "human" or (one.identity.method, one.identity.seed) == ("saferl", 0):
+            one.path.unlink()
     frame = read_frame(wanted)
     table = found(comparison_table(frame))
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
@@ -97,3 +112,120 @@ def test_latency_is_over_episodes(frame: Frame) -> None:
     untimed = {name: np.full(4, np.nan) for name in ("decision_p50_ms", "decision_p95_ms")}
     assert latency_table(Frame(tuple(replace(cell, episodes={**cell.episodes, **untimed}) for cell in wasp))) is None
     assert latency_table(Frame(())) is None
+
+
+# Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the printed WASP is a method of its own.
+
+
+TITLE = "WASP, no Case II recovery"
+
+
+def labels(table: Table | None) -> list[str]:
+    return [label for row in table.rows for label in row.labels]
+
+
+def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
+    frame = read_frame(grid(ablations=("no-case2",)))
+    tables = [
+        main_table(frame), detail_table(frame), latency_table(frame), operator_table(frame), severity_table(frame),
+        comparison_table(frame),
+    ]  # fmt: skip
+    for table in tables:
+        assert "WASP" in labels(table)
+        assert TITLE not in labels(table)
+    assert {"WASP, full", TITLE} <= set(labels(ablation_table(frame)))
+    assert {"WASP", TITLE} <= set(labels(threshold_table(frame)))
+    pictures = [path for path in cost_return_figure(frame, tmp_path) if path.suffix == ".svg"]
+    assert len(pictures) == 1
+    assert not any(TITLE in path.read_text() for path in pictures)
+
+
+def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellNumbers:
+    return cell("wasp", costs, seed, variant=variant, **{"mag": [0.1] * len(costs), **more})
+
+
+def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
+    full = wasp([1.0, 2.0, 3.0])
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2")], [full]) == (3, 3)
+    assert same_episodes([wasp([1.0, 2.5, 3.0], "no-case2")], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, 0.1, 0.2])], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
+
+
+@pytest.mark.parametrize(("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")])
+def test_the_table_says_it_where_there_are_any(costs: list[float], note: str) -> None:
+    columns = {name: [0.0] * 3 for name in ("return", "success", "viol", "int_rate")}
+    table = ablation_table(frame_of(wasp([1.0, 2.0, 3.0], **columns), wasp(costs, "no-case2", **columns)))
+    found = [text for text in table.notes if "the same as with the full method" in text]
+    assert [text.partition(" are ")[0] for text in found] == ([f"Goal1, WASP, no Case II recovery: {note}"] if note else [])
+
+
+# The tables of a sweep against numbers worked out by hand (tests/report/swept.py says how).
+
+
+KEY = "diffusion.ratio"
+LOST = CellIdentity("goal1", "diffusion", "full", "noisy", 0.6, 1)
+
+
+@pytest.fixture
+def swept(tmp_path: Path) -> list[Swept]:
+    return invent_sweep(tmp_path)
+
+
+def printed(table: Table, *columns: str) -> list[tuple[str, ...]]:
+    """The labels of every row, and some of its cells without the spread."""
+    shown = [(c, column) for c, column in enumerate(table.columns) if column.key in columns]
+    return [(*row.labels, *(column.cell(row.values[c], spread=False) for c, column in shown)) for row in table.rows]
+
+
+def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(swept: list[Swept]) -> None:
+    table = sweep_table(KEY, swept)
+    assert table.labels == ("Task", "Method", KEY)
+    # Two operators and two seeds: a return of 7 and 6, 2 of 2 and 2 of 2 successes, and one goal more with every value.
+    assert printed(table, "return", "success", "int_rate", "mag", "mag_int") == [
+        ("Goal1", "Human-only", "-", "6.50", "100.0", "0.00", "0.00", "n/a"),
+        ("Goal1", "Diffusion", "0", "6.50 (+0.00)", "100.0 (+0.0)", "0.10", "0.06", "0.62"),
+        ("Goal1", "Diffusion", "0.20", "7.50 (+1.00)", "100.0 (+0.0)", "0.20", "0.12", "0.62"),
+        ("Goal1", "Diffusion", "0.6", "8.50 (+2.00)", "100.0 (+0.0)", "0.30", "0.19", "0.62"),
+    ]
+    assert {UNTOUCHED_NOTE, DIFFERENCE} <= set(table.meanings)
+    assert CHOICE in table.notes
+
+
+def test_a_row_for_each_operator_tells_what_a_value_gains_and_costs(tmp_path: Path) -> None:
+    # The fourth operator reaches 1 and 2 goals alone, where three are a success.
+    conditions = (("laggy", 0.5), ("laggy", 0.7), ("noisy", 0.2), ("noisy", 0.6))
+    table = sweep_operator_table(KEY, invent_sweep(tmp_path, conditions=conditions))
+    assert [column.key for column in table.columns] == ["return", "success", "cost"]
+    found = printed(table, "return", "success", "cost")
+    assert len(found) == 4 * 4
+    assert found[0] == ("Goal1", "Laggy 0.5", "Human-only", "-", "7.00", "100.0", "50.00")
+    assert found[1] == ("Goal1", "Laggy 0.5", "Diffusion", "0", "7.00 (+0.00)", "100.0 (+0.0)", "50.00 (+0.00)")
+    assert found[3] == ("Goal1", "Laggy 0.5", "Diffusion", "0.6", "9.00 (+2.00)", "100.0 (+0.0)", "0.00 (-50.00)")
+    assert [row[:6] for row in found[12:]] == [
+        ("Goal1", "Noisy 0.6", "Human-only", "-", "4.00", "0.0"),
+        ("Goal1", "Noisy 0.6", "Diffusion", "0", "4.00 (+0.00)", "0.0 (+0.0)"),
+        ("Goal1", "Noisy 0.6", "Diffusion", "0.20", "5.00 (+1.00)", "50.0 (+50.0)"),
+        ("Goal1", "Noisy 0.6", "Diffusion", "0.6", "6.00 (+2.00)", "100.0 (+100.0)"),
+    ]
+
+
+def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> None:
+    first = swept[0]
+    identity = next(identity for identity in first.keys if identity.method == "human")
+    swept[0] = Swept(first.text, first.value, first.frame, {**first.keys, identity: "another"})
+    assert [(line.group.method, line.text) for line in lines(swept)][:3] == [("human", "0"), ("human", "0.20"), ("human", "0.6")]
+
+
+def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
+    swept = invent_sweep(tmp_path, missing=[LOST])
+    table = sweep_table(KEY, swept)
+    assert [row.labels[1:] for row in table.rows[1:3]] == [("Diffusion [3 of 4 cells]", "0"), ("Diffusion", "0.20")]
+    assert any(note.startswith("INCOMPLETE: 1 of 16 cells are missing (1 not computed).") for note in table.notes)
+    labels = [row.labels[1:] for row in sweep_operator_table(KEY, swept).rows]
+    assert ("Noisy 0.6", "Diffusion [1 of 2 cells]", "0") in labels
+    assert ("Noisy 0.2", "Diffusion", "0") in labels
+    report = SweepReport("s", "spec", KEY, tuple(swept))
+    assert [gap.label for gap in report.missing] == ["goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"]

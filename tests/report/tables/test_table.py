@@ -1,13 +1,16 @@
-from __future__ import annotations
-
 import csv
 import io
+import re
 from dataclasses import replace
+from html.parser import HTMLParser
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
-from wasp_cli.report.render import csv_text, markdown, terminal
+from wasp_cli.report.render import ACCENTS, SPECIAL, csv_text, escaped, html, latex, markdown, markdown_text, rendered, terminal
 from wasp_cli.report.summary import Interval, Value
 from wasp_cli.report.tables.table import Column, Row, Table
 
@@ -129,3 +132,159 @@ def test_a_narrow_terminal_wraps_labels_and_cuts_no_digit() -> None:
     assert "0.2" in text
     assert "…" not in text
     assert "hidden" not in text  # nothing is
+
+
+# Tables and pages as HTML, and text that somebody else wrote in Markdown: nothing of it becomes markup.
+
+
+ANY = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)
+
+
+class Reader(HTMLParser):
+    """The elements of a fragment; every end tag belongs to the last open one."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, Any]]] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.open.append(tag)
+        self.found.append((tag, dict(attrs)))
+        self.texts.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in ("td", "th", "li", "caption", "strong", "u"):
+            self.texts[-1] += data
+
+    def all(self, tag: str) -> list[dict[str, Any]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+
+@given(title=ANY, label=ANY, heading=ANY, note=ANY)
+def test_all_text_is_escaped(title: str, label: str, heading: str, note: str) -> None:
+    reader = Reader(html(Table(title, title, (heading,), (Column("k", heading),), (Row((label,), (Value(1.0),)),), (note,), (note,))))
+    assert [name for name, _ in reader.found] == [
+        "figure", "table", "caption", "thead", "tr", "th", "th", "tbody", "tr", "th", "td", "ul", "li", "ul", "li",
+    ]  # fmt: skip
+    assert reader.all("figure") == [{"class": "table", "id": title}]
+    assert (reader.texts[2], reader.texts[5], reader.texts[9], reader.texts[12]) == (title, heading, label, note)
+
+
+LANE = {"height": 8, "levels": [], "curves": [], "marks": []}
+
+
+@given(ANY)
+def test_a_template_escapes_text_and_attributes_and_markup_only_once(name: str) -> None:
+    page = rendered("timeline.html", lanes=[{**LANE, "name": name}], decisions=3)
+    reader = Reader(page)
+    assert [tag for tag, _ in reader.found] == ["div", "div", "span", "svg", "line"]
+    assert reader.all("svg")[0]["aria-label"] == f"{name} over 3 decisions"
+    assert page.count("&amp;amp;") == 2 * name.count("&amp;")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("the robot starts within a hazard", "the robot starts within a hazard"),
+        ("<script>x()</script>", "&lt;script>x()&lt;/script>"),
+        ("a &lt; b", "a &amp;lt; b"),
+        ("![p](http://there/p.png)", r"!\[p\](http://there/p.png)"),
+        (r"\[a](b)", r"\\\[a\](b)"),
+        ("Preset `cpu`", "Preset `cpu`"),
+    ],
+)
+def test_it_stays_text(text: str, expected: str) -> None:
+    assert markdown_text(text) == expected
+
+
+NASTY = '50% of $x_1$ & #2 {a} ~ ^ \\input{/etc/passwd} [b] *c* <d> |e| "f" `g\' -- é ł \u202e\n% new line τ²'
+LITERAL = {text: character for character, text in SPECIAL.items() if ord(character) < 128 and character != '"'}
+TOKENS = re.compile("|".join(map(re.escape, sorted(LITERAL, key=len, reverse=True))) + r"|(?P<joined>[-,'`]\{\})|.", re.DOTALL)
+
+
+def read(text: str) -> str:
+    """What LaTeX prints of escaped ASCII text without quotation marks."""
+    return "".join(each[0][0] if each["joined"] else LITERAL.get(each[0], each[0]) for each in TOKENS.finditer(text))
+
+
+@given(st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_characters='"')))
+def test_ascii_is_printed_as_it_is(text: str) -> None:
+    assert read(escaped(text)) == " ".join(text.split())
+
+
+@given(st.text())
+def test_text_is_one_line_of_ascii_and_nothing_in_it_is_a_command_of_its_own(text: str) -> None:
+    found = escaped(text)
+    assert found.isascii()
+    assert found.isprintable()
+    bare = re.sub(r"\\[\\{}$&#_%^~]", "", found.replace(r"\textbackslash{}", ""))
+    assert not re.search(r"[&#_%~]", re.sub(r"\\[a-zA-Z]+|\\['`^~=.\"]\{[a-zA-Z]\}", "", bare))
+    assert bare.count("{") == bare.count("}")
+    known = {*re.findall(r"\\[a-zA-Z]+", " ".join(SPECIAL.values())), r"\texttt", *(rf"\{mark}" for mark in ACCENTS.values())}
+    assert set(re.findall(r"\\[a-zA-Z]+", bare)) <= known
+    depth = 0
+    for character in bare:
+        depth += (character == "{") - (character == "}")
+        assert depth >= 0
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("50 % & more", r"50 \% \& more"),
+        ("a_b {c}", r"a\_b \{c\}"),
+        ("--strict", "-{}-strict"),
+        ("Räikkönen", r"R\"{a}ikk\"{o}nen"),
+        ("ρ ≤ 0.1²", r"$\rho$ $\leq$ 0.1$^2$"),
+        ("ł", r"\texttt{U+0142}"),
+        ("two\nlines", "two lines"),
+        ("[x] *y*", "{[}x{]} {*}y{*}"),
+    ],
+)
+def test_examples(text: str, wanted: str) -> None:
+    assert escaped(text) == wanted
+
+
+def nasty() -> Table:
+    rows = [
+        Row((task, f"[{method} {NASTY}"), (Value(number, 0.5, 3, -1.0), Value(None)))
+        for task in "ab"
+        for method, number in (("x", 1), ("y", -2))
+    ]
+    columns = (Column("r", f"R {NASTY}", "up"), Column("s", "S", "down"), Column("o", "Gone", optional=True))
+    rows = [Row(row.labels, (*row.values, Value(1))) for row in rows]
+    return Table("a_{b}", NASTY, ("Task", NASTY), columns, tuple(rows), (NASTY,), (NASTY,))
+
+
+def test_structure() -> None:
+    lines = latex(nasty()).splitlines()
+    body = [line for line in lines if not line.startswith("%")]
+    assert [line for line in body if line.startswith("\\") and not line.startswith(r"\caption")] == [
+        r"\begin{table}", r"\centering\small", r"\label{tab:a--b-}", r"\begin{tabular}{llrr}", r"\toprule", r"\midrule", r"\midrule",
+        r"\bottomrule", r"\end{tabular}", r"\end{table}",
+    ]  # fmt: skip
+    rows = [line for line in body if line.endswith(r"\\")]
+    assert [line.split(" & ")[0] for line in rows] == ["Task", "a", "", "b", ""]  # a task is named once
+    assert all(len(re.findall(r"(?<!\\)&", line)) == 3 for line in rows)
+    assert r"\textbf{1.00 $\pm$ 0.50 ($-$1.00)}" in rows[1]
+    assert "n/a" in rows[1]
+    assert lines[-9].startswith(r"\midrule")
+    assert any(line.startswith("% 50% of") for line in lines)
+    assert "% Left out: Gone." in lines
+
+
+def test_a_caption_says_what_is_missing_and_not_that_nothing_is() -> None:
+    whole, part = "29 of 29 planned cells are finished; none failed.", "INCOMPLETE: 2 of 29 cells are missing."
+    for note, told in ((whole, False), (part, True)):
+        lines = latex(replace(nasty(), notes=(note,))).splitlines()
+        (caption,) = [line for line in lines if line.startswith(r"\caption")]
+        assert (note in caption) == told
+        assert f"% {note}" in lines

@@ -1,7 +1,5 @@
 """Small artifacts of every kind that a report draws, as their stages leave them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

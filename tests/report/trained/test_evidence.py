@@ -1,7 +1,5 @@
 """Pictures and pages of trained parts: all that there are, and nothing from what is damaged or leads elsewhere."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -47,11 +45,6 @@ def test_what_an_earlier_report_drew_goes(store: tuple[Layout, list[Trained]], t
     files = write_evidence(layout, [denoiser], tmp_path)
     assert [path for path in (tmp_path / "trained").rglob("*") if path.is_file()] == files
     assert [path.name for path in files] == ["quality.md"]
-
-
-def test_a_report_without_trained_parts_has_no_such_folder(tmp_path: Path) -> None:
-    assert write_evidence(Layout(tmp_path), [], tmp_path) == []
-    assert not (tmp_path / "trained").exists()
 
 
 def cut(path: Path) -> None:

@@ -1,7 +1,5 @@
 """Learning and calibration curves from the files of artifacts, whatever these hold."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the pictures of trained parts show, pixel by pixel where it is a frame."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

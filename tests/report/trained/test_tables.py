@@ -1,7 +1,5 @@
 """Tables of the trained parts, and the pages of single ones."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
