@@ -31,11 +31,11 @@ from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 
 SPEC = """\
+extends: edition2
 name: beside
-preset: quick
 tasks: [goal1]
 methods: [ida]
-operators: {person: {p7: 7}, cloned: {p7: 7}}
+operators: {noisy: null, laggy: null, limited-skill: null, reaction-time: null, person: {p7: 7}, cloned: {p7: 7}}
 seeds: [0]
 training_seed: 1
 episodes: 2

@@ -20,11 +20,11 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 
 SPEC = """\
+extends: edition2
 name: trial
-preset: quick
 tasks: [goal1]
 methods: [human, ida]
-operators: {person: {p1: 1, p2: 2}}
+operators: {noisy: null, laggy: null, limited-skill: null, reaction-time: null, person: {p1: 1, p2: 2}}
 seeds: [0]
 training_seed: 1
 episodes: 1

@@ -82,7 +82,9 @@ def _name_things(top: Schema, definitions: Schema) -> None:
     top["tasks"]["items"] = _task()
     top["methods"]["items"]["enumDescriptions"] = [info.rule for info in METHODS.values()]  # editors show them
     top["operators"]["propertyNames"] = {"enum": list(OPERATORS)}
-    top["operators"]["additionalProperties"]["additionalProperties"] = False  # names of severities have a pattern
+    severities = top["operators"]["additionalProperties"]
+    severities["additionalProperties"] = False  # names of severities have a pattern
+    severities["type"] = ["object", "null"]  # null removes an operator of an extended spec
     sections = {name: top[name] for name in (*STAGES, *method_sections()) if name not in EVERYWHERE}
     top["by_task"]["propertyNames"] = _task()
     top["by_task"]["additionalProperties"] = {"type": "object", "properties": sections, "additionalProperties": False}
