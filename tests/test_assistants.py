@@ -31,6 +31,8 @@ def test_the_tables_of_results_are_the_published_rows(field):
 def test_a_goal_that_only_the_operator_knows():
     rows = assistants.published("goal1-two")
     assert assistants.table(rows, next(iter(assistants.GROUPS))) in PAGE
+    differences = assistants.differences(rows, next(iter(assistants.GROUPS)))
+    assert all(less in differences for less in ("-2.4 [-3.3, -1.4]", "-10.1 [-15.7, -5.7]", "-1.7 [-2.6, -0.8]"))
     wrong: dict[str, list[float]] = {}
     for path in (DOCS.parent / "results" / "published" / "store" / "evaluate").glob("*/_manifest.json"):
         manifest = json.loads(path.read_text())

@@ -135,3 +135,7 @@ def test_the_film_of_the_readme_moves_and_is_small():
     with Image.open(ROOT / name) as film:
         assert film.format == "WEBP"
         assert film.n_frames > 10
+
+
+def test_the_readme_stays_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900

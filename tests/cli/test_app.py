@@ -245,3 +245,13 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
     process.communicate()
     assert sent
     assert (process.returncode, said) == (130, ["interrupted\n"])
+
+
+def test_who_was_started_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:
+    """As under `nohup` in a script."""
+    program = (
+        "import os, signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import wasp_cli.__main__ as program; "
+        "os.kill(os.getpid(), signal.SIGINT); program.main()"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", program, "--version"], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stdout[:5]) == (0, "wasp ")

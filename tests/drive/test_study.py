@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
+from wasp_cli.drive.block import Block
 from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.errors import UsageError
@@ -45,9 +46,15 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trial(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results folder of both participants; far faster than any person, so that most decisions of IDA are late."""
+
+    def told(*_: object) -> None:
+        raise AssertionError("what the commands alone lead to tells the conditions apart")
+
     results = tmp_path_factory.mktemp("trial") / "results"
-    for each in wanted(results, what=str(spec), method=None, speed=40.0, episodes=None, simulated=True).everyone():
-        drive_session(each.prepared(), 0, open_browser=False, scripted=Habits(each.participant or 0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Block, "review", told)
+        for each in wanted(results, what=str(spec), method=None, speed=40.0, episodes=None, simulated=True).everyone():
+            drive_session(each.prepared(), 0, open_browser=False, scripted=Habits(each.participant or 0))
     return results
 
 

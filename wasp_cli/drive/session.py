@@ -121,7 +121,8 @@ class Session:
                 if isinstance(outcome, Driven):
                     record.add(outcome, thresholds_of(block.assistant), config["safe_cost"])
                     if self.study is None:  # there it would tell the conditions apart
-                        desk.state("loading", text="Your commands are driven once more, without the assistant …")
+                        if cell.method != ALONE:
+                            desk.state("loading", text="Your commands are driven once more, without the assistant …")
                         desk.say(block.review(outcome))
                 else:
                     record.cut(outcome)

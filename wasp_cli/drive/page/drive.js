@@ -197,6 +197,7 @@ function replays() { return review ? [["Watch it again", () => play(false)], ["S
 
 function play(filmed) {
   byId("veil").hidden = true; byId("drive").hidden = false; byId("drive").classList.add("replay"); byId("player").hidden = false;
+  byId("above").hidden = false; // also where the driver has hidden the map
   lines = null; player = { begun: performance.now(), at: -1 };
   byId("scrub").max = Math.max(review.driven.length, review.alone.length) - 1;
   if (filmed) film();
@@ -253,9 +254,10 @@ function moment(at) {
 function closePlayer() {
   if (!player) return;
   if (player.recorder && player.recorder.state === "recording") player.recorder.stop();
+  clearTimeout(player.ending);
   player = null; trail = []; costs = [];
   byId("player").hidden = true; byId("drive").classList.remove("replay"); byId("drive").hidden = phase !== "ready"; byId("veil").hidden = false;
-  if (frame && phase === "ready") paint();
+  arrange();
 }
 byId("scrub").oninput = () => { player.begun = null; };
 byId("back").onclick = closePlayer;
