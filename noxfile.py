@@ -70,7 +70,9 @@ def layers(session: nox.Session) -> None:
 def tests(session: nox.Session) -> None:
     """The fast tests, as many side by side as there are cores; arguments go to pytest."""
     # By file, since what a file's tests share is made once in each process.
-    run(session, "python", "-m", "pytest", "-m", "not slow", "-n", "auto", "--dist", "loadfile", "--durations=10", *session.posargs)
+    # A test that hangs is named after twenty minutes; none takes one.
+    options = ("-n", "auto", "--dist", "loadfile", "--timeout", "1200", "--durations=10")
+    run(session, "python", "-m", "pytest", "-m", "not slow", *options, *session.posargs)
 
 
 @nox.session(venv_backend="none", requires=["project"])

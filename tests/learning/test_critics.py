@@ -53,6 +53,7 @@ def still(rows: int) -> Latents:
 
 SMALL = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2, q_updates=400, q_batch=16,
                       q_learning_rate=1e-2, q_slow=0.2)  # fmt: skip
+torch.manual_seed(0)  # its weights are drawn: what was collected before would decide them
 SKILLS = Skills([1.0], 3, [8], 1)
 RETURNS = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
 

@@ -104,13 +104,23 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_
     assert before - finished(results) == diagnostics  # no evaluation reads them
 
 
+def stop(process: Any) -> None:
+    process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)  # a signal takes its time
+
+
 def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.1)
     process = start("run", small_spec, "--results", results, "-j", "0")
     wait_until(lambda: len(finished(results)) >= 5)
     (journal,) = results.glob("runs/*/journal.jsonl")
-    process.send_signal(signal.SIGSTOP)  # or it could end before gc looks, and what it computed could go
+    shared = keys_of(small_spec, results) & keys_of(other_spec, results)
+    stop(process)  # or it could end before gc looks, and what it computed could go
+    while any(is_held(Layout(results).lock(key)) for key in shared):  # stopped there, it would keep the other run waiting for ever
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.05)
+        stop(process)
     fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
@@ -121,7 +131,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_pat
         looked += 1
         process.send_signal(signal.SIGCONT)
         time.sleep(0.1)
-        process.send_signal(signal.SIGSTOP)
+        stop(process)
     process.send_signal(signal.SIGCONT)
     assert looked
     output = process.communicate()
