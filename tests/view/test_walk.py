@@ -112,6 +112,8 @@ def test_pages_fit_a_narrow_window(browser: Browser, results: Path) -> None:
         for place in ("/", "/cells", f"/cell/{WASP}", f"/cell/{WASP}/episode/0?step=20"):
             tab.open(server.opening(place))
             assert tab.value("document.documentElement.scrollWidth") <= 500, place
+        edge = "Math.max(...[...document.querySelectorAll('pre.explain span')].map(span => span.getBoundingClientRect().right))"
+        assert tab.value(edge) <= 500, "what explains a decision is not cut either"
         tab.close()
 
 

@@ -33,7 +33,7 @@ from wasp_cli.view.site import Site
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-WIDTH = 92  # columns of an explanation
+WIDTH = 74  # columns of an explanation
 KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
