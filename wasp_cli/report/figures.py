@@ -188,7 +188,7 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
 
 def profile_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
-    tasks = rows_by_task(frame)
+    tasks, names = rows_by_task(frame), list(METHODS)
     if not tasks:
         return []
     with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
@@ -196,7 +196,7 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
         for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
             for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
                 x, share = profile(group, key, at_least=key == "return")
-                place = list(METHODS).index(group.method) // len(PALETTE) if group.method in METHODS else 0
+                place = names.index(group.method) // len(PALETTE) if group.method in names else 0  # a class of one's own is in no list
                 look = {"color": style_of(group.method)[0], "linestyle": LINES[place % len(LINES)], "linewidth": 1.3}
                 panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
             column[0].set_title(task_title(task), loc="left", fontweight="bold")
