@@ -4,16 +4,18 @@ import json
 import shutil
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.trained.evidence import EVIDENCE
-from wasp_cli.run.verify import differences
+from wasp_cli.run.verify import again, differences, show_answer
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes, read_steps, same_rows, write_episodes
@@ -199,3 +201,15 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     wrong = table.set_column(table.column_names.index("return"), "return", [[value + 1e-6 for value in table["return"].to_pylist()]])
     write_episodes(wrong.replace_schema_metadata(pq.read_schema(rows).metadata), rows)
     assert differences(rows.parent, results / "store" / "evaluate" / key) == ["return"]
+    manifest = rows.parent / "_manifest.json"
+    record = json.loads(manifest.read_text(encoding="utf-8"))
+    record["provenance"]["processor"] = "Another One"
+    manifest.write_text(json.dumps(record), encoding="utf-8")
+    answer = again(copy, key)
+    console = Console(file=StringIO(), width=80)
+    show_answer(answer, console)
+    assert answer.differing == ("return",)
+    ((_, then, now), (_, cost_then, cost_now)) = answer.means
+    assert then - now == pytest.approx(1e-6, rel=0.01)
+    assert cost_then == cost_now
+    assert "(differ: return)  (computed on Another One, here " in console.file.getvalue()

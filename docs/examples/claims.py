@@ -30,7 +30,12 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 @cache
 def frame() -> Frame:
     """Return the published cells of the second edition, with their branches."""
-    settings = (f"seeds={list(TRAININGS)}", "variants=[full, safety-only, task-only, no-case2, no-rollout]", "stages=[counterfactual]", "counterfactual.stride=10")
+    settings = (
+        f"seeds={list(TRAININGS)}",
+        "variants=[full, safety-only, task-only, no-case2, no-rollout]",
+        "stages=[counterfactual]",
+        "counterfactual.stride=10",
+    )
     spec, layout = load(ROOT / "specs" / "edition2.yaml", settings).spec, Layout(PUBLISHED)
     grid = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
     wanted, _ = wanted_cells(layout, spec, *([(cell, node.key) for cell, node in some] for some in (grid.cells, grid.branched)))

@@ -90,7 +90,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.key(True, "ArrowUp")
         comes({"ArrowUp"})
         tab.value("socket.close()")
-        tab.until("phase === 'paused'")
+        tab.until("phase === 'paused' && frame")  # the last one comes again
         comes(set())
         where = tab.value("frame.header.t")
         time.sleep(0.3)
@@ -111,6 +111,11 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.value("byId('scrub').value = 200")
         tab.until("player.at === 200")
         assert tab.value("byId('map').toDataURL()") != first
+        assert tab.value("byId('progress').textContent") == "replay of the last episode"
+        tab.click("Play")
+        tab.until("player.at > 210 && byId('on').textContent === 'Stop'")
+        tab.click("Stop")
+        tab.until("player.begun === null && byId('on').textContent === 'Play'")
         tab.click("Back")
         tab.value("var saved = 0; URL.createObjectURL = (blob) => { saved = blob.size; return location.href; }")
         tab.value("HTMLAnchorElement.prototype.click = () => 0")

@@ -311,11 +311,16 @@ def verify(
 
     layout = Layout(results.path.absolute())
     drawn = draw(layout, cells, seed)
-    say(f"{len(drawn.cells)} of {drawn.of} cells are computed again; {drawn.others} others cannot be: their models are not in the folder")
-    same = 0
+    others = f"{drawn.others} others cannot be: their models are not in the folder, or in half precision"
+    say(f"{len(drawn.cells)} of {drawn.of} cells are computed again; {others}")
+    answers = []
     for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
-        same += not answer.differing
+        answers.append(answer)
         show_answer(answer, console())
+    same = sum(not answer.differing for answer in answers)
     console().print(f"{same} of {len(drawn.cells)} cells are the same to the bit", markup=False)
+    if elsewhere := sum(bool(answer.differing and answer.processor) for answer in answers):
+        remark = "processors round differently, and an episode may then go another way: see how far the means are apart"
+        say(f"{elsewhere} of the others were computed on another processor; {remark}")
     if same < len(drawn.cells):
         raise typer.Exit(1)

@@ -3,10 +3,11 @@
     drawn = draw(layout, cells=30, seed=7)
     for answer in verify(layout, drawn.cells, jobs=2):
         answer.label, answer.differing     # the columns that are not the same; none where all are
+    answer.means, answer.processor     # what the cell then comes to, and where it was computed
 
 A cell can be computed again where every artifact that it was computed from is whole in the same folder. Nothing of the folder is changed:
 each cell is written to an empty folder elsewhere, by today's code. Wall times are not compared, and steps only of the episodes whose steps
-ship.
+ship. Processors of several makers round differently, and then an episode may go another way: bits are those of one kind of processor.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from wasp_cli.operators.registry import CLONED, PERSON
 from wasp_cli.plan.reasons import library_changes
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.provenance import processor
 from wasp_cli.store.slim import precision_of
 
 EVALUATE = "evaluate"
@@ -33,7 +35,7 @@ EVALUATE = "evaluate"
 class Drawn:
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
-    others: int  # cells of the folder that cannot: something that they were computed from is not there
+    others: int  # cells of the folder that cannot: something that they were computed from is not there, or in half precision
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class Answer:
     differing: tuple[str, ...]  # names of the columns that are not the same; `error: ...` where it could not be computed
     libraries: tuple[str, ...]  # libraries of another version than then, which may round differently
     seconds: float
+    processor: str | None = None  # on which the cell was computed, where it is another one than here
+    means: tuple[tuple[str, float, float], ...] = ()  # of a cell that differs: return and cost of an episode, then and now
 
 
 def draw(layout: Layout, cells: int, seed: int) -> Drawn:
@@ -101,20 +105,37 @@ def again(root: Path, key: str) -> Answer:
             EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
             settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
         )  # fmt: skip
+        means: tuple[tuple[str, float, float], ...] = ()
         try:
             stage.run(job)
-            differing = tuple(differences(layout.artifact(EVALUATE, key), out))
+            stored = layout.artifact(EVALUATE, key)
+            differing = tuple(differences(stored, out))
+            means = tuple(means_of(stored, out)) if differing else ()
         except (ArtifactError, StoreError) as error:
             differing = (f"error: {error.message}",)
-    return Answer(str(manifest["label"]), differing, libraries, time.monotonic() - began)
+    then = manifest["provenance"].get("processor")
+    return Answer(str(manifest["label"]), differing, libraries, time.monotonic() - began, None if then == processor() else then, means)
 
 
 def show_answer(answer: Answer, console: Console) -> None:
     text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
     if answer.differing:
-        text += f"  {', '.join(answer.differing)}"
-        text += f"  ({', '.join(answer.libraries)})" if answer.libraries else ""
+        means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
+        places = [*answer.libraries, *([f"computed on {answer.processor}, here {processor()}"] if answer.processor else ())]
+        text += f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})" if means else f"  {', '.join(answer.differing)}"
+        text += f"  ({'; '.join(places)})" if places else ""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def means_of(stored: Path, computed: Path) -> Iterator[tuple[str, float, float]]:
+    """Yield return and cost of an episode of a cell, as they are stored and as they are computed."""
+    import pyarrow.compute as pc
+
+    from wasp_cli.store.tables import cell_file, read_episodes
+
+    then, now = (read_episodes([cell_file(folder)]) for folder in (stored, computed))
+    for name in ("return", "cost"):
+        yield name, pc.mean(then[name]).as_py(), pc.mean(now[name]).as_py()
 
 
 def differences(stored: Path, computed: Path) -> list[str]:

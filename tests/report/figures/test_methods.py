@@ -40,7 +40,8 @@ def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
 
 
 def test_an_assistant_from_a_file_of_ones_own_is_drawn_too(frame: Frame, tmp_path: Path) -> None:
-    own = [replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in frame.cells if cell.identity.method == "ida"]
+    cells = [cell for cell in frame.cells if cell.identity.method == "ida"]
+    own = [replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in cells]
     for draw in (cost_return_figure, profile_figure):
         _, svg = draw(Frame((*frame.cells, *own)), tmp_path)
         assert "Halfway" in svg.read_text(encoding="utf-8")

@@ -4,7 +4,7 @@
 const byId = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token") || "";
 const KEYS = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "KeyW", "KeyA", "KeyS", "KeyD"];
-const COMMAND = "#000000", DONE = "#cc79a7";
+const COMMAND = "#000000", DONE = "#cc79a7", COST = "#d55e00";
 const COLOURS = { safety: "#0072b2", task: "#e69f00", method: "#009e73" }; // of a gate that corrects: robot and banner, as in the viewer
 const GATES = {
   none: "No gate fired: your command is executed.",
@@ -14,6 +14,7 @@ const GATES = {
   late: "Late: the assistant had not answered in time, your command is executed.",
   alone: "You drive alone.",
 };
+const KEYS_TOLD = "Drive with the arrow keys or W A S D, a gamepad, or the pad. Space pauses.";
 const STAYS = 25; // decisions for which the banner stays after a late one
 
 let socket = null, over = false, phase = "connecting", shown = new Set(), hidden = new Set();
@@ -77,10 +78,12 @@ function begin(message) {
   const entry = (name, colour, kind) => {
     const span = document.createElement("span"), mark = document.createElement("i");
     mark.className = kind; mark.style.background = colour; span.append(mark, name); legend.append(span);
+    if (kind === "line") span.className = "imagined"; // a replay draws none
   };
   if (world) {
-    entry("robot", world.robot.colour, "");
+    entry("robot, its front white", world.robot.colour, "");
     for (const kind of world.kinds) entry(kind.name, kind.colour, "");
+    if (shown.has("cost")) entry("where it cost", COST, "");
     entry("your command", COMMAND, "arrow");
     if (shown.has("gate")) entry("what is executed", DONE, "arrow");
     if (shown.has("imagined")) { entry("imagined: uncorrected", COMMAND, "line"); entry("with the correction", DONE, "line"); }
@@ -111,7 +114,7 @@ function enter(state) {
     trail = []; costs = []; lines = null;
     const who = block && block.assistant ? ` ${block.assistant} assists.` : "";
     const time = block ? `An episode takes ${Math.round(block.seconds)} seconds.` : "";
-    const texts = [...compared(), "Reach the goals, and stay clear of what costs.", time + who];
+    const texts = [...compared(), "Reach the goals, and stay clear of what costs.", time + who, KEYS_TOLD];
     card("<h2></h2>", texts, [["Go", () => ask("go")], ...replays(), ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
     if (world) byId("card").querySelector(".actions").before(byId("legend").cloneNode(true));
   } else if (phase === "paused") {
@@ -198,10 +201,18 @@ function replays() { return review ? [["Watch it again", () => play(false)], ["S
 function play(filmed) {
   byId("veil").hidden = true; byId("drive").hidden = false; byId("drive").classList.add("replay"); byId("player").hidden = false;
   byId("above").hidden = false; // also where the driver has hidden the map
-  lines = null; player = { begun: performance.now(), at: -1 };
+  lines = null; player = { begun: performance.now(), at: -1, progress: byId("progress").textContent };
   byId("scrub").max = Math.max(review.driven.length, review.alone.length) - 1;
+  byId("progress").textContent = "replay of the last episode";
   if (filmed) film();
   advance();
+}
+
+function replayStep() { return (block.period_ms * block.speed) / SPEED; } // ms that a decision is shown
+
+function playOn() {
+  const at = Number(byId("scrub").value) < Number(byId("scrub").max) ? Number(byId("scrub").value) : 0;
+  player.begun = player.begun !== null && at ? null : performance.now() - at * replayStep();
 }
 
 function film() {
@@ -217,9 +228,10 @@ function film() {
 
 function advance() {
   if (!player) return;
-  const last = Number(byId("scrub").max), step = (block.period_ms * block.speed) / SPEED;
-  if (player.begun !== null) byId("scrub").value = Math.min(Math.floor((performance.now() - player.begun) / step), last);
+  const last = Number(byId("scrub").max);
+  if (player.begun !== null) byId("scrub").value = Math.min(Math.floor((performance.now() - player.begun) / replayStep()), last);
   const at = Number(byId("scrub").value);
+  byId("on").textContent = player.begun !== null && at < last ? "Stop" : "Play";
   if (at !== player.at) { player.at = at; moment(at); }
   if (at === last && player.recorder && !player.ending) player.ending = setTimeout(closePlayer, 700); // the film shows the end for a moment
   setTimeout(advance, 20); // an animation frame never comes where the window is hidden
@@ -236,7 +248,7 @@ function moment(at) {
     const [x, y, yaw] = alone.at(-1).robot;
     context.globalAlpha = 0.6;
     path(context, places(alone), COMMAND, 2.5 / scale, [5 / scale, 4 / scale]);
-    context.fillStyle = "#d55e00";
+    context.fillStyle = COST;
     for (const one of alone.filter((moment) => moment.costly)) { context.beginPath(); context.arc(one.robot[0], one.robot[1], 4 / scale, 0, 7); context.fill(); }
     outline(context, { ...world.robot, colour: "#404040" }, x, y, yaw - world.robot.front, world.half * 0.045);
     context.globalAlpha = 1;
@@ -255,11 +267,13 @@ function closePlayer() {
   if (!player) return;
   if (player.recorder && player.recorder.state === "recording") player.recorder.stop();
   clearTimeout(player.ending);
+  byId("progress").textContent = player.progress;
   player = null; trail = []; costs = [];
   byId("player").hidden = true; byId("drive").classList.remove("replay"); byId("drive").hidden = phase !== "ready"; byId("veil").hidden = false;
   arrange();
 }
 byId("scrub").oninput = () => { player.begun = null; };
+byId("on").onclick = playOn;
 byId("back").onclick = closePlayer;
 
 // -- what is held down ---------------------------------------------------------------------------------------------------------
@@ -382,7 +396,7 @@ function above(header) {
   const kinds = [...world.kinds].sort((a, b) => b.flat - a.flat);
   for (const kind of kinds) for (const [px, py, angle] of header.things[kind.name] || []) outline(context, kind, px, py, angle, half * 0.005);
   path(context, trail, "rgb(64 64 64 / .75)", 2 / scale, []);
-  context.fillStyle = "#d55e00";
+  context.fillStyle = COST;
   for (const [px, py] of costs) { context.beginPath(); context.arc(px, py, 4 / scale, 0, 7); context.fill(); }
   if (sees("imagined") && lines && header.frame - lines.frame < 4) {
     if (lines.alone) path(context, lines.alone, COMMAND, 2.5 / scale, [5 / scale, 4 / scale]);
