@@ -173,8 +173,8 @@ def short(rows: pa.Table) -> str:
         "| --- |" + " ---: |" * len(tasks),
     ]
     for method in dict.fromkeys(name for _, name, _ in cells):
-        each = [measures(cube(cells, task, method, next(iter(GROUPS.values())))) for task in tasks]
-        numbers = [f"{m['return']:.1f} / {m['cost']:.1f}" for m in each]
+        sums = [cube(cells, task, method, next(iter(GROUPS.values()))) for task in tasks]
+        numbers = [f"{m['return']:.1f} / {m['cost']:.1f}" if m else "" for m in (measures(cells) if cells.size else None for cells in sums)]
         lines.append(f"| {title(method)} | {' | '.join(numbers)} |")
     return "\n".join(lines)
 

@@ -21,18 +21,19 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 STORE = ROOT / "results" / "published" / "store" / "expert"
 PICTURE = ROOT / "docs" / "pictures" / "experts.png"
+TRAININGS = (1, 2, 3, 4, 5)
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00")
 
 
 def published() -> dict[tuple[str, int], Path]:
-    """Return the folders of the second edition's experts by task and training."""
-    spec = load(ROOT / "specs" / "edition2.yaml").spec
+    """Return the folders of the experts by task and training."""
+    spec = load(ROOT / "specs" / "table1.yaml").spec
     experts: dict[tuple[str, int], Path] = {}
     for path in STORE.glob("*/acceptance.json"):
         manifest = _read(path.with_name("_manifest.json"))
-        if manifest["task"] in spec.tasks and manifest["seed"] in spec.seeds:
+        if manifest["task"] in spec.tasks and manifest["seed"] in TRAININGS:
             experts[manifest["task"], manifest["seed"]] = path.parent
-    return {(task, seed): experts[task, seed] for task in spec.tasks for seed in spec.seeds if (task, seed) in experts}
+    return {(task, seed): experts[task, seed] for task in spec.tasks for seed in TRAININGS if (task, seed) in experts}
 
 
 def table() -> str:

@@ -1,20 +1,25 @@
-"""Judge the paper's claims by the published rows, as REPRODUCTION.md lists them: nothing is computed anew.
+"""Print the tables of REPRODUCTION.md from the published rows, the paper's claims first: nothing is computed anew.
 
-python docs/examples/claims.py
+python docs/examples/reproduction.py
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.claims import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
-from wasp_cli.report.render import markdown_row
+from wasp_cli.report.render import markdown, markdown_row
 from wasp_cli.report.stats import Frame, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.tables.comparison import necessity_table
+from wasp_cli.report.tables.main import ablation_table, main_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
@@ -24,21 +29,28 @@ PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1,)
 
 
+LEFT_OUT = ("ms", "Mag.\\|int ↓", "Mag. eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
 @cache
-def frame() -> Frame:
-    """Return the published cells of the second edition, with their branches."""
+def grid() -> Grid:
+    """Return the cells of Table 1, its ablations included, with the nodes of their branches."""
     settings = (
         f"seeds={list(TRAININGS)}",
         "variants=[full, safety-only, task-only, no-case2, no-rollout]",
         "stages=[counterfactual]",
         "counterfactual.stride=10",
     )
-    spec, layout = load(ROOT / "specs" / "edition2.yaml", settings).spec, Layout(PUBLISHED)
-    grid = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
-    wanted, _ = wanted_cells(layout, spec, *([(cell, node.key) for cell, node in some] for some in (grid.cells, grid.branched)))
+    spec = load(ROOT / "specs" / "table1.yaml", settings).spec
+    return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
+
+
+@cache
+def frame() -> Frame:
+    """Return those that are published."""
+    spec, places = load(ROOT / "specs" / "table1.yaml").spec, (grid().cells, grid().branched)
+    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, *([(cell, node.key) for cell, node in cells] for cells in places))
     return with_branches(read_frame(wanted), wanted)
 
 
@@ -67,11 +79,33 @@ def rows_of(verdict: VerdictReport) -> Iterator[tuple[str, ...]]:
         yield f"{judged.claim.says} (`{judged.claim.id}`)", word(judged), word(other), decides(judged)
 
 
-def table() -> str:
+def claims() -> str:
     """Return the table of all claims in Markdown."""
     rows = rows_of(judge(frame(), load_paper()))
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
 
 
+def tables() -> dict[str, str]:
+    """Return every table of the page in Markdown, by its heading there."""
+    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame())}
+    return {"The 21 claims": claims()} | {name: rows_alone(table) for name, table in made.items() if table is not None}
+
+
+def rows_alone(table: Table) -> str:
+    """Return the rows of a table, without its notes, without columns that LEFT_OUT names, and without rows of which nothing is computed."""
+    head, rules, *rows = [
+        [cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])] for line in markdown(table).splitlines() if line.startswith("|")
+    ]
+    kept = [i for i, heading in enumerate(head) if heading not in LEFT_OUT]
+    lines, task, shown = [head, rules], "", ""
+    for row in rows:
+        task = row[0] or task
+        if "[0 of" not in row[1]:
+            lines.append(["" if task == shown else task, *row[1:]])
+            shown = task
+    return "\n".join(f"| {' | '.join(line[i] for i in kept)} |" for line in lines)
+
+
 if __name__ == "__main__":
-    print(table())
+    for name, text in tables().items():
+        print(f"## {name}\n\n{text}\n")

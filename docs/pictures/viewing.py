@@ -15,7 +15,7 @@ from PIL import Image
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 METHODS = "[human, ida, ida-guarded, diffusion, csa, saferl, wasp, expert]"
-SPEC = f"extends: edition2\nname: goal1\ntasks: [goal1]\nseeds: [1]\nmethods: {METHODS}\n"
+SPEC = f"extends: table1\nname: goal1\ntasks: [goal1]\nseeds: [1]\nmethods: {METHODS}\n"
 EPISODE = "/cell/goal1 s1 wasp noisy=0.45/episode/0"
 
 

@@ -1,7 +1,7 @@
 """What nodes take, as `wasp plan` estimates from it: the figures of `wasp_cli/plan/times.json`.
 
 python -m tests.benchmarks.times RESULTS...                        of results computed on this machine, while nothing else ran
-python -m tests.benchmarks.times --published specs/edition2.yaml   of what is published of a spec: the least time of each kind of node,
+python -m tests.benchmarks.times --published specs/table1.yaml   of what is published of a spec: the least time of each kind of node,
                                                                    since other work ran beside most of them
 """
 

@@ -31,7 +31,7 @@ from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 
 SPEC = """\
-extends: edition2
+extends: table1
 name: beside
 tasks: [goal1]
 methods: [ida]

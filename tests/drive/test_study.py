@@ -21,7 +21,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 
 SPEC = """\
-extends: edition2
+extends: table1
 name: trial
 tasks: [goal1]
 methods: [human, ida]

@@ -36,7 +36,9 @@ def status(results: options.Folder, run: options.RunOption = None, json: options
     layout = results_of(results.path)
     runs = planned_runs(layout)
     if not runs:
-        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
+        raise StoreError(
+            f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there, and copies published results"
+        )
     states = shown_runs(layout, runs) if run is None else [state_of(layout, named_run(runs, run))]
     if json:
         print_json(as_json(states))

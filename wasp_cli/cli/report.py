@@ -94,7 +94,9 @@ def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], 
     layout = results_of(results)
     runs, damaged = last_runs(layout)
     if not runs and not damaged:
-        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
+        raise StoreError(
+            f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there, and copies published results"
+        )
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged

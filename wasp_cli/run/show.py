@@ -203,7 +203,7 @@ def _block(state: RunState, now: datetime) -> Group:
 def life(state: RunState, now: datetime) -> str:
     """Say whether a run goes on, since when, and how it ended."""
     if state.state == "not started":
-        return "planned; nothing computed yet"
+        return "planned, or driven by a person: no run has computed anything"
     if state.idle:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
