@@ -106,9 +106,7 @@ def results(written: Path, tmp_path: Path) -> Path:
 
 
 def test_a_pipe_gets_every_column(results: Path) -> None:
-    command = [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES]
-    here = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True, env=here)
+    done = run_here("report", results, *NO_PICTURES, columns=None, code=0)
     heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout
