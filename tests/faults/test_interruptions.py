@@ -108,7 +108,7 @@ def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything, fak
 def test_two_runs_share_one_store(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.05)
-    both = [start("run", small_spec, "--results", results, "-j", "1") for _ in range(2)]
+    both = [start("run", small_spec, "--results", results, "-j", "0") for _ in range(2)]
     errors = [process.communicate(timeout=600)[1] for process in both]
     assert [process.returncode for process in both] == [0, 0], errors
     ran = fakes.executions()
@@ -134,7 +134,6 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
 @pytest.mark.parametrize(
     "pool",
     [
-        pytest.param(InlinePool, id="inline"),
         pytest.param(lambda: LokyPool(1), id="one worker", marks=pytest.mark.slow),
         pytest.param(lambda: LokyPool(2), id="two workers"),
     ],

@@ -80,10 +80,14 @@ def terminal(report: Report, width: int = 140) -> str:
 
 
 def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    report = report_run(tmp_path, spec, cells)
+    report, out = report_run(tmp_path, spec, cells), tmp_path / "out"
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
-    files = report.write(tmp_path / "out")
+    out.mkdir()
+    (out / "table2.csv").write_text("of an earlier report")
+    (out / "notes.txt").write_text("of a person")
+    files = report.write(out)
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
     assert all(path.is_file() and path.stat().st_size for path in files)
     assert [path.name for path in files[:2]] == ["report.md", "report.html"]
     endings = ("md", "csv", "tex", "html")
@@ -158,15 +162,6 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["world_model.free_nats"][1].startswith("differs from the paper: ")
     differs = [why.startswith("differs from the paper") for _, why in found.values()]
     assert differs == sorted(differs, reverse=True)  # what differs comes first
-
-
-def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "table2.csv").write_text("of an earlier report")
-    (out / "notes.txt").write_text("of a person")
-    files = report_run(tmp_path, spec, cells).write(out)
-    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
 
 
 def branched(layout: Layout, cells: Cells) -> Cells:

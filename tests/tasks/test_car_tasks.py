@@ -150,9 +150,9 @@ def test_every_barrier_stops_the_car_and_costs(ring):
     outline = getattr(track, ring)
     sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
     middles = sides.mean(axis=1)
-    # Head-on from where the track is, against a dozen sides.
+    # Head-on from where the track is, against half a dozen sides.
     at = track.FINE_LAP[track.progress(middles), :2]
-    chosen = np.flatnonzero((distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5))[::6][:12]
+    chosen = np.flatnonzero((distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5))[::12][:6]
     task = Formula(len(chosen), observe=())
     task.reset([0] * len(chosen))
     far_from_barrels(task)
@@ -175,8 +175,8 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
     part.reset(range(7))
     whole.reset(range(7))
     beside = 0
-    for t in range(36):
-        action = np.random.default_rng(t // 10).uniform(0.0, 0.02, (7, 2))
+    for t in range(14):
+        action = np.random.default_rng(t // 7).uniform(0.0, 0.02, (7, 2))
         whole.restore(part.snapshot())
         with monkeypatch.context() as patch:
             patch.setattr("wasp_cli.tasks.formula.task.sectors", lambda xy: np.ones(len(xy), np.int64))
@@ -187,7 +187,7 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
         step = part.step(action)
         np.testing.assert_allclose(part.snapshot()["qpos"], whole.snapshot()["qpos"], atol=1e-7)
         assert step.sources["static_geoms_contact"].tolist() == expected.sources["static_geoms_contact"].tolist()
-    assert beside > 10
+    assert beside > 5
 
 
 def test_barrels_are_set_down_beside_barriers_and_others_stay():
