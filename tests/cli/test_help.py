@@ -152,11 +152,6 @@ def test_tasks_methods_and_preset_restrict_a_spec() -> None:
         sized("enormous")
 
 
-def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
-    done = run_here("run", "specs/smoke.yaml", "--dry-run", "--backend", "cloud", "--results", tmp_path / "none", columns=120)
-    assert (done.exit_code, "cloud" in done.stderr) == (2, True)
-
-
 # What a shell offers behind TAB.
 
 

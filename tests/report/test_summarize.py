@@ -17,7 +17,6 @@ from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
 from wasp_cli.report.tables.main import ablation_table
-from wasp_cli.report.trained.parts import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
@@ -144,13 +143,6 @@ def test_a_damaged_manifest_is_a_fact_not_a_crash(text: str, fact: str, spec: Sp
     report = report_run(tmp_path, spec, cells)
     assert fact in report.facts[-1]
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
-
-
-def test_durations_and_numbers() -> None:
-    assert [duration(seconds) for seconds in (None, 4.4, 59.6, 200, 7500)] == ["?", "4 s", "1 min 00 s", "3 min 20 s", "2 h 05 min"]
-    summary = {"a": 1, "b": {"c": 0.123456, "d": [1, 2]}, "e": None, "f": True}
-    assert numbers_text(summary) == "a 1, b.c 0.1235, f True"
-    assert numbers_text({str(i): i for i in range(26)}).endswith("23 23, and 2 more")
 
 
 def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leaves_open(spec: Spec) -> None:
