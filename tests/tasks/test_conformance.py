@@ -1,13 +1,10 @@
 """The tasks against recordings of the reference package."""
 
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.conformance import __main__ as conformance
 from tests.conformance.comparison import compare
@@ -16,7 +13,7 @@ from tests.tasks.test_gym import ID, text
 from wasp_cli.errors import UnknownName, UnknownOption, UsageError
 from wasp_cli.tasks import sheet
 from wasp_cli.tasks.gym import upstream
-from wasp_cli.tasks.sheet import GAP, MOMENT, MOMENTS, draw_sheet
+from wasp_cli.tasks.sheet import draw_sheet
 
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
 
@@ -180,51 +177,6 @@ def test_upstream_says_what_it_does_not_have():
         with pytest.raises(UnknownName, match=name) as caught:
             upstream(name)
     assert "wasp/SafetyPointGoal1-v0" in caught.value.hint
-
-
-# The picture of an episode: which moments it shows.
-
-
-class Clock(gymnasium.Env[Any, Any]):
-    """Shows its clock as a colour, and ends early."""
-
-    metadata = {"render_modes": [], "render_fps": 25}
-    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
-    observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
-    ends_at = 10**9
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.clock = 0
-        return self.seen(), {}
-
-    def seen(self):
-        return np.full((64, 64, 3), 1 + self.clock // 4 % 250, np.uint8)
-
-    def step(self, action):
-        self.clock += 1
-        return self.seen(), 0.0, self.clock >= self.ends_at, False, {"cost": 0.0}
-
-
-class Short(Clock):
-    ends_at = 4 * 29
-
-
-gymnasium.register("SheetClock-v0", entry_point=Clock, max_episode_steps=4 * 40)
-gymnasium.register("SheetShort-v0", entry_point=Short, max_episode_steps=4 * 1000)
-gymnasium.register("SheetLong-v0", entry_point=Clock, max_episode_steps=4 * 240)
-
-
-def read(path: Path) -> np.ndarray[Any, Any]:
-    return np.asarray(Image.open(path).convert("RGB"))
-
-
-def decisions(path: Path) -> list[int]:
-    """The clocks of a strip, in decision steps."""
-    picture = read(path)
-    row = picture.shape[0] - 2 * sheet.CAPTION - MOMENT // 2
-    columns = [GAP + column * (MOMENT + GAP // 2) + MOMENT // 2 for column in range(MOMENTS)]
-    return [int(picture[row, x, 0]) - 1 for x in columns if x < picture.shape[1] and picture[row, x, 0] != 255]
 
 
 def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):
