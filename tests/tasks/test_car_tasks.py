@@ -175,8 +175,11 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
     part.reset(range(7))
     whole.reset(range(7))
     beside = 0
-    for t in range(14):
-        action = np.random.default_rng(t // 7).uniform(0.0, 0.02, (7, 2))
+    for t in range(36):
+        action = np.random.default_rng(t // 10).uniform(0.0, 0.02, (7, 2))
+        if t % 6 and not (part._walls > 0).any():  # nothing is near: a sample will do
+            part.step(action)
+            continue
         whole.restore(part.snapshot())
         with monkeypatch.context() as patch:
             patch.setattr("wasp_cli.tasks.formula.task.sectors", lambda xy: np.ones(len(xy), np.int64))
@@ -187,7 +190,7 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
         step = part.step(action)
         np.testing.assert_allclose(part.snapshot()["qpos"], whole.snapshot()["qpos"], atol=1e-7)
         assert step.sources["static_geoms_contact"].tolist() == expected.sources["static_geoms_contact"].tolist()
-    assert beside > 5
+    assert beside > 10
 
 
 def test_barrels_are_set_down_beside_barriers_and_others_stay():
