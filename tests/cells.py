@@ -1,8 +1,11 @@
 """Cells of tiny untrained models, evaluated by the real stage."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import pytest
 
 from wasp_cli import seeds
 from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
@@ -12,10 +15,19 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import VectorTask
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.race.task import Race
 
-REPEAT = 20
-"""Env steps per decision: few decisions, so that whole episodes are short."""
+REPEAT, DECISIONS = 20, 10
+"""Env steps per decision, and decisions of an episode of race1 that was made short."""
 SETTINGS = {"action_repeat": REPEAT, "returns": ReturnsConfig(), "side_by_side": 10}
+
+
+@contextmanager
+def short_episodes() -> Iterator[None]:
+    """Episodes of Race end after 200 instead of 500 env steps: physics takes most of the time of a cell."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Race, "num_steps", REPEAT * DECISIONS)
+        yield
 
 
 class Evaluated(NamedTuple):

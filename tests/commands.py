@@ -9,8 +9,8 @@ from wasp_cli import console
 from wasp_cli.cli.app import app
 
 
-def run_here(*arguments: str | Path, columns: int, code: int | None = None) -> Result:
-    """`wasp ARGUMENTS` with a terminal of so many columns, and the exit code that is asked for.
+def run_here(*arguments: str | Path, columns: int | None, code: int | None = None) -> Result:
+    """`wasp ARGUMENTS` with a terminal of so many columns, or in a pipe, and the exit code that is asked for.
 
     The consoles keep the stream of their first use, which belongs to an earlier test or is closed with the runner.
     """
@@ -18,7 +18,7 @@ def run_here(*arguments: str | Path, columns: int, code: int | None = None) -> R
     for made in consoles:
         made.cache_clear()
     try:
-        done = CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": str(columns)})
+        done = CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": columns and str(columns)})
     finally:
         for made in consoles:
             made.cache_clear()

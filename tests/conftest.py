@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from contextlib import suppress
 
 import pytest
@@ -18,6 +19,15 @@ with suppress(ImportError):  # the sessions `peers` and `external` of nox have n
     # An example may take as long as a busy machine needs.
     settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("busy")
+
+
+def pytest_fixture_setup():
+    """No test depends on what others have drawn before it: neither a fixture nor a test begins in another state."""
+    if torch := sys.modules.get("torch"):
+        torch.manual_seed(0)
+
+
+pytest_runtest_call = pytest_fixture_setup
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Iterator, Mapping
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -77,32 +78,13 @@ def graph(package: Path = ROOT / PACKAGE, typing: bool = False) -> dict[str, set
     return {name: imports(name, path, tree, modules, typing) for name, (path, tree) in modules.items()}
 
 
-def circles(edges: Mapping[str, set[str]]) -> list[list[str]]:
-    """Groups of modules that import each other (Tarjan's strongly connected components of more than one)."""
-    order: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found: list[list[str]] = []
-
-    def visit(name: str) -> None:
-        order[name] = low[name] = len(order)
-        stack.append(name)
-        for needed in sorted(edges[name]):
-            if needed not in order:
-                visit(needed)
-                low[name] = min(low[name], low[needed])
-            elif needed in stack:
-                low[name] = min(low[name], order[needed])
-        if low[name] == order[name]:
-            group = [*stack[stack.index(name) :]]
-            del stack[-len(group) :]
-            if len(group) > 1:
-                found.append(sorted(group))
-
-    for name in sorted(edges):
-        if name not in order:
-            visit(name)
-    return sorted(found)
+def circle(edges: Mapping[str, set[str]]) -> list[str]:
+    """Modules that import each other, in turn, if there are any."""
+    try:
+        TopologicalSorter(edges).prepare()
+    except CycleError as error:
+        return sorted(set(error.args[1]))
+    return []
 
 
 def by_string(tree: ast.Module) -> list[ast.Call]:
@@ -119,7 +101,7 @@ def by_string(tree: ast.Module) -> list[ast.Call]:
 
 @pytest.mark.parametrize("typing", [False, True], ids=["running", "with imports for types"])
 def test_no_modules_import_each_other(typing):
-    assert circles(graph(typing=typing)) == []
+    assert circle(graph(typing=typing)) == []
 
 
 def test_imports_by_string_are_those_that_are_listed():
@@ -148,10 +130,10 @@ TYPED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a i
         (
             {"a.py": "from .sub.c import f\n", "b.py": "from house import a\n", "sub/c.py": TRIED},
             False,
-            [["house.a", "house.b", "house.sub.c"]],
+            ["house.a", "house.b", "house.sub.c"],
         ),
         ({"a.py": "from house.b import f\n", "b.py": TYPED}, False, []),
-        ({"a.py": "from house.b import f\n", "b.py": TYPED}, True, [["house.a", "house.b"]]),
+        ({"a.py": "from house.b import f\n", "b.py": TYPED}, True, ["house.a", "house.b"]),
     ],
 )
 def test_circles_are_found_wherever_the_import_stands(files, typing, expected, tmp_path):
@@ -159,7 +141,7 @@ def test_circles_are_found_wherever_the_import_stands(files, typing, expected, t
         path = tmp_path / "house" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    assert circles(graph(tmp_path / "house", typing)) == expected
+    assert circle(graph(tmp_path / "house", typing)) == expected
 
 
 def test_an_import_by_string_is_seen():

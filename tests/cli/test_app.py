@@ -5,17 +5,21 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import Result
 
 from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec
+from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
 from wasp_cli.errors import CellsFailed
 from wasp_cli.plan.plan import with_keys
 from wasp_cli.run.record import Recorded, new_run
 from wasp_cli.spec.load import load
+from wasp_cli.store.artifact import write_record
+from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes", "small_spec"]
 
@@ -23,10 +27,9 @@ ROOT = Path(__file__).parents[2]
 SMOKE = "specs/smoke.yaml"
 
 
-def wasp(*arguments: str | Path, fake: bool = False, **environment: str) -> subprocess.CompletedProcess[str]:
-    program = ["tests/run/fake_wasp.py"] if fake else ["-m", "wasp_cli"]
+def wasp(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **environment}
-    command = [sys.executable, *program, *map(str, arguments)]
+    command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
@@ -84,15 +87,21 @@ for arguments, heavy in %r:
 """
 
 
-def test_light_commands_import_nothing_heavy(tmp_path: Path) -> None:
+def test_light_commands_import_nothing_heavy(layout: Layout, tmp_path: Path) -> None:
     heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", *DRIVING]
-    invalid, results = spec_with(tmp_path, "episodes: 2", "episode: 2"), str(tmp_path / "results")
+    invalid, results = spec_with(tmp_path, "episodes: 2", "episode: 2"), str(layout.root)
+    run_id = "20260501-120000-small-0001"
+    write_run(layout, run_id, [planned(1, "a")], [(0.0, "run started", {})])
+    layout.log(run_id, "a", key(1)).write_text("log\n")
+    manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
+    write_record(layout.manifest("world_model", key(1)), manifest)
     commands = [
         (["--help"], [*heavy, "pydantic", "ruamel.yaml", "numpy"]),
         *((arguments, heavy) for arguments in (
             ["drive", "--help"], ["view", "--help"], ["note", "no such cell", "text", "--results", results],
             ["plan", "specs/table1.yaml", "--results", "/nowhere"], ["check", "specs/table1.yaml"], ["schema"],
             ["run", str(invalid), "--results", results], ["report", "/nowhere"],
+            ["status", results], ["logs", "a", "--results", results], ["show", "a", "--results", results], ["gc", results, "--dry-run"],
         )),
     ]  # fmt: skip
     done = subprocess.run([sys.executable, "-c", LIGHT % commands], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -106,11 +115,9 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"), encoding="utf-8")
     assert here("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in here("plan", spec, "--results", results).stdout
-    done = wasp("run", spec, "--results", results, "-j", "0", fake=True)
-    assert (done.returncode, "7 computed" in done.stderr) == (0, True), done.stderr
-    shown = here("report", results)
-    assert shown.exit_code == 0, shown.stderr
-    assert "Main results" not in shown.stdout
+    done = here("run", spec, "--results", results, "-j", "0")
+    assert (done.exit_code, "7 computed" in done.stderr) == (0, True), done.stderr
+    assert "Main results" not in done.stdout
     page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
     assert "- Training only: the spec lists no methods." in page
     assert page.count("| Goal1 | 0 | ") == 7
@@ -213,19 +220,22 @@ def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
         assert ("Traceback" in done.stderr, done.returncode) == (True, 1)
 
 
-def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
     fakes.set(behave={"s1 critics": "refuse"})
     results = tmp_path / "results"
-    done = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
-    assert done.returncode == 1
+    done = here("run", small_spec, "--results", results, "-j", "0")
+    assert done.exit_code == 1
     assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
     assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
     log = done.stderr.partition("log: ")[2].split()[0]
     assert "the loss is not finite" in Path(log).read_text(encoding="utf-8")
-    assert done.stdout == "14 cells\n"
+    assert done.stdout == ""
     fakes.set()
-    again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
-    assert again.returncode == 0
+    again = here("run", small_spec, "--results", results, "-j", "0")
+    assert again.exit_code == 0
     assert "4 computed, 32 computed before" in again.stderr
 
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
+from tests.report.conftest import without_figures
 from wasp_cli.cli.app import app
 from wasp_cli.cli.command import GROUPS
 from wasp_cli.cli.options import method_names, setting_names, task_names, variant_names
@@ -25,6 +26,8 @@ from wasp_cli.spec.hints import settings
 from wasp_cli.spec.load import load
 from wasp_cli.spec.shipped import shipped_names
 from wasp_cli.tasks.registry import TASKS
+
+__all__ = ["without_figures"]
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = [[], *([name] for name in sorted(get_command(app).commands))]  # type: ignore[attr-defined]
@@ -105,15 +108,15 @@ def results(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "results"))
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_pipe_gets_every_column(results: Path) -> None:
-    command = [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES]
-    here = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True, env=here)
+    done = run_here("report", results, *NO_PICTURES, columns=None, code=0)
     heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path) -> None:
     (results / "reports").write_text("in the way")
     done = run_here("report", results, *NO_PICTURES, columns=120, code=1)
@@ -147,11 +150,6 @@ def test_tasks_methods_and_preset_restrict_a_spec() -> None:
         restricted(loaded, None, ["nobody"])
     with pytest.raises(UnknownName):
         sized("enormous")
-
-
-def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
-    done = run_here("run", "specs/smoke.yaml", "--dry-run", "--backend", "cloud", "--results", tmp_path / "none", columns=120)
-    assert (done.exit_code, "cloud" in done.stderr) == (2, True)
 
 
 # What a shell offers behind TAB.

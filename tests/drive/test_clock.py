@@ -13,7 +13,7 @@ from wasp_cli.store.people import percentiles
 def test_an_answer_in_time_is_taken_and_a_late_one_is_not() -> None:
     decider: Decider[str] = Decider()
     try:
-        assert decider.ask(lambda: "soon", 60.0)[0] == "soon"
+        assert decider.ask(lambda: "soon", 600.0)[0] == "soon"
         told = threading.Event()
         answer, seconds = decider.ask(lambda: "late" if told.wait(600.0) else "never", 0.05)
         assert answer is None
@@ -21,7 +21,7 @@ def test_an_answer_in_time_is_taken_and_a_late_one_is_not() -> None:
         # While it is still being thought about, nothing new is asked, and what is thought about is never taken for the new answer.
         assert decider.ask(lambda: "new", 0.05)[0] is None
         told.set()
-        assert decider.ask(lambda: "new", 60.0)[0] == "new"
+        assert decider.ask(lambda: "new", 600.0)[0] == "new"
         assert [(late, answer) for _, late, answer in decider.answers] == [(False, "soon"), (True, "late"), (False, "new")]
     finally:
         decider.close()
@@ -36,7 +36,7 @@ def test_an_assistant_whose_beat_is_over_has_its_time_nevertheless() -> None:
         for _ in range(50):
             clock.spent(0.5)
         clock.beat()
-        assert decider.ask(lambda: _after(0.05, "there"), 60.0, clock.deadline())[0] == "there"
+        assert decider.ask(lambda: _after(0.05, "there"), 600.0, clock.deadline())[0] == "there"
     finally:
         decider.close()
 
@@ -68,8 +68,8 @@ def test_a_search_is_told_when_its_time_is_up(hands: Hands) -> None:
 
     try:
         # Another step of 0.3 s would end after the 0.4 s that it has at least, one of no time before them.
-        assert decider.ask(searches, 60.0, hands.now, 0.4)[0] == [False, True]
-        assert decider.ask(searches, 60.0, hands.now + 20.0)[0] == [False, False]
+        assert decider.ask(searches, 600.0, hands.now, 0.4)[0] == [False, True]
+        assert decider.ask(searches, 600.0, hands.now + 20.0)[0] == [False, False]
     finally:
         decider.close()
 
@@ -84,7 +84,7 @@ def test_what_goes_wrong_in_a_late_answer_is_told() -> None:
     try:
         assert decider.ask(fails, 0.01)[0] is None
         with pytest.raises(ValueError, match="it went wrong"):
-            decider.ask(fails, 60.0)
+            decider.ask(fails, 600.0)
     finally:
         decider.close()
 

@@ -29,6 +29,7 @@ from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.goal.task import Goal
 
 SPEC = """\
 extends: table1
@@ -52,8 +53,9 @@ def wasp(*arguments: object) -> Any:
 
 @pytest.fixture(scope="module", autouse=True)
 def two_are_enough() -> Iterator[None]:
-    """Of two episodes one is learned from and one held out."""
+    """Of two episodes one is learned from and one held out; they end after 100 decisions."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Goal, "num_steps", 400)
         patch.setattr(module, "FEWEST", 2)
         patch.setattr(module, "HELD_OUT", 2)
         yield
@@ -79,7 +81,7 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return results, said
 
 
-@pytest.mark.parametrize("kind", ["policies", "evaluate"])
+@pytest.mark.parametrize("kind", [pytest.param("policies", marks=pytest.mark.slow), "evaluate"])
 def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.commands import run_here
 from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive import block
@@ -20,9 +22,20 @@ from wasp_cli.drive.desk import GO, Desk, Frame
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.metrics.episode import GATE_LATE
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
+from wasp_cli.tasks.goal.task import Goal
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short() -> Iterator[None]:
+    """Episodes end after 100 decisions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Goal, "num_steps", 400)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +47,10 @@ def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
         patch.setattr(block, "PATIENCE", 1e-6)
         said: list[str] = []
         patch.setattr("wasp_cli.drive.command.say", said.append)
-        summary = drive_session(wanted(results, "wasp", 40.0, simulated=True).prepared(), 0, open_browser=False, scripted=Habits(0))
+        asked = wanted(results, "wasp", 40.0, simulated=True)
+        session = asked.prepared()
+        summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
+        asked.record(session)
     return results, summary["blocks"][0]["key"], "\n".join(said)
 
 
@@ -42,7 +58,7 @@ def test_late_is_a_gate_of_its_own_in_the_rows(late: tuple[Path, str, str]) -> N
     folder = Layout(late[0]).artifact("evaluate", late[1])
     marked = np.array(read_timing(folder / TIMING_FILE)["late"].to_pylist())
     gates = np.array(read_steps(cell_file(folder))["gate"].to_pylist())
-    assert marked.sum() > 200
+    assert marked.sum() > 80
     assert (gates[marked] == GATE_LATE).all()
     assert not (gates[~marked] == GATE_LATE).any()
 
@@ -51,7 +67,7 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     results, key, said = late
     assert "nobody assisted" in said
     assert "--speed 20" in said
-    of = f"late in {len(_late(results, key)[_late(results, key)])} of 250 decisions"
+    of = f"late in {len(_late(results, key)[_late(results, key)])} of 100 decisions"
     told = CliRunner().invoke(app, ["report", str(results)])
     assert told.exit_code == 0, told.output
     assert f"WASP on Goal1: {of}" in " ".join(told.output.split())
@@ -60,6 +76,20 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     step = str(int(np.flatnonzero(_late(results, key))[0]))
     decision = CliRunner().invoke(app, ["explain", key, "--episode", "0", "--step", step, "--results", str(results)]).output
     assert "The assistant had not answered in time: the command was executed." in decision
+
+
+def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, str]) -> None:
+    def there() -> tuple[set[Path], list[Any]]:
+        layout = Layout(late[0])
+        return {*late[0].rglob("*")}, read_run(layout, last_runs(layout)[0]["drive"]).cells
+
+    before = there()
+    done = run_here("drive", "goal1", "--method", "wasp", "--check", "--speed", "4", "--results", late[0], columns=80)
+    assert done.exit_code in (0, 1), done.output  # 1: decisions were late
+    assert "99th percentile" in done.stdout
+    assert "…" not in done.stdout
+    assert all(len(line.rstrip()) <= 80 for line in done.stdout.splitlines()[:6])
+    assert there() == before
 
 
 def _late(results: Path, key: str) -> Any:

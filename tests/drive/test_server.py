@@ -175,7 +175,7 @@ def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_ou
             ws.recv(timeout=0.2)
         ws.send(json.dumps({"type": "ack", "frame": 1}))
         assert unpacked(ws.recv(timeout=300))[0] == {"frame": 4}  # type: ignore[arg-type]
-        assert 0.0 < server.desk.round_trip < 10.0
+        assert 0.0 < server.desk.round_trip < 300.0
 
 
 def test_a_port_that_is_taken_is_said() -> None:

@@ -19,6 +19,7 @@ from wasp_cli.report.summarize import TABLES
 from wasp_cli.report.tables.table import who_title
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
+from wasp_cli.tasks.goal.task import Goal
 
 SPEC = """\
 extends: table1
@@ -53,6 +54,7 @@ def trial(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("trial") / "results"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Block, "review", told)
+        patch.setattr(Goal, "num_steps", 200)  # 50 decisions
         for each in wanted(results, what=str(spec), method=None, speed=40.0, episodes=None, simulated=True).everyone():
             drive_session(each.prepared(), 0, open_browser=False, scripted=Habits(each.participant or 0))
     return results

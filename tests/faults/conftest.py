@@ -2,9 +2,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.report.conftest import without_figures
 from tests.run.harness import SMALL, fakes
 
-__all__ = ["fakes"]
+__all__ = ["fakes", "without_figures"]
 
 
 @pytest.fixture

@@ -101,7 +101,7 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert not np.array_equal(load_file(weights)["w"], before)
     shutil.rmtree(layout.artifact("evaluate", reader.key))
     # A process of its own: this one has seen the whole file.
-    done = wasp("run", small_spec, "--results", results, "-j", "1")
+    done = wasp("run", small_spec, "--results", results, "-j", "0")
     assert done.returncode == 1
     assert "goal1 s0 human noisy=0.2: an input is damaged: '" in done.stderr
     assert "weights.safetensors' has other bytes than were stored" in done.stderr

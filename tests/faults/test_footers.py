@@ -48,7 +48,7 @@ def one_cell(side: Side) -> Path:
     return side.layout.artifact("evaluate", key) / EPISODES_FILE
 
 
-@pytest.mark.parametrize("stride", [37, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [97, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
     """Bytes in turn, another bit of each: the cell is as it was, or it is named; the others are read."""
     before, after = write_results(tmp_path / "before"), write_results(tmp_path / "after")
@@ -82,7 +82,7 @@ def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
 
 
 @pytest.mark.parametrize("column", ["cost", *(pytest.param(name, marks=pytest.mark.slow) for name in ("episode_seed", "decisions"))])
-def test_report_compare_and_view_name_the_file_and_go_on(column, tmp_path):
+def test_report_compare_and_view_name_the_file_and_go_on(column, without_figures, tmp_path):
     before, after = write_results(tmp_path / "before"), write_results(tmp_path / "after")
     path = one_cell(after)
     assert column in COLUMNS

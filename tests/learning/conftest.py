@@ -2,23 +2,31 @@
 
 import pytest
 
-from tests.cells import SETTINGS, Evaluated, evaluated
+from tests.cells import SETTINGS, Evaluated, evaluated, short_episodes
 from wasp_cli.learning.configs import HeldoutConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.heldout import HeldoutStage
 
 
+@pytest.fixture(scope="module", autouse=True)
+def short():
+    with short_episodes():
+        yield
+
+
 @pytest.fixture(scope="session")
 def inputs(artifacts, tmp_path_factory):
     folder = tmp_path_factory.mktemp("heldout")
-    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, artifacts, folder, folder))
+    with short_episodes():
+        HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, artifacts, folder, folder))
     return artifacts | {"heldout": folder}
 
 
 @pytest.fixture(scope="session")
 def cell(inputs, tmp_path_factory) -> Evaluated:
     """IDA takes over wherever more of its ensemble are for it than against it."""
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
+    with short_episodes():
+        return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +34,8 @@ def root(tmp_path_factory):
     """An untrained expert, and a small dataset in `whole`; tests add folders."""
     from tests.learning.test_dataset import collected
 
-    return collected(tmp_path_factory.mktemp("dataset"))
+    with short_episodes():
+        return collected(tmp_path_factory.mktemp("dataset"))
 
 
 @pytest.fixture(scope="session")

@@ -41,7 +41,7 @@ def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_d
     recorded, latents = data
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
     torch.manual_seed(0)
-    config = DenoiserConfig(updates=1000, batch=192, hidden=(64, 64), ema=0.99)
+    config = DenoiserConfig(updates=600, batch=192, hidden=(64, 64), ema=0.99)
     denoiser, schedule, summary = train_denoiser(recorded, expert, latents, config, 1, no_progress)
     source = torch.Generator().manual_seed(2)
     held = torch.from_numpy(np.flatnonzero(recorded.held_out(0.1)))

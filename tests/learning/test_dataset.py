@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from tests.cells import SETTINGS, Evaluated, evaluated
+from tests.cells import DECISIONS, REPEAT, SETTINGS, Evaluated, evaluated
 from tests.learning.recordings import SOURCES, recording
 from wasp_cli.learning.configs import CounterfactualConfig, DatasetConfig, MixtureConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
@@ -31,7 +31,7 @@ from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
 from wasp_cli.tasks.make import make_task
 
-TASK, REPEAT, DECISIONS = "race1", 20, 25  # its episodes are the shortest
+TASK = "race1"
 ENVS, SHARDS = 3, 2
 
 
@@ -63,13 +63,15 @@ def files(folder: Path) -> dict[str, bytes]:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
+from tests.cells import short_episodes
 from tests.learning.test_dataset import job, stage
 
 def kill(share, text):
     (Path(sys.argv[1]) / "killed-work" / "shard-0001.partial").write_bytes(b"half a sha")
     os.kill(os.getpid(), signal.SIGKILL)
 
-stage.DatasetStage().run(job(Path(sys.argv[1]), "killed", kill))
+with short_episodes():
+    stage.DatasetStage().run(job(Path(sys.argv[1]), "killed", kill))
 """
 
 

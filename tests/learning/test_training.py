@@ -7,7 +7,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.cells import REPEAT, Evaluated, evaluated
+from tests.cells import DECISIONS, Evaluated, evaluated
 from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.assistants import build_assistant
@@ -219,9 +219,9 @@ def again(cell: Evaluated, **changes: Any) -> Rerun:
     return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), recorded)
 
 
-@pytest.mark.parametrize(("variant", "value"), [("reaction-time", 0.8)])
-def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, parts, tmp_path, variant, value):
-    cell = evaluated(inputs, tmp_path, "saferl", {}, variant, value)
+def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, parts, tmp_path):
+    variant, value = "reaction-time", 0.8
+    cell = evaluated(inputs, tmp_path, "saferl", {}, variant, value, episodes=2)
     world = cell.world()
     layouts = [layout_seed(cell.task, cell.seed, e) for e in range(cell.episodes)]
     own = [method_seed(cell.task, variant, cell.seed, e, "saferl") for e in range(cell.episodes)]
@@ -238,7 +238,7 @@ def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, part
             (moment.action, torch.from_numpy(loop.action[moment.t])),
         ):  # fmt: skip
             assert torch.equal(found[alive], expected[alive])
-    assert decisions == len(loop.reward) == 500 // REPEAT
+    assert decisions == len(loop.reward) == DECISIONS
 
 
 def test_a_changed_action_is_noticed(cell):

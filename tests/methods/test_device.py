@@ -29,7 +29,7 @@ VARIANTS = ("safety-only", "no-case2", "no-rollout")
 CASES = [
     *((name, {}) for name in METHODS), *(("wasp", {"variant": variant}) for variant in VARIANTS), ("printed", {"variant": "no-case2"}),
 ]  # fmt: skip
-NOWHERE = [*((method, changes, "laggy") for method, changes in CASES), ("printed", {}, "noisy"), ("printed", {}, "reaction-time")]
+NOWHERE = [*((name, {}, "laggy") for name in METHODS), ("wasp", {"variant": "no-case2"}, "noisy"), ("printed", {}, "reaction-time")]
 
 
 def filtered(parts: Parts) -> Latent:

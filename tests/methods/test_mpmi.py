@@ -162,7 +162,7 @@ def states(rows: int = 60) -> tuple[Tensor, Tensor]:
 def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_grid():
     h, a_h = states()
     action, record = decide_reach(made_reach(0.9), h, a_h)
-    axis = torch.linspace(-1, 1, 801)
+    axis = torch.linspace(-1, 1, 401)
     grid = torch.cartesian_prod(axis, axis)
     moved = 0
     for row in range(len(h)):

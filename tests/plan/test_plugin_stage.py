@@ -85,23 +85,6 @@ def checked() -> Result:
     return run_here("check", "outside.yaml", columns=400)
 
 
-def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider):
-    before = keys()
-    assert "goal1 s0 habits" in before
-    cells = {label for label in before if "nudge" in label}
-    assert cells
-
-    (outsider / "stage.py").write_text(dedent(STAGE).replace("42", "43"), encoding="utf-8")
-    after = keys()
-    moved = {label for label in before if before[label] != after[label]}
-    assert moved == {label for label in before if "habits" in label} | cells
-
-    (outsider / "entries.py").write_text(REGISTERED.replace('"updates": 3', '"updates": 4'), encoding="utf-8")
-    of_preset = keys()
-    assert {label for label in before if of_preset[label] != after[label]} == moved
-    assert of_preset == keys("--set", "habits.updates=4")
-
-
 @pytest.mark.slow
 def test_another_class_of_the_same_module_has_other_keys(outsider):
     before = keys()

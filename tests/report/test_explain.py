@@ -44,19 +44,6 @@ def test_what_came_is_counted_from_the_decision_on(mixed: Episode) -> None:
     assert "the episode ended before 4 decisions" in decision_text(mixed, 6)
 
 
-def test_gates_of_one_decision(mixed: Episode) -> None:
-    quiet, safety, task = decision_of(mixed, 0), decision_of(mixed, 2), decision_of(mixed, 6)
-    assert [(facts.safety.state, facts.task.state) for facts in (quiet, safety, task) if facts.safety and facts.task] == [
-        ("silent", "silent"), ("fired", "not asked"), ("silent", "fired")
-    ]  # fmt: skip
-    assert "  task    ΔG 0.250   τ_r 0.500  no\n" in decision_text(mixed, 0)
-    assert "  search  none: no gate fired" in decision_text(mixed, 0)
-    text = decision_text(mixed, 6)
-    assert "  task    ΔG 0.750   τ_r 0.500  yes\n" in text
-    assert "The task gate fired (ΔG 0.750 > τ_r 0.500): the command was changed by 0.707." in text
-    assert "other rollouts" not in text
-
-
 def test_a_correction_without_a_search_is_the_one_that_the_gates_looked_at(mixed: Episode) -> None:
     text = decision_text(mixed, 6)
     assert "  search  none: the correction that the gate compared with the command is predicted safe, and is carried out\n" in text
@@ -65,18 +52,6 @@ def test_a_correction_without_a_search_is_the_one_that_the_gates_looked_at(mixed
     assert "  with the correction       0.200  yes                      1.500\n" in text
     assert decision_json(mixed, 6)["plan"]["safe"] == []
     assert "Case II   33%" in episode_text(mixed), "of the two decisions that searched"
-
-
-@pytest.mark.parametrize(("residual", "executed", "how"), [
-    ((-0.5, 0.5), (0.02, 0.25), "command and first correction, as the least action of that force (Eq. 18)"),
-    ((-0.5, 0.5), (0.0, 0.25), "command and first correction (Eq. 18)"),
-    ((1.5, 0.0), (1.0, -0.25), "command and first correction, cut off at the bounds (Eq. 18)"),
-])  # fmt: skip
-def test_what_becomes_of_a_correction_is_said(residual: Any, executed: Any, how: str, tmp_path: Path) -> None:
-    made = Invented()
-    made.fire(2, GATE_SAFETY, residuals=(residual, (0.0, 0.0)))
-    made.a[2] = executed
-    assert how in decision_text(made.read(tmp_path), 2)
 
 
 def test_without_a_feasible_candidate_there_is_no_gain(tmp_path: Path) -> None:

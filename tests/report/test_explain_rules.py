@@ -188,9 +188,6 @@ def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int)
 # `wasp explain` from outside.
 
 
-ROOT = Path(__file__).parents[2]
-
-
 def wasp(*arguments: str | Path) -> Result:
     return run_here(*arguments, columns=200)
 

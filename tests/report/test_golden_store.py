@@ -59,19 +59,13 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
     assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
 
 
-@pytest.fixture
-def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They take most of the time of a report, and other tests look at them."""
-    monkeypatch.setattr("wasp_cli.report.summarize.draw_figures", lambda *_: [])
-
-
 @pytest.mark.usefixtures("without_figures")
 def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) -> None:
     partial = shutil.copytree(results, tmp_path / "results")
     cell = sorted(partial.glob("store/evaluate/*/episodes.parquet"))[0]
     key = cell.parent.name
     shutil.rmtree(cell.parent)
-    strict = run_here("report", partial, "--no-films", "--strict", columns=120, code=1)
+    strict = run_here("report", partial, "--no-films", "--no-trained", "--strict", columns=120, code=1)
     assert "1 of 32 cells is missing" in strict.output
     assert "not computed yet" in strict.output
     recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
@@ -107,7 +101,7 @@ def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(results: Path, t
     paper = tmp_path / "mine.yaml"
     if text is not None:
         paper.write_text(text)
-    done = run_here("report", results, "--no-films", "--paper", paper, columns=200, code=3)
+    done = run_here("report", results, "--no-films", "--no-trained", "--paper", paper, columns=200, code=3)
     assert f"{paper}:" in done.stderr
     assert what in done.stderr
     assert "cannot be read" not in done.stderr
@@ -119,6 +113,6 @@ def test_a_paper_of_ones_own_is_the_one_that_is_judged(results: Path, tmp_path: 
     paper = tmp_path / "mine.yaml"
     statement = "{tasks: [goal1], left: [human], relation: at_most, columns: [int_rate], bound: 0.5}"
     paper.write_text(f"title: Mine\ntables: []\nclaims:\n- id: alone\n  section: '1'\n  says: Nobody helps\n  statements: [{statement}]\n")
-    done = run_here("report", results, "--no-films", "--strict", "--paper", paper, columns=200, code=0)
+    done = run_here("report", results, "--no-films", "--no-trained", "--strict", "--paper", paper, columns=200, code=0)
     assert "The paper's claims: of 1 claim 1 holds" in done.stdout
     assert "Nobody helps" in (results / "reports" / "golden" / "report.md").read_text()

@@ -17,7 +17,6 @@ from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
 from wasp_cli.report.tables.main import ablation_table
-from wasp_cli.report.trained.parts import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
@@ -80,10 +79,14 @@ def terminal(report: Report, width: int = 140) -> str:
 
 
 def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    report = report_run(tmp_path, spec, cells)
+    report, out = report_run(tmp_path, spec, cells), tmp_path / "out"
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
-    files = report.write(tmp_path / "out")
+    out.mkdir()
+    (out / "table2.csv").write_text("of an earlier report")
+    (out / "notes.txt").write_text("of a person")
+    files = report.write(out)
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
     assert all(path.is_file() and path.stat().st_size for path in files)
     assert [path.name for path in files[:2]] == ["report.md", "report.html"]
     endings = ("md", "csv", "tex", "html")
@@ -142,13 +145,6 @@ def test_a_damaged_manifest_is_a_fact_not_a_crash(text: str, fact: str, spec: Sp
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
 
 
-def test_durations_and_numbers() -> None:
-    assert [duration(seconds) for seconds in (None, 4.4, 59.6, 200, 7500)] == ["?", "4 s", "1 min 00 s", "3 min 20 s", "2 h 05 min"]
-    summary = {"a": 1, "b": {"c": 0.123456, "d": [1, 2]}, "e": None, "f": True}
-    assert numbers_text(summary) == "a 1, b.c 0.1235, f True"
-    assert numbers_text({str(i): i for i in range(26)}).endswith("23 23, and 2 more")
-
-
 def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leaves_open(spec: Spec) -> None:
     found = {name: (value, why) for name, value, why in assumptions_in_force(spec)}
     assert found["wasp.candidates"] == (8, "differs from the paper, which has 300: N, section 5.1")
@@ -158,15 +154,6 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["world_model.free_nats"][1].startswith("differs from the paper: ")
     differs = [why.startswith("differs from the paper") for _, why in found.values()]
     assert differs == sorted(differs, reverse=True)  # what differs comes first
-
-
-def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "table2.csv").write_text("of an earlier report")
-    (out / "notes.txt").write_text("of a person")
-    files = report_run(tmp_path, spec, cells).write(out)
-    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
 
 
 def branched(layout: Layout, cells: Cells) -> Cells:

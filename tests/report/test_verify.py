@@ -15,6 +15,7 @@ from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
+pytestmark = pytest.mark.usefixtures("without_figures")
 REPORT = ("--no-films", "--no-trained", "--paper", "none")
 
 

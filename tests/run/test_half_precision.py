@@ -68,7 +68,7 @@ def test_a_plan_and_the_manifests_say_it(whole, small_spec, tmp_path):
     assert sum("half_precision" in manifest["provenance"] for manifest in cells(Layout(onward / "published"))) == len(made)
 
 
-def test_the_report_and_the_comparison_say_it(tmp_path):
+def test_the_report_and_the_comparison_say_it(without_figures, tmp_path):
     write_results(tmp_path / "whole")
     write_results(tmp_path / "half", lambda identity: episodes(identity, risk=0.3), {"half_precision": ["policies", "world_model"]})
     told = run_here("report", tmp_path / "half", "--no-films", "--no-trained", "--paper", "none", columns=200)

@@ -1,4 +1,4 @@
-"""A plan carried out over fake stages: order, failure, repetition, records, counterfactual branches."""
+"""A plan carried out over fake stages: order, failure, repetition, records."""
 
 import json
 import os
@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from tests.commands import run_here
 from tests.run.fake_stages import Fake
 from tests.run.harness import ROOT, data_of, prepared, run
 from wasp_cli.errors import StoreError
@@ -23,7 +22,7 @@ from wasp_cli.run import worker
 from wasp_cli.run.job import SIGNALS, NodeJob, forget
 from wasp_cli.run.pool import InlinePool, LokyPool, _signals_wait
 from wasp_cli.run.record import new_run, read_run, results_of
-from wasp_cli.run.runner import Runner, Summary, job_of
+from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.worker import execute
 from wasp_cli.spec.derived import limited
 from wasp_cli.spec.load import Loaded, load
@@ -141,46 +140,6 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     ran = [line.split()[:3] for line in fakes.executions()]
     assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
-
-
-KIND = "counterfactual"
-
-
-@pytest.fixture
-def judged_spec(small_spec) -> Path:
-    text = small_spec.read_text(encoding="utf-8").replace("seeds: [0, 1]", "seeds: [0]")
-    small_spec.write_text(text + "stages: [diagnostics, counterfactual]\n", encoding="utf-8")
-    return small_spec
-
-
-def branches(results: Path) -> set[str]:
-    return {path.name for path in results.glob(f"store/{KIND}/*")}
-
-
-def words(summary: Summary) -> tuple[set[str], set[str]]:
-    return {node.label for node, _ in summary.failed}, {node.label for node, _ in summary.blocked}
-
-
-def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes, judged_spec, tmp_path):
-    assert run(judged_spec, tmp_path / "results").complete
-    executed = fakes.executions()
-    judged = [line for line in executed if f" {KIND} " in line]
-    assert len(judged) == 2 * 2  # ida and wasp under two operators
-    for line in judged:
-        cell = line.replace(KIND, "evaluate")
-        assert executed.index(cell) < executed.index(line)
-    assert not any(" human " in line or " expert " in line for line in judged)
-    assert run(judged_spec, tmp_path / "results").done == 0
-    assert len(fakes.executions()) == len(executed)
-
-
-def test_the_plan_counts_them_and_selectors_find_them(fakes, judged_spec, tmp_path):
-    shown = run_here("plan", judged_spec, "--results", tmp_path / "results", columns=200)
-    assert "the interventions of 4 of them are judged by counterfactual branches" in shown.output
-    assert any(line.split()[:2] == [KIND, "4"] for line in shown.output.splitlines())
-    options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
-    assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
-    assert len(branches(tmp_path / "results")) == 1
 
 
 # One node in a worker, and worker processes under the signals that a terminal sends to the whole group.

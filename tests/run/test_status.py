@@ -15,7 +15,7 @@ from tests.run.harness import ROOT, Fakes, finished, keys_of, run, start, wait_u
 from tests.run.recorded import dead_pid, key, planned, process, write_run
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_record, write_record
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
 RUN = "20260501-120000-small-0001"
@@ -128,34 +128,6 @@ def test_a_log_commands_no_terminal(layout):
             shown += chunk
     os.close(reader)
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
-
-
-LOOKS = """
-import json, sys
-from wasp_cli.cli.app import main
-
-for command in json.loads(sys.argv[1]):
-    sys.argv[1:], code = command, None
-    try:
-        main()
-    except SystemExit as end:
-        code = end.code
-    heavy = [name for name in ("torch", "mujoco", "joblib", "matplotlib", "gymnasium") if name in sys.modules]
-    print(f"after {command[0]}: {code} {heavy}")
-"""
-
-
-def test_who_looks_imports_nothing_heavy(layout):
-    write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", {})])
-    layout.log(RUN, "a", key(1)).write_text("log\n")
-    manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
-    write_record(layout.manifest("world_model", key(1)), manifest)
-    commands = [["status", "R"], ["logs", "a", "--results", "R"], ["show", "a", "--results", "R"], ["gc", "R", "--dry-run"]]
-    asked = [[str(layout.root) if word == "R" else word for word in command] for command in commands]
-    done = subprocess.run([sys.executable, "-c", LOOKS, json.dumps(asked)], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert [line for line in done.stdout.splitlines() if line.startswith("after ")] == [f"after {c[0]}: 0 []" for c in commands], (
-        done.stderr
-    )
 
 
 def other(spec: Path) -> Path:

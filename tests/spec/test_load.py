@@ -4,12 +4,8 @@ import pytest
 
 from tests.spec.good import GOOD, mistakes
 from wasp_cli.errors import UsageError
-from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded
-from wasp_cli.spec.names import assistant_variants, training_stages
 from wasp_cli.spec.read import InvalidSpec, Problem, parse
-from wasp_cli.tasks.registry import TASKS
 
 SPECS = Path(__file__).parents[2] / "specs"
 
@@ -129,26 +125,6 @@ def test_files_that_cannot_be_read_say_so(tmp_path):
 @pytest.mark.parametrize(("addition", "hint"), mistakes("load: keys and values have suggestions"))
 def test_keys_and_values_have_suggestions(addition, hint):
     assert only(GOOD + addition).hint == hint
-
-
-@pytest.mark.parametrize(
-    ("known", "text"),
-    [
-        (list(TASKS), "tasks: [{name}]"),
-        (list(METHODS), "methods: [{name}]"),
-        (list(OPERATORS), "operators: {{{name}: {{mild: 0.5}}}}"),
-        (training_stages(), "stages: [{name}]"),
-        (assistant_variants(), "variants: [{name}]"),
-    ],
-)
-def test_every_registered_name_is_suggested_for_a_slip(known, text):
-    for name in known:
-        slip = name + "x" if len(name) < 6 else name[:2] + name[3:]
-        key = text.partition(":")[0]
-        lines = [line for line in GOOD.splitlines() if not line.startswith((key, "  "))]
-        document = [*lines, *([] if key == "operators" else ["operators: {noisy: {mild: 0.2}}"]), text.format(name=slip)]
-        spec = "\n".join(line for number, line in enumerate(document) if line != "operators:" or number == len(document) - 1)
-        assert f"'{name}'" in (only(spec + "\n").hint or ""), slip
 
 
 def test_control_characters_of_a_value_do_not_reach_the_terminal():

@@ -171,7 +171,7 @@ def count_up(lock: str, counter: str, times: int) -> None:
 def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path):
     counter = tmp_path / "counter"
     counter.write_text("0")
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")  # it has imported everything already
     processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 100)) for _ in range(2)]
     for process in processes:
         process.start()

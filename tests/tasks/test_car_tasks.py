@@ -150,9 +150,9 @@ def test_every_barrier_stops_the_car_and_costs(ring):
     outline = getattr(track, ring)
     sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
     middles = sides.mean(axis=1)
-    # Head-on from where the track is, against a dozen sides.
+    # Head-on from where the track is, against half a dozen sides.
     at = track.FINE_LAP[track.progress(middles), :2]
-    chosen = np.flatnonzero((distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5))[::6][:12]
+    chosen = np.flatnonzero((distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5))[::12][:6]
     task = Formula(len(chosen), observe=())
     task.reset([0] * len(chosen))
     far_from_barrels(task)
@@ -177,6 +177,9 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
     beside = 0
     for t in range(36):
         action = np.random.default_rng(t // 10).uniform(0.0, 0.02, (7, 2))
+        if t % 6 and not (part._walls > 0).any():  # nothing is near: a sample will do
+            part.step(action)
+            continue
         whole.restore(part.snapshot())
         with monkeypatch.context() as patch:
             patch.setattr("wasp_cli.tasks.formula.task.sectors", lambda xy: np.ones(len(xy), np.int64))

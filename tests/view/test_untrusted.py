@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
 
@@ -10,33 +9,19 @@ import pytest
 
 from tests.drive.browser import Browser
 from tests.store.attacks import ATTACKS
-from tests.store.test_untrusted import SECRET
+from tests.store.test_untrusted import SECRET, outside
 from tests.store.untrusted import LABEL, RUN, UntrustedStore
 from tests.view.conftest import viewed
 from tests.view.test_server import ask
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.notes import FILE
 from wasp_cli.store.find import find_cell
-from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films, draw
 from wasp_cli.view.server import ViewServer
 
+__all__ = ["outside"]
+
 HOSTILE = '<img src=x onerror="window.owned=1">\'"><script>window.owned=1</script>'
-
-
-@pytest.fixture
-def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """What belongs to the reader, and a module that tells when it is imported."""
-    folder = tmp_path / "outside"
-    (folder / "inner").mkdir(parents=True)
-    for name in ("secret.json", "inner/secret.json", "_manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
-        (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
-    (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
-    monkeypatch.syspath_prepend(str(folder))
-    monkeypatch.chdir(tmp_path)
-    before = sorted(path.name for path in folder.rglob("*") if path.name != "__pycache__")
-    yield folder
-    assert sorted(path.name for path in folder.rglob("*") if path.name != "__pycache__") == before
 
 
 def walked(server: ViewServer, key: str) -> str:

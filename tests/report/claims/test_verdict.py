@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from tests.spec.good import GOOD
-from wasp_cli.report.bootstrap import Limits, mean_of
+from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Judged, Outcome, VerdictReport, all_of, any_of, decide, judge
-from wasp_cli.report.claims_text import COLUMN_OF, numbers_table, verdict_html, verdict_markdown
-from wasp_cli.report.render import csv_text
+from wasp_cli.report.claims_text import verdict_markdown
 from wasp_cli.report.stats import CellNumbers, Frame, Missing, Wanted, read_frame
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
-from wasp_cli.spec.paper import COLUMNS, Comparison, Paper, Relation, Who, load_paper, paper_of
+from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, load_paper, paper_of
 from wasp_cli.spec.read import parse
 from wasp_cli.store.tables import CellIdentity
 
@@ -227,45 +226,6 @@ def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note
 @pytest.fixture(scope="module")
 def verdict(frame: Frame) -> VerdictReport:
     return judge(frame, load_paper())
-
-
-def test_each_number_beside_ours(verdict: VerdictReport, frame: Frame) -> None:
-    table = numbers_table(verdict)
-    assert [row.labels for row in table.rows] == [
-        ("Table 1", "Goal1", title) for title in ("Human-only", "IDA", "Diffusion", "SafeRL-Res", "WASP")
-    ]
-    keys = [column.key for column in table.columns]
-    assert keys == [f"{name}{end}" for name in ("return", "success", "cost", "viol", "int_rate", "mag") for end in ("_paper", "")]
-    own = [one for one in frame.cells if (one.identity.method, one.identity.variant) == ("wasp", "full")]
-    shown = dict(zip(keys, table.rows[-1].values, strict=True))
-    estimate = mean_of(own, "success")
-    assert (shown["success_paper"].mean, shown["success_paper"].sd) == pytest.approx((0.567, 0.068))
-    assert (shown["success"].mean, shown["success"].delta) == pytest.approx((estimate.value, estimate.value - 0.567))
-    assert table.notes == ("15 of the paper's rows are of tasks or ablations that this spec does not run.",)
-    assert not table.marks
-    assert "success_paper,success_paper_sd,success" in csv_text(table).splitlines()[0]
-
-
-def test_claims_of_other_tasks_are_one_line(verdict: VerdictReport) -> None:
-    text = verdict_markdown(verdict)
-    whole = [found.claim for found in verdict.claims if found.part == "untested"]
-    assert "ida-between" in [claim.id for claim in whole]
-    (line,) = [line for line in text.splitlines() if line.startswith(f"{len(whole)} claims are not tested by this spec")]
-    assert all(claim.says[:50] in line and claim.id not in line for claim in whole)
-    assert whole[0].says[:50] in verdict_html(verdict)
-    assert "- Race1 and FormulaOne1 are not in this spec: what claims say of them is not tested." in text
-
-
-def test_every_tested_comparison_is_in_the_files(verdict: VerdictReport) -> None:
-    text, page = verdict_markdown(verdict), verdict_html(verdict)
-    tested = [answer for found in verdict.claims for answers in found.answers for answer in answers if answer.outcome != "untested"]
-    assert len(tested) > 30
-    assert text.count(", needed: ") == len(tested) == page.count(", needed: ")
-    assert "The paper's own means do not show it: Goal1 Int. 0.25 and 0.23, Goal1 Mag. 0.25 and 0.25." in text
-
-
-def test_every_column_of_a_claim_has_a_title() -> None:
-    assert set(COLUMNS) <= set(COLUMN_OF)
 
 
 def test_a_missing_cell_leaves_its_claims_untested(grid: Callable[..., list[Wanted]]) -> None:

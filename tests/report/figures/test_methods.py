@@ -64,13 +64,6 @@ def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> 
                 assert np.isclose(ends.max(), np.mean(met))
 
 
-def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_path: Path) -> None:
-    severity = severity_figure(frame, tmp_path)[1].read_text(encoding="utf-8")
-    for text in ("Noisy 0.2", "Noisy 0.6", "Laggy 0.5", "Laggy 0.85", "Goal1: Return", "Goal1: Cost", "Goal1: Int.", "Human-only", "WASP"):
-        assert text in severity
-    assert "Expert" not in severity  # it has no severity
-
-
 def test_one_condition_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
     one = [cell for cell in grid(seeds=(0,)) if cell.identity.operator == "noisy" and cell.identity.value == 0.2]
     assert severity_figure(read_frame(one), tmp_path) == []

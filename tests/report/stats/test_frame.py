@@ -14,7 +14,7 @@ from tests.report.branched import TAU_R, WINDOW, with_invented_branches
 from tests.report.invented import write_grid
 from wasp_cli.report.figures import necessity_figure
 from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, groups, read_frame, with_branches
-from wasp_cli.report.summary import over_episodes, paired_difference, spread_note, summarise
+from wasp_cli.report.summary import over_episodes, paired_difference, summarise
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.report.tables.table import Table
 from wasp_cli.store.tables import CellIdentity, read_episodes
@@ -97,14 +97,6 @@ def test_episodes_are_pooled_over_cells() -> None:
     assert over_episodes(cells, "cost", np.median).mean == 1.5
     assert over_episodes(cells, "cost", np.max).mean == 100
     assert over_episodes([], "cost", np.max).mean is None
-
-
-def test_the_note_states_the_unit(grid: Callable[..., list[Wanted]]) -> None:
-    three = spread_note(read_frame(grid()).cells)
-    assert "means of 3 seeds, not over episodes" in three
-    assert "10 distinct bootstrap resamples" in three
-    assert "no ±" in spread_note([cell(4, 0.2, 1.0)])
-    assert "No cell" in spread_note([])
 
 
 # Counterfactual branches beside the other numbers of a cell.

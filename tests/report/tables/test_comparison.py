@@ -90,18 +90,6 @@ def test_gaps(grid: Grid) -> None:
     assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None  # worlds of its only seed
 
 
-def test_severities_are_columns(frame: Frame) -> None:
-    table = found(severity_table(frame))
-    assert [column.title for column in table.columns] == [
-        f"{name} {level}" for name in ("Int.", "Cost", "Return") for level in ("mild", "severe")
-    ]
-    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.operator, cell.severity) == ("ida", "laggy", "severe")]
-    cells = [cell for cell in cells if cell.identity.variant == "full"]
-    assert len(cells) == 3
-    assert value(table, "cost.severe", "Goal1", "Laggy", "IDA").mean == pytest.approx(np.mean([cell.pooled["cost"] for cell in cells]))
-    assert not any("Expert" in row.labels for row in table.rows)
-
-
 def test_latency_is_over_episodes(frame: Frame) -> None:
     wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.variant == "full"]
     times = np.arange(4.0)

@@ -1,4 +1,3 @@
-import csv
 import io
 import re
 from dataclasses import replace
@@ -10,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from wasp_cli.report.render import ACCENTS, SPECIAL, csv_text, escaped, html, latex, markdown, markdown_text, rendered, terminal
+from wasp_cli.report.render import ACCENTS, SPECIAL, escaped, html, latex, markdown_text, rendered, terminal
 from wasp_cli.report.summary import Interval, Value
 from wasp_cli.report.tables.table import Column, Row, Table
 
@@ -31,13 +30,6 @@ def row(task: str, method: str, *numbers: float | Value | None) -> Row:
 def test_best_is_per_group_and_direction() -> None:
     found = table(row("a", "x", 1, 5), row("a", "y", 2, 4), row("b", "x", 9, 9), row("b", "y", 8, 10))
     assert found.marks == {(1, 0), (1, 1), (2, 0), (2, 1)}
-
-
-def test_two_labels_can_form_a_group() -> None:
-    rows = (row("a", "x", 1, 5), row("a", "x", 2, 4), row("a", "y", 8, 9), row("a", "y", 9, 9))
-    found = Table("t", "A title", ("Task", "Operator"), (RETURN, COST), rows, grouping=2)
-    assert found.marks == {(1, 0), (1, 1), (3, 0)}
-    assert [line.split(" | ")[:2] for line in markdown(found).splitlines()[4:]] == [["| a", "x"], ["| ", ""], ["| a", "y"], ["| ", ""]]
 
 
 def test_equal_as_printed_share_the_mark() -> None:
@@ -67,34 +59,6 @@ def test_numbers() -> None:
     assert COST.cell(Value(-0.01)) == "0.0"  # no negative zero
     assert COST.cell(Value(None)) == COST.cell(Value(float("nan"))) == "n/a"
     assert COST.cell(Value(1.0, delta=0.0)) == "1.0 (+0.0)"
-
-
-def test_rows_must_fit() -> None:
-    with pytest.raises(ValueError, match="does not fit"):
-        table(row("a", "x", 1))
-
-
-def test_markdown_escapes_and_names_a_group_once() -> None:
-    bar = Column("m", "Mag.|int", "down")
-    text = markdown(table(row("a", "x", 1, 2), row("a", "y", 1, 3), columns=(bar, COST), notes=("a note",)))
-    assert text.splitlines() == [
-        "## A title",
-        "",
-        "| Task | Method | Mag.\\|int ↓ | Cost ↓ |",
-        "| --- | --- | ---: | ---: |",
-        "| a | x | 1.00 | **2.0** |",
-        "|  | y | 1.00 | 3.0 |",
-        "",
-        "- a note",
-    ]
-
-
-def test_csv_reads_back() -> None:
-    text = csv_text(table(row("a", "x", Value(1 / 3, 0.1, 3), 2), row("a", "y, z", Value(None), 1)))
-    header, first, second = csv.reader(io.StringIO(text))
-    assert header == ["task", "method", "return", "return_sd", "cost", "seeds"]
-    assert first == ["a", "x", "0.333333333333", "0.1", "2", "3"]
-    assert second == ["a", "y, z", "", "", "1", "0"]
 
 
 def test_terminal_styles() -> None:
@@ -262,23 +226,6 @@ def nasty() -> Table:
     columns = (Column("r", f"R {NASTY}", "up"), Column("s", "S", "down"), Column("o", "Gone", optional=True))
     rows = [Row(row.labels, (*row.values, Value(1))) for row in rows]
     return Table("a_{b}", NASTY, ("Task", NASTY), columns, tuple(rows), (NASTY,), (NASTY,))
-
-
-def test_structure() -> None:
-    lines = latex(nasty()).splitlines()
-    body = [line for line in lines if not line.startswith("%")]
-    assert [line for line in body if line.startswith("\\") and not line.startswith(r"\caption")] == [
-        r"\begin{table}", r"\centering\small", r"\label{tab:a--b-}", r"\begin{tabular}{llrr}", r"\toprule", r"\midrule", r"\midrule",
-        r"\bottomrule", r"\end{tabular}", r"\end{table}",
-    ]  # fmt: skip
-    rows = [line for line in body if line.endswith(r"\\")]
-    assert [line.split(" & ")[0] for line in rows] == ["Task", "a", "", "b", ""]  # a task is named once
-    assert all(len(re.findall(r"(?<!\\)&", line)) == 3 for line in rows)
-    assert r"\textbf{1.00 $\pm$ 0.50 ($-$1.00)}" in rows[1]
-    assert "n/a" in rows[1]
-    assert lines[-9].startswith(r"\midrule")
-    assert any(line.startswith("% 50% of") for line in lines)
-    assert "% Left out: Gone." in lines
 
 
 def test_a_caption_says_what_is_missing_and_not_that_nothing_is() -> None:

@@ -77,12 +77,6 @@ def test_what_is_missing_is_named_and_never_a_number() -> None:
     assert all(value.mean is None for value in ahead.rows[0].values)
 
 
-def test_a_dataset_has_a_row_for_each_behaviour() -> None:
-    page = contents_markdown(contents(recording(), SOURCES))
-    assert "| noisy | 1 | 33 | 8 |" in page
-    assert SOURCES[1] in page
-
-
 def test_datasets_without_enough_costs_or_a_source_are_warned_of() -> None:
     data = recording()
     data.cost[:] = np.arange(36) % 12 == 5
