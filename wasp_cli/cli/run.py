@@ -135,7 +135,7 @@ def sweep(
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
-        say(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)")
+        say(f"report: {page} (its table is in the same folder as CSV, LaTeX and HTML)")
     session.require_complete()
     require_cells(report.missing, layout)
 

@@ -16,17 +16,25 @@ from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report import provenance
-from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure, severity_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
-from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
-from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.main import (
+    ablation_table,
+    autonomy_table,
+    detail_table,
+    in_words,
+    latency_table,
+    main_table,
+    operator_table,
+    severity_table,
+    threshold_table,
+)
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
