@@ -11,6 +11,7 @@ import pytest
 
 from wasp_cli.report.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.people import (
     WORKLOAD,
     Sitting,
@@ -21,8 +22,7 @@ from wasp_cli.report.tables.people import (
     people_tables,
     read_people,
 )
-from wasp_cli.report.tables.table import Table
-from wasp_cli.spec.study import QUESTIONS, balanced_order
+from wasp_cli.spec.model import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
 from wasp_cli.store.tables import CellIdentity

@@ -17,7 +17,7 @@ from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
 from wasp_cli.report.tables.main import ablation_table
-from wasp_cli.report.trained.parts import duration, numbers_text
+from wasp_cli.report.trained import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record

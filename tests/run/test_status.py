@@ -132,7 +132,7 @@ def test_a_log_commands_no_terminal(layout):
 
 LOOKS = """
 import json, sys
-from wasp_cli.cli.app import main
+from wasp_cli.cli import main
 
 for command in json.loads(sys.argv[1]):
     sys.argv[1:], code = command, None

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JsonOption, SetOption, argument, option, parse_folder, spec_names, task_names
+from wasp_cli.cli.options import JsonOption, SetOption, argument, command, option, parse_folder, print_json, spec_names, task_names
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of

@@ -57,8 +57,6 @@ class Beat(NamedTuple):
 
 @dataclass
 class Driven:
-    """A finished episode."""
-
     layout: int
     trajectory: Trajectory
     decision_ms: NDArray[Any]  # [T]
@@ -70,8 +68,6 @@ class Driven:
 
 @dataclass(frozen=True)
 class Cut:
-    """An episode that was given up, or broken off."""
-
     layout: int
     decisions: int
     why: str  # `restart`, `next` or `end`
@@ -109,13 +105,11 @@ class Block:
         self._begun = time.monotonic()
 
     def close(self) -> None:
-        """End the assistant's thread."""
         self._decider.finish()
         self._decider.close()
 
     @property
     def answer_seconds(self) -> list[float]:
-        """Return how long every answer of the assistant took, late ones too."""
         return [seconds for seconds, _, _ in self._decider.answers]
 
     @property
@@ -191,14 +185,11 @@ class Block:
 
 @dataclass
 class Score:
-    """Sums of an episode so far."""
-
     returned: float = 0.0
     cost: int = 0
     goals: int = 0
 
     def add(self, step: Step) -> None:
-        """Add a step's reward, cost (env steps) and goals."""
         self.returned += float(step.reward[0])
         self.cost += int(step.cost_env[0])
         self.goals += int(step.goals[0])
@@ -206,8 +197,6 @@ class Score:
 
 @dataclass
 class _Running:
-    """An episode while it is driven."""
-
     block: Block
     layout: int
     ended: bool = False

@@ -69,14 +69,12 @@ class Habits:
     """Frames of delay at most, share of frames in which a key slips at most, frames for which a wrong one is held."""
 
     def __init__(self, participant: int) -> None:
-        """`participant` is the number."""
         self._draw = np.random.default_rng(seeds.derive("drive-script", participant))
         self._seen: deque[list[str]] = deque(maxlen=1 + int(self._draw.integers(self.DELAY)))
         self._slips = float(self._draw.uniform(0.0, self.SLIPS))
         self._wrong: list[str] = []
 
     def keys(self, header: Mapping[str, Any]) -> list[str]:
-        """Return the keys that are held at a frame."""
         self._seen.append(to_the_goal(header))
         if not self._wrong and self._draw.random() < self._slips:
             self._wrong = [str(self._draw.choice(ARROWS))] * self.HELD
@@ -152,7 +150,6 @@ async def connected(address: str) -> ClientConnection:
 
 
 def middling(form: Mapping[str, Any]) -> dict[str, Any]:
-    """Agree, and put every scale in the middle."""
     return {"agreed": True if form["name"] == "consent" else None, "scales": {scale["name"]: 50.0 for scale in form["scales"]}}
 
 
@@ -165,8 +162,6 @@ SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
 
 @dataclass(frozen=True)
 class Timing:
-    """How one method kept up."""
-
     label: str
     period_ms: float
     decisions: int
@@ -188,7 +183,6 @@ class Timing:
 
     @property
     def where_gates_fired(self) -> str:
-        """Say how well the decisions were in time that matter most."""
         if not self.fired:
             return f"{self.label}: no gate fired"
         median, most = self.fired_ms
@@ -287,8 +281,6 @@ def timing_table(timings: Sequence[Timing]) -> Table:
 
 
 def as_json(timing: Timing) -> dict[str, Any]:
-    """Return a timing as JSON values."""
-
     def known(value: float) -> float | None:
         return round(value, 2) if math.isfinite(value) else None
 

@@ -23,11 +23,10 @@ from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
-from wasp_cli.spec.derived import sized
-from wasp_cli.spec.load import Loaded, load
+from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
@@ -44,8 +43,6 @@ WAITED = 20.0  # milliseconds after their beat at which decisions may begin with
 
 @dataclass(frozen=True)
 class Wanted:
-    """What was asked for."""
-
     what: str
     method: str | None
     participant: int | None
@@ -82,7 +79,6 @@ class Wanted:
         return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))]
 
     def orders(self) -> Table:
-        """Return who drives what in which order, without computing anything."""
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
         orders = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
@@ -94,7 +90,6 @@ class Wanted:
         return table
 
     def loaded(self) -> Loaded:
-        """Return the spec: the shipped one for a task, or the one that was named."""
         if not self._is_task:
             self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):
@@ -107,7 +102,6 @@ class Wanted:
         return self._of(free_session(Layout(self.results.absolute()), self._of))
 
     def _require_spec(self) -> None:
-        """Raise what is wrong with a word that is neither a task nor a spec."""
         if spec_path(Path(self.what)).exists():
             return
         if is_foreign(Path(self.what).name):

@@ -30,8 +30,6 @@ KEYS = {
 
 
 class Frame(NamedTuple):
-    """What there is to see after a decision."""
-
     header: Mapping[str, Any]
     pixels: bytes  # RGB of the cameras, one below the other; empty where they are not shown
 
@@ -55,8 +53,6 @@ class Held:
 
 
 class Desk:
-    """See the module."""
-
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         """`changed` is called from any thread when there is something to send."""
         self.held = Held()  # the latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock.
@@ -92,7 +88,6 @@ class Desk:
         self.changed()
 
     def say(self, message: Mapping[str, Any]) -> None:
-        """Send a message, all of them in order."""
         with self._lock:
             self._messages.append(message)
         self.changed()
@@ -111,7 +106,6 @@ class Desk:
             return request if self._drivers else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
-        """Wait until one of these is asked for, and return it."""
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
@@ -148,7 +142,6 @@ class Desk:
             return True
 
     def leave(self) -> None:
-        """Note that the driver's connection is over."""
         with self._lock:
             self._drivers, self.focused = 0, False
             self.lost += self._state.get("phase") == "driving"
@@ -162,7 +155,6 @@ class Desk:
             self._lock.notify_all()
 
     def answer(self, values: dict[str, Any]) -> None:
-        """Give the answers of a form."""
         with self._lock:
             self._answers = values
             self._lock.notify_all()
@@ -196,7 +188,6 @@ class Desk:
             return messages, frame
 
     def acknowledged(self, number: int) -> None:
-        """Note that the page has drawn a frame."""
         with self._lock:
             sent = self._sent.pop(number, None)
             if sent is not None:
@@ -225,7 +216,6 @@ class Clock:
     """Beats of one period in wall time; what takes longer moves all later beats, so that none is skipped."""
 
     def __init__(self, period: float) -> None:
-        """`period` is in seconds."""
         self.period = period
         self._next = time.monotonic()
         self._rest: deque[float] = deque(maxlen=KEPT)
@@ -307,5 +297,4 @@ class Decider(Generic[T]):
             self._asked = None
 
     def close(self) -> None:
-        """End the thread."""
         self._thread.shutdown()

@@ -56,7 +56,6 @@ class CellRecord:
         return first_rows(self._folder, 1) if (self._folder / EPISODES_FILE).exists() else None
 
     def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
-        """Write a finished episode behind the others."""
         row = episode_metrics(driven.trajectory, self._goals, safe_cost, TASKS[self._identity.task].motors.force)
         count = len(driven.beats)
         columns: dict[str, list[Any]] = {"episode": [self.finished] * count, "t": list(range(count))}
@@ -76,12 +75,10 @@ class CellRecord:
         self.finished += 1
 
     def cut(self, cut: Cut) -> None:
-        """Note an episode that was given up."""
         self._session["cut"].append({"before_episode": self.finished, **asdict(cut)})
         self.note()
 
     def note(self, **facts: Any) -> None:
-        """Write more into the session's file."""
         self._session |= facts
         write_record(self._folder / SESSION_FILE, self._session)
 

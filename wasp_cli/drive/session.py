@@ -20,7 +20,6 @@ from wasp_cli.drive.record import CellRecord
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
-from wasp_cli.memory import keep_memory
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node
@@ -28,11 +27,9 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.run.worker import require_whole
-from wasp_cli.spec.derived import limited
-from wasp_cli.spec.load import Loaded, load
-from wasp_cli.spec.model import Spec
-from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
+from wasp_cli.run.worker import keep_memory, require_whole
+from wasp_cli.spec.load import Loaded, limited, load
+from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
@@ -45,8 +42,6 @@ SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
 
 @dataclass
 class Session:
-    """See the module."""
-
     loaded: Loaded
     layout: Layout
     run_id: str
@@ -187,7 +182,6 @@ class Session:
         }
 
     def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
-        """Load what a cell needs, and tell the page about it."""
         # As in evaluations: one thread, and memory that is kept. More threads would wait for each other while the page is drawn.
         torch.set_num_threads(1)
         keep_memory()
@@ -254,17 +248,14 @@ def shipped(
 
 
 def participants(spec: Spec) -> dict[int, str]:
-    """Return the pseudonyms of the people who drive in a spec, by their numbers."""
     return {int(value): name for name, value in spec.operators.get(PERSON, {}).items()}
 
 
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
-    """Return the cells that a participant drives, as the grid lists them."""
     return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
 
 
 def node_inputs(node: Node) -> list[tuple[str, str]]:
-    """Return kind and key of what a cell is driven with."""
     return [(needed.kind, needed.key) for needed in node.needs.values()]
 
 
@@ -277,7 +268,6 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
 
 
 def driven_by(manifest: Mapping[str, Any], participant: int) -> bool:
-    """Return whether an artifact is of what a participant drove."""
     axes = manifest.get("axes", {})
     return bool(axes.get("operator") == PERSON and axes.get("value") == participant)
 

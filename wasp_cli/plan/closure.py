@@ -27,7 +27,6 @@ CONFIGURATION = frozenset({"config", "configs"})
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
-    """Return the project modules that `roots` import, transitively, and the roots themselves."""
     modules: set[str] = set()
     for root in roots:
         if _file(root) is None:
@@ -39,7 +38,6 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
 
 @cache
 def closure_hash(roots: tuple[str, ...]) -> str:
-    """Return one hash over the source of the closure."""
     lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
 
@@ -116,7 +114,6 @@ def _imports(module: str) -> frozenset[str]:
 
 
 def _counts(module: str) -> bool:
-    """Whether the source of a module can change a result."""
     parts = module.split(".")
     if parts[0] != PACKAGE:
         return True

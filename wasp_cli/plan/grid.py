@@ -48,12 +48,10 @@ class Grid:
 
     @property
     def targets(self) -> frozenset[str]:
-        """The keys of what the spec asks for; the other nodes are there for these."""
         return frozenset(node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched))))
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
-        """What is trained, needed parts first."""
         return [(Part(node.task, node.kind, node.seed), node) for node in self.nodes if STAGES[node.kind].unit == "chain"]
 
 
@@ -90,7 +88,6 @@ def together(grids: Sequence[Grid]) -> Grid:
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
-    """Yield the cells of a spec in its own order."""
     impaired = [(variant, name, value) for variant, severities in spec.operators.items() for name, value in severities.items()]
     for task, method in product(spec.tasks, spec.methods):
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
@@ -126,7 +123,6 @@ class _Builder:
         self.assistant = cache(self._assistant)
 
     def evaluation(self, cell: Cell) -> Node:
-        """Return the node that computes a cell, from the training chain of its seed."""
         chain = self.spec.chain_seed(cell.seed)
         code = {cell.method: METHODS[cell.method].target} | _operators([cell.operator])
         config = self.method(cell.method, cell.assistant, cell.task).values
@@ -187,7 +183,6 @@ class _Builder:
         return {name: self.training(name, task, seed) for name, _ in asked}
 
     def _settings(self, kind: str) -> Section:
-        """What a stage reads of the top of the spec: plain values, and sections."""
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
         sections = {name: _section(value) if isinstance(value, Config) else Section(value, value) for name, value in values.items()}
         return Section(*({name: section[form] for name, section in sections.items()} for form in (0, 1)))
@@ -257,7 +252,6 @@ class Condition(NamedTuple):
     excluding: bool
 
     def holds(self, facts: Mapping[str, str]) -> bool:
-        """Return whether a node with these facts is meant; one that has no such field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
 
 

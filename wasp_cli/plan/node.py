@@ -39,7 +39,6 @@ def recipe_of(identity: Mapping[str, Any]) -> str:
 
 @cache
 def libraries() -> dict[str, str]:
-    """Return the major and minor version of each library whose numerics enter the results."""
     return {name: minor(_installed(name)) for name in LIBRARIES}
 
 
@@ -124,7 +123,6 @@ class Node:
 
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
-    """Return the nodes and everything they need, each once, needed ones first."""
     ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:

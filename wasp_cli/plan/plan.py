@@ -51,7 +51,6 @@ class Plan:
     """The sorts whose time is an estimate: nodes like them were measured, or other machines measured them."""
 
     def to_run(self) -> list[Node]:
-        """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
     def count(self, state: State, kind: str | None = None) -> int:
@@ -94,7 +93,6 @@ class Plan:
         return seconds, path[::-1]
 
     def as_json(self) -> dict[str, Any]:
-        """Return this as plain values: for machines, and for the report of a run that is long over."""
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
@@ -119,7 +117,6 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
-        """Return the part of this plan that is about a grid whose nodes it has."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -230,7 +227,6 @@ Thing = TypeVar("Thing", Cell, Part)
 
 
 def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
-    """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
     return [(thing, node.key) for thing, node in pairs]
 
 

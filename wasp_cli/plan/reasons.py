@@ -104,7 +104,6 @@ class Reasons:
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
-        """Return what changed since the nearest version; None where there is none."""
         compared = [self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]]
         differences = [difference for difference in compared if difference is not None]
         return min(differences, key=lambda difference: difference[0])[1] if differences else None
@@ -141,7 +140,6 @@ class Reasons:
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
-    """How many things differ, and the words for them."""
     fields = list(_fields(node, manifest))
     modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
     parts = _words(fields, modules, versions)
@@ -211,7 +209,6 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:
-    """Name at most so many of several things, and say how many more there are."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return ", ".join(items[:most]) + more
 

@@ -66,7 +66,6 @@ def order_of(layout: Layout, run_id: str) -> int:
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
-    """Return a run as it was planned; None of a folder whose plan does not read."""
     try:
         sweep = _record(layout, run_id, "sweep.json")
         if sweep is not None:

@@ -25,7 +25,7 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import LENGTH, Node
 from wasp_cli.plan.reasons import few, moved_on
-from wasp_cli.spec.derived import with_episodes
+from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
@@ -40,7 +40,6 @@ HELDOUT = "heldout"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
@@ -121,7 +120,6 @@ def _episodes(offer: Offer) -> int:
 
 
 def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
-    """The offer of the first episodes of a published cell."""
     episodes = int(node.config["episodes"])
     # Under today's code it has the key that it would have been computed under; under other code, one that says what it was cut from.
     key = node.key if offer.key == longer.key else hashlib.sha256(f"first {episodes} of {offer.key}".encode()).hexdigest()[:LENGTH]

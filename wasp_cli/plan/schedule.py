@@ -53,7 +53,6 @@ class Schedule:
         return len(self._ready)
 
     def pop(self) -> Node:
-        """Take the ready node from which the longest path begins."""
         return heapq.heappop(self._ready)[1]
 
     def put(self, node: Node) -> None:
@@ -61,7 +60,6 @@ class Schedule:
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
     def waits(self, node: Node) -> bool:
-        """Return whether a node has not ended, and nothing that it needs has failed."""
         return node.key in self._left
 
     def ended(self, node: Node) -> None:

@@ -44,8 +44,6 @@ TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on eit
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval; None where there is a single cluster."""
-
     value: float
     interval: Interval | None
 

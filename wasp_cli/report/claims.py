@@ -29,7 +29,7 @@ from typing import Literal
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups
-from wasp_cli.report.tables.table import task_title
+from wasp_cli.report.tables import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 
@@ -68,8 +68,6 @@ class Judged:
 
 @dataclass(frozen=True)
 class Beside:
-    """A row of the paper and the same row here, one entry per column of its table."""
-
     table: str
     columns: tuple[str, ...]
     task: str
@@ -95,7 +93,6 @@ class VerdictReport:
 
 
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
-    """Hold the rows of a report against a paper; `spec` says how large models and budgets are, and whether seeds share a training."""
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
     further = [Who(name) for name, info in METHODS.items() if info.instead_of]
@@ -184,7 +181,6 @@ def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
 
 
 def stood_for(who: Who) -> Who:
-    """Return the row in whose place a further one is judged."""
     return Who(METHODS[who.method].instead_of)
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
+from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title, who_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, assistant_title, operator_title, task_title, who_title
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:

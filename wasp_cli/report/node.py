@@ -14,7 +14,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained.parts import duration, scalars, short
+from wasp_cli.report.trained import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -110,7 +110,6 @@ def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}
 
 

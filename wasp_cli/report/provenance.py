@@ -61,8 +61,6 @@ def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
 
 @dataclass
 class Origins:
-    """Counts the artifacts of a report, and keeps the manifests of those that were published."""
-
     total: int = 0
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)

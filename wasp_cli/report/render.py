@@ -39,7 +39,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from wasp_cli.errors import StoreError
-from wasp_cli.report.tables.table import Row, Table
+from wasp_cli.report.tables import Row, Table
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:

@@ -71,8 +71,6 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Missing:
-    """A wanted cell without readable rows."""
-
     identity: CellIdentity
     label: str
     reason: str
@@ -114,8 +112,6 @@ class CellNumbers:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What the N branched interventions of a cell were worth."""
-
     worth: Necessity
     episode: NDArray[np.int64]  # [N]
     window: int  # W
@@ -134,8 +130,6 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """What a row of a table stands for: the cells of one assistant on one task."""
-
     task: str
     method: str
     variant: str
@@ -171,7 +165,6 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
 
 
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
-    """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
     results = [_read(cell) for cell in wanted]
     read = [(cell, numbers) for cell, numbers in zip(wanted, results, strict=True) if not isinstance(numbers, Missing)]

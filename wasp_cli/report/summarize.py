@@ -23,6 +23,7 @@ from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
+from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.main import (
     ablation_table,
@@ -36,9 +37,7 @@ from wasp_cli.report.tables.main import (
     threshold_table,
 )
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.tables.table import Table, task_title
-from wasp_cli.report.trained.figures import draw_learning, draw_reliability
-from wasp_cli.report.trained.parts import (
+from wasp_cli.report.trained import (
     Trained,
     duration,
     numbers_text,
@@ -47,6 +46,7 @@ from wasp_cli.report.trained.parts import (
     training_tables,
     with_warnings,
 )
+from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -136,7 +136,6 @@ class Report:
         return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def _kept(self, folder: Path) -> list[Path]:
-        """The figures of an earlier report with the same text; none where it said something else."""
         figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
         page = folder / "report.md"
         same = page.is_file() and page.read_text(encoding="utf-8") == self.markdown([path.name for path in figures])

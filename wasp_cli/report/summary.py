@@ -75,7 +75,6 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
 
 
 def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
-    """Summarise a pooled column over cells: mean over seeds of the seed-level means."""
     return over_seeds(seed_means(cells, key).values(), ranked)
 
 

@@ -16,9 +16,8 @@ from wasp_cli.report.render import make_own, markdown, terminal, write_pages
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
 from wasp_cli.report.summary import Value, paired_difference, spread_note
-from wasp_cli.report.tables import main
-from wasp_cli.report.tables.table import Row, Table
-from wasp_cli.spec.derived import Sweep
+from wasp_cli.report.tables import Row, Table, main
+from wasp_cli.spec.load import Sweep
 from wasp_cli.store.tables import CellIdentity
 
 REFERENCE = "human"
@@ -31,8 +30,6 @@ CHOICE = "The best of several values looks better than it is: choose on seeds th
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """The cells under one value of the setting."""
-
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
     frame: Frame
@@ -41,8 +38,6 @@ class Swept:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """What a row stands for: the cells of an assistant under one value."""
-
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
     reference: tuple[CellNumbers, ...]  # the cells of Human-only under the same value; empty for itself, and where it does not run

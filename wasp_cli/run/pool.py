@@ -52,7 +52,6 @@ class Pool(ABC):
         """Begin to compute a node; nobody submits more than `jobs` at a time. It ends with WorkersDied where any worker was killed."""
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node in a process that computes nothing else."""
         return self.submit(job)
 
     @abstractmethod

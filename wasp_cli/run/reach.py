@@ -117,7 +117,6 @@ def _goes_on(layout: Layout, run: PlannedRun) -> bool:
 
 
 def _age(layout: Layout, run_id: str) -> float:
-    """Seconds since the folder of a run was changed, or until then where a clock was ahead."""
     return abs(time.time() - _written(layout.run(run_id), time.time()))
 
 

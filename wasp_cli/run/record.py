@@ -23,8 +23,7 @@ from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.run.job import this_process
-from wasp_cli.spec.derived import Sweep
-from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
 from wasp_cli.stages.registry import STAGES
@@ -154,7 +153,6 @@ def _first_line(error: Exception) -> str:
 
 
 def results_of(folder: Path) -> Layout:
-    """Return the layout of an existing results folder; a StoreError where there is none, or it cannot be read or has links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     try:
@@ -192,8 +190,6 @@ class Journal:
 
 
 class Tail:
-    """The events that came to a journal since it was last asked."""
-
     def __init__(self, path: Path) -> None:
         self._path, self._position = path, 0
 

@@ -250,7 +250,6 @@ class Runner:
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
-    """Return what is to be known of a node to compute it, in one thread and without a limit."""
     return NodeJob(
         root=str(layout.root),
         run_id=run_id,

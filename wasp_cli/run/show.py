@@ -201,7 +201,6 @@ def _block(state: RunState, now: datetime) -> Group:
 
 
 def life(state: RunState, now: datetime) -> str:
-    """Say whether a run goes on, since when, and how it ended."""
     if state.state == "not started":
         return "planned; nothing computed yet"
     if state.idle:

@@ -49,7 +49,6 @@ def _below(model: type[BaseModel], prefix: str) -> Iterator[str]:
 
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
-    """The model of a field that is a mapping, or that may be one."""
     members = () if field is None else get_args(field.annotation) or (field.annotation,)
     models = [member for member in members if isinstance(member, type) and issubclass(member, BaseModel)]
     return models[0] if models else None

@@ -40,7 +40,6 @@ def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 
 
 def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
-    """The name of what is somebody's own, if it can be used."""
     try:
         if not (info.context or {}).get(RECORDED):
             use()
@@ -50,7 +49,6 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
 
 
 def _task(name: str, info: ValidationInfo) -> str:
-    """A registered task, or a gymnasium id with all that a task needs."""
     with suppress(UnknownName):
         # Specs have one name for a task, since it names random streams and results.
         if name not in TASKS and (registered := task_named(name)) in TASKS:
@@ -64,14 +62,12 @@ def _task(name: str, info: ValidationInfo) -> str:
 
 
 def _method(name: str, info: ValidationInfo) -> str:
-    """A registered method, or a class of one's own that can be imported."""
     if name not in METHODS:
         raise unknown("method", name, METHODS)
     return _usable(name, info, lambda: METHODS.load(name)) if isinstance(METHODS[name], OwnMethod) else name
 
 
 def training_stages() -> list[str]:
-    """Return the stages that a spec can ask for by name, in registry order."""
     return list(stages_of("chain", "cell"))
 
 
@@ -85,7 +81,6 @@ def _stage(name: str) -> str:
 
 
 def assistant_variants() -> list[str]:
-    """Return every ablation of every method, in registry order, without repeats."""
     return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
 
 

@@ -153,8 +153,6 @@ class Statement(Config):
 
 
 class Claim(Config):
-    """A sentence of the paper, and what has to be so for it to hold."""
-
     id: Name
     section: Text
     says: Text
@@ -162,7 +160,6 @@ class Claim(Config):
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
-        """Return what has to be so; of the comparisons in a tuple one is enough."""
         return [question for statement in self.statements for question in statement.questions()]
 
 
@@ -174,15 +171,12 @@ def _distinct(claims: tuple[Claim, ...]) -> tuple[Claim, ...]:
 
 
 class Paper(Config):
-    """Everything that a paper prints and states."""
-
     title: Text
     tables: tuple[PrintedTable, ...]
     claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
 
     @property
     def tasks(self) -> frozenset[str]:
-        """Return the tasks of which it prints numbers or states something."""
         stated = (task for claim in self.claims for statement in claim.statements for task in statement.tasks)
         return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
@@ -196,13 +190,11 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
-    """Read and validate a paper; by default the one that this project reproduces."""
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
     return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 
 
 def is_paper(source: Source) -> bool:
-    """Return whether a file means to be a paper: no spec has these sections."""
     return any(key in source.document for key in ("claims", "tables"))
 
 

@@ -28,8 +28,6 @@ KEY = "[key]"  # how pydantic ends the place of a key (not of its value)
 
 @dataclass(frozen=True)
 class Position:
-    """A place in a text, counted from 1 as editors do."""
-
     line: int
     column: int
 
@@ -105,8 +103,6 @@ class Place:
 
 @dataclass(frozen=True)
 class Source:
-    """The text of a spec and its document."""
-
     name: str
     text: str
     document: dict[str, Any] = field(default_factory=dict)  # as JSON values; null where a value has no such form
@@ -118,7 +114,6 @@ class Source:
         return self._known_part(loc)[1]
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """Return a problem at what pydantic calls a `loc`."""
         return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
@@ -260,7 +255,6 @@ class _Reader:
 
 
 def _no_value(scalar: Any) -> str | None:
-    """Why a scalar is no value of a spec."""
     if isinstance(scalar, int) and abs(scalar) >= LARGEST:
         return "is too large a number"
     if isinstance(scalar, float) and not math.isfinite(scalar):
@@ -271,7 +265,6 @@ def _no_value(scalar: Any) -> str | None:
 
 
 def _no_key(key: Any) -> str | None:
-    """What stands where a key should."""
     if isinstance(key, str):
         return None if _whole(key) else "an unpaired surrogate escape"
     if key is None or isinstance(key, bool):
@@ -343,5 +336,4 @@ def kind_of(value: Any) -> str:
 
 
 def dotted(loc: Loc) -> str:
-    """Return a place as `--set` names it."""
     return ".".join(str(part) for part in loc if part != KEY)

@@ -19,7 +19,6 @@ PAPER = "paper"  # lies beside the specs and is none
 
 
 def specs_folder() -> Path:
-    """Return where the specs are; pyproject.toml puts them into a wheel."""
     packaged = _PACKAGE / FOLDER
     return packaged if packaged.is_dir() else _PACKAGE.parent / FOLDER
 

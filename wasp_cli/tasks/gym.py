@@ -34,7 +34,6 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {"all": Observation._fields, "vision": 
 
 
 def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
-    """Make a batch of a task that shows the asked observation."""
     if observation not in (known := get_args(ObservationName)):
         raise UsageError(f"task '{task}' has no observation '{observation}'", did_you_mean(str(observation), known))
     for option, value in (("num_envs", batch), ("action_repeat", action_repeat), ("threads", threads)):
@@ -63,7 +62,6 @@ def drawn_layout(draws: np.random.Generator, seed: int | None) -> int:
 
 
 def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
-    """Return the space of one episode's observation."""
     if observation == "vision":
         image = gymnasium.spaces.Box(0, 255, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
         sensors = {name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64) for name, shape in sensor_shapes(task).items()}

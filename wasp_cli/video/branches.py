@@ -79,8 +79,6 @@ class _RecordingTask:
 
 
 class BranchPair:
-    """Both branches of one decision."""
-
     def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
         with threads_of_evaluations():
             world = source.world()
@@ -105,7 +103,6 @@ class BranchPair:
         write(out, last + 1, lambda step: self._frame(step, title, verdict), [*[MS] * last, LAST_MS], lambda index: None)
 
     def _frame(self, step: int, title: str, verdict: Sequence[str]) -> Image.Image:
-        """After `step` decisions of the branches."""
         width = 2 * MAP + 3 * GAP
         image = Image.new("RGB", (width, HEADER + TITLE + MAP + BARS + 20 * len(verdict) + 8), _PAPER)
         draw = ImageDraw.Draw(image)

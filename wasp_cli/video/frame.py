@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain.episode import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
+from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
@@ -44,8 +44,6 @@ MOVES = ("forward", "left", "turn")  # what a readout explains
 
 
 class Correction(NamedTuple):
-    """What is imagined beside the command uncorrected."""
-
     residuals: Sequence[NDArray[Any] | None]  # T times [L, A], or None where the command stood
     name: str  # what it is, for people
     hold: bool  # residuals are added to the present command, not to the imagined ones
@@ -57,8 +55,6 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    """Paints the frames of one episode, in any order."""
-
     def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
         self.played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
@@ -213,7 +209,6 @@ def seconds_of(stored: Episode) -> float:
 
 
 def decisions_shown(stored: Episode, every: int) -> list[int]:
-    """List the decisions that have a frame: each `every`-th, and the last one."""
     return sorted({*range(0, stored.decisions, every), stored.decisions - 1})
 
 
@@ -273,7 +268,6 @@ class Timeline:
 
 
 def numbers(episode: Episode, t: int) -> list[str]:
-    """Say what there is to say of decision `t`, a line each."""
     gate, limits = LOOKS.get(int(episode.gate[t])), episode.thresholds
     deviation, alone = float(episode.numbers["deviation"][t]), episode.at("alone_cost", t)
     lines = [

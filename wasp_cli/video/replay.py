@@ -19,7 +19,7 @@ from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
-from wasp_cli.report.explain.episode import Episode, imagines_expert, number, read_episode
+from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.spec.shipped import published_folder
@@ -68,7 +68,6 @@ def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | No
 
 
 def _drawn(layout: Layout, cell: FoundCell, stored: Episode, every: int | None) -> tuple[Source, Episode, int, Correction, int, int]:
-    """What `frame` draws a stored episode from."""
     episode = int(stored.row["episode"])
     source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
@@ -121,7 +120,6 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
 
 
 def _model(layout: Layout, kind: str, key: str, *, rounded: bool) -> Path:
-    """Find a model in the results folder; of a published cell also where it is published, since runs copy rows alone."""
     published = published_folder() if rounded and not exists(layout, kind, key) else None
     place = layout if published is None else Layout(published)
     if (wrong := corruption(place, kind, key)) is None:

@@ -211,7 +211,6 @@ class Source:
     expert_goes_on: bool = False  # the assistant imagines the expert behind every command, not the operator
 
     def world(self) -> VectorTask:
-        """Build the task as the cell was evaluated in."""
         shown = observed(self.task)
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 

@@ -23,7 +23,7 @@ from typing import Any
 from PIL import Image
 
 from wasp_cli.errors import StoreError, UsageError, WaspError, described
-from wasp_cli.report.explain.episode import Episode, read_episode
+from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import open_plain, parse, read_plain
@@ -84,7 +84,6 @@ class Films:
             return self._state(_name(key, episode, kind, step))
 
     def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
-        """Return a frame as WebP; None where it is not there."""
         try:
             with open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
                 return file.read(LARGEST)
@@ -133,7 +132,6 @@ class Films:
 
 
 def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> list[str]:
-    """Return the command that draws a film into a folder (see `main`)."""
     # -P: the working directory may be the results themselves: their modules are not ours.
     return [sys.executable, "-P", "-c", DRAWS, *map(str, (layout.root.absolute(), key, episode, kind, step, folder, every))]
 
@@ -143,7 +141,6 @@ def frame_name(number: int) -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
-    """Return what the drawing process says; None before it has said anything, or where that does not read."""
     try:
         record = parse(read_plain(folder / "film.json"))
     except (OSError, ValueError, RecursionError):
@@ -164,7 +161,6 @@ def _name(key: str, episode: int, kind: str, step: int) -> str:
 
 
 def problem_of(error: WaspError) -> str:
-    """Return an error and what to do about it in one text."""
     return error.message + (f" ({error.hint})" if error.hint else "")
 
 
@@ -201,7 +197,6 @@ def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Leg
 
 
 def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> dict[str, Any]:
-    """Draw a film into a folder, frame by frame, and return what `Films.state` says of it then."""
     stored = read_episode(cell, episode)
     state: dict[str, Any] = {**NOTHING, "state": "drawing", "every": every or 1, "legend": []}
     if kind != FILM:
@@ -234,7 +229,6 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
 
 
 def main(results: str, key: str, episode: str, kind: str, step: str, target: str, every: str) -> None:
-    """Draw what the arguments say; where the film cannot be drawn, its state says why."""
     os.nice(5)  # pages go first
     layout, folder = Layout(Path(results)), Path(target)
     try:

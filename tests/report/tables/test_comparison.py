@@ -13,6 +13,7 @@ from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
 from wasp_cli.report.summary import Value, same_episodes
 from wasp_cli.report.sweep import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, SweepReport, Swept, lines
+from wasp_cli.report.tables import Row, Table
 from wasp_cli.report.tables.comparison import MEASURES, comparison_table
 from wasp_cli.report.tables.main import (
     ablation_table,
@@ -23,7 +24,6 @@ from wasp_cli.report.tables.main import (
     severity_table,
     threshold_table,
 )
-from wasp_cli.report.tables.table import Row, Table
 from wasp_cli.store.tables import CellIdentity
 
 Grid = Callable[..., list[Wanted]]

@@ -14,9 +14,9 @@ from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain.episode import Constants, Episode
+from wasp_cli.report.explain import Constants, Episode
 from wasp_cli.report.explain.facts import Range
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
@@ -127,7 +127,6 @@ def beside(value: float | None, limit: float | None) -> tuple[str, str]:
 
 
 def between(bounds: Range | None, limit: float | None) -> str:
-    """Return a range; its upper end is told apart from the threshold."""
     if bounds is None:
         return "-"
     low, high = short(bounds[0]), beside(bounds[1], limit)[0]

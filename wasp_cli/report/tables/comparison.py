@@ -12,8 +12,8 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups, row_of
 from wasp_cli.report.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
-from wasp_cli.report.tables.table import Column, Row, Table, task_title
 
 REFERENCE = "human"
 MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol"))

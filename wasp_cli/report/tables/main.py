@@ -17,7 +17,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, same_episodes, spread_note, summarise
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
+from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),
@@ -52,7 +52,6 @@ UNATTENDED_NOTE = "{} drives with nobody at the controls, for reference: it read
 
 
 def main_table(frame: Frame) -> Table:
-    """Make Table 1: per task and method the mean over all operator variants and severities."""
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))

@@ -20,9 +20,9 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.summary import UNDEFINED, Interval, Value
+from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
-from wasp_cli.spec.study import QUESTIONS
+from wasp_cli.spec.model import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 
@@ -111,7 +111,6 @@ def measured(sitting: Sitting, key: str) -> float:
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
-    """Return the mean over participants of their differences to a reference condition on the same task and seed."""
     other = {(each.participant, each.cell.identity.seed): measured(each, key) for each in reference}
     pairs = [(each.participant, measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan)) for each in own]
     return over_participants(pairs)
@@ -172,7 +171,6 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
-    """Say of every condition in which the assistant was late how often it was: there the driver was alone."""
     late_counts: Counter[Condition] = Counter()
     decisions: Counter[Condition] = Counter()
     for each in sittings:
