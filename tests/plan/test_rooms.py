@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins import forget
-from wasp_cli.plan import closure as module
+from wasp_cli.plan import node as module
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
 

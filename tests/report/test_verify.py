@@ -1,39 +1,17 @@
-"""What a table cannot see: changed rows, cells of several versions, and a method that is not installed any more."""
+"""What a table cannot see: cells of several versions, and a method that is not installed any more."""
 
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import pytest
 
 from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
-from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 REPORT = ("--no-films", "--no-trained", "--paper", "none")
-
-
-def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
-    side = write_results(tmp_path / "results")
-    assert run_here("report", side.layout.root, *REPORT, "--verify", columns=300).exit_code == 0
-    (_, key), *_ = side.cells
-    path = side.layout.artifact("evaluate", key) / EPISODES_FILE
-    table = pq.read_table(path)
-    place = table.column_names.index("return")
-    better = pc.add(table["return"], pa.scalar(5.0, table.schema.field(place).type))
-    write_episodes(table.set_column(place, table.schema.field(place), better), path)
-    manifest = side.layout.manifest("evaluate", key)
-    record = json.loads(manifest.read_text(encoding="utf-8"))
-    record["files"][EPISODES_FILE]["size"] = path.stat().st_size  # as large as before, for all that a plan sees
-    manifest.write_text(json.dumps(record), encoding="utf-8")
-    told = run_here("report", side.layout.root, *REPORT, "--verify", columns=300, code=1)
-    assert f"'{path}' has other bytes than were stored" in told.output
-    assert "files are not those that were stored (1):" in told.output
 
 
 def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:

@@ -1,12 +1,10 @@
 """`wasp gc`: what no spec reaches goes, and nothing that somebody reads."""
 
-import hashlib
 import json
 import os
 import re
 import shutil
 import signal
-import tarfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -17,12 +15,9 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import key, planned, process, write_run
-from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.notebook import open_results
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import reach
-from wasp_cli.run.publish import write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
 from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
 from wasp_cli.store.layout import SESSION_FILE, Layout
@@ -245,55 +240,6 @@ def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_s
     assert left.items() <= whole.items()
     assert sweep(layout) == 1
     assert not list(layout.tmp.iterdir())
-
-
-# `wasp publish --archive`: a folder for an archive, whose sums hold, and from which rows are read again.
-
-
-PUBLISHED = Path(__file__).parents[2] / "results" / "published"
-KEY = "ab95264a06906dcda61e"  # race1 s1 wasp laggy=0.7
-
-
-@pytest.fixture
-def target(tmp_path):
-    shutil.copytree(PUBLISHED / "store/evaluate" / KEY, tmp_path / "published/store/evaluate" / KEY)
-    (tmp_path / "published/reports/mine").mkdir(parents=True)
-    (tmp_path / "published/reports/mine/report.md").write_text("# Report: mine\n")
-    (tmp_path / "published/private").symlink_to("/etc/hostname")
-    return Layout(tmp_path / "published")
-
-
-def test_an_archive_has_sums_that_hold_a_licence_and_a_card_and_is_read_again(target, tmp_path):
-    file = tmp_path / "mine-1.0.tar.gz"
-    count = write_archive(target, "mine", file)
-    with tarfile.open(file) as archive:
-        assert len(archive.getnames()) == count
-        archive.extractall(tmp_path / "unpacked", filter="data")
-    root = tmp_path / "unpacked/mine-1.0"
-    lines = (root / "SHA256SUMS").read_text().splitlines()
-    assert {line.split("  ")[1] for line in lines} | {"SHA256SUMS"} == {str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()}
-    for line in lines:
-        digest, name = line.split("  ")
-        assert hashlib.sha256((root / name).read_bytes()).hexdigest() == digest
-    card = (root / "README.md").read_text()
-    assert card.startswith("---\nlicense: apache-2.0\n")
-    assert "| evaluate | 1 | race1 |" in card
-    assert "Apache License" in (root / "LICENSE").read_text()
-    assert not (root / "private").exists()
-    assert open_results(root).episodes().num_rows == 30
-
-
-def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten(target, tmp_path):
-    first, second = tmp_path / "a/mine.tar.gz", tmp_path / "b/mine.tar.gz"
-    for file in (first, second):
-        file.parent.mkdir()
-        write_archive(target, "mine", file)
-    assert first.read_bytes() == second.read_bytes()
-    for name in ("mine.tar.gz", "mine.zip"):
-        with pytest.raises(UsageError):
-            write_archive(target, "mine", tmp_path / "a" / name)
-    with pytest.raises(StoreError):
-        write_archive(Layout(tmp_path / "none"), "mine", tmp_path / "c.tar.gz")
 
 
 # `wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted.

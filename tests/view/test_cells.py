@@ -1,4 +1,4 @@
-"""The table of a store that grows and is noted on, and two cells beside each other."""
+"""The table of a store that grows and is noted on, and films on demand."""
 
 import io
 import json
@@ -6,14 +6,12 @@ import os
 import shutil
 import time
 from pathlib import Path
-from urllib.parse import quote
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tests.commands import run_here
-from tests.drive.browser import Browser
 from tests.store.untrusted import UntrustedStore
 from tests.video.replayed import CELL, made_store
 from tests.view.conftest import brought, viewed
@@ -26,7 +24,6 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.video.film import film
 from wasp_cli.video.frame import HEIGHT, WIDTH
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY, SIZE, Films, draw, frame_name
-from wasp_cli.view.pages import first_difference
 from wasp_cli.view.server import ViewServer
 from wasp_cli.view.site import FRESH
 
@@ -87,50 +84,6 @@ def test_a_cell_that_comes_to_a_folder_without_runs_is_listed(tmp_path: Path) ->
             shutil.copytree(folder, results / "store" / "evaluate" / folder.name)
         time.sleep(FRESH + 0.1)
         assert len(numbers(server)) == 2
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return brought(tmp_path_factory.mktemp("view") / "results", WASP, HUMAN)
-
-
-def test_the_page_says_where_two_cells_differ(results: Path) -> None:
-    layout = Layout(results)
-    wasp, human = (read_episode(find_cell(layout, label), 0) for label in (WASP, HUMAN))
-    place = f"/compare/cells?a={quote(WASP)}&b={quote(HUMAN)}"
-    with viewed(results) as server:
-        _, _, body = ask(server, place)
-        assert "<h2>30 worlds that both met</h2>" in body
-        _, _, body = ask(server, f"{place}&world={wasp.row['episode_seed']}")
-        assert f"Decision {first_difference(wasp, human)} is the first that differs." in body
-        _, _, body = ask(server, f"/compare/cells?a={quote(WASP)}&b={quote(WASP)}&world={wasp.row['episode_seed']}")
-        assert "Both are the same, decision by decision." in body
-        for wrong in ("", f"?a={quote(WASP)}", f"?a={quote(WASP)}&b=zzz", f"?a={quote(WASP)}&b={quote(HUMAN)}&world=1"):
-            assert ask(server, f"/compare/cells{wrong}")[0] == 404
-
-
-def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
-    layout = Layout(results)
-    wasp, human = (read_episode(find_cell(layout, label), 0) for label in (WASP, HUMAN))
-    world = wasp.row["episode_seed"]
-    assert human.row["episode_seed"] == world
-    # Both are driven alike until WASP corrects for the first time.
-    first = int(np.flatnonzero((wasp.a != human.a).any(1))[0])
-    with viewed(results) as server:
-        tab = browser.tab()
-        tab.open(server.opening(f"/compare/cells?a={quote(WASP)}&b={quote(HUMAN)}"))
-        tab.value(f"[...document.querySelectorAll('td a')].find(a => a.textContent === '{world}').click()")
-        tab.until("document.querySelectorAll('section.episode').length === 2 && document.readyState === 'complete'")
-        assert tab.value("document.querySelector('#differs').textContent").startswith(f"Decision {first} ")
-        # The page that is left stands at this step already: what comes next is for the one that is opened.
-        tab.value("window.left = true; document.querySelector('#differs').click()")
-        tab.until(f"window.left === undefined && location.search.includes('step={first}') && document.readyState === 'complete'")
-        tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first}')")
-        # One scrubber moves both.
-        tab.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight", code="ArrowRight")
-        tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first + 1}')")
-        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)")
-        tab.close()
 
 
 # Films on demand: what is drawn is kept, bounded, and never of a module that results name.

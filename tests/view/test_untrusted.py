@@ -43,7 +43,7 @@ def walked(server: ViewServer, key: str) -> str:
     """Everything that the pages say of a folder."""
     episode = f"/cell/{key}/episode/0"
     places = ["/", "/cells", "/cells/numbers", f"/cell/{key}", f"/cell/{quote(LABEL)}", episode, f"{episode}/explain?step=3",
-              f"/run/{RUN}", f"/run/{RUN}/now", f"/run/{RUN}/log/{key}", f"/compare/cells?a={key}&b={key}&world=100",
+              f"/run/{RUN}", f"/run/{RUN}/now", f"/run/{RUN}/log/{key}",
               f"/film/{key}/0/film"]  # fmt: skip
     texts = []
     for place in places:

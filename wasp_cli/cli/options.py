@@ -73,8 +73,6 @@ class _Group(TyperGroup):
 
 
 class _Command(TyperCommand):
-    """A command whose help shows no type behind switches."""
-
     def get_params(self, ctx: Any) -> list[Any]:
         params: list[Any] = super().get_params(ctx)
         for param in params:
@@ -173,7 +171,6 @@ SPECS = "specs/"
 
 
 def spec_names(incomplete: str) -> list[str]:
-    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
     files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]

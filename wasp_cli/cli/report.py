@@ -43,8 +43,7 @@ class NotWritten(WaspError):
 @command(
     "wasp report results/",
     "wasp report results/ --spec table1 --strict",
-    codes="0 done, 1 part of the results cannot be read (with --strict also: something is missing; with --verify also: a file was "
-    "changed), 2 usage, 3 invalid paper",
+    codes="0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage, 3 invalid paper",
 )
 def report(
     results: Folder,
@@ -54,7 +53,6 @@ def report(
     ] = None,
     out: Annotated[Path | None, directory("Write to DIR/<spec>. (default: reports/ in the results folder)")] = None,
     strict: Annotated[bool, flag("--strict", "Exit with 1 if cells or counterfactual branches are missing.")] = False,
-    verify: Annotated[bool, flag("--verify", "Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.")] = False,
     films: Annotated[bool, flag("--films/--no-films", "Add films: one episode of each task with every method.")] = True,
     trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
@@ -67,12 +65,10 @@ def report(
     layout, runs, damaged = _reported(results.path, spec)
     gaps: list[str] = []
     missing: list[str] = []
-    changed: list[str] = []
     unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
         try:
             recorded = read_run(layout, run_id)
-            changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
             damaged += shown.damaged
@@ -83,12 +79,6 @@ def report(
             unwritten.append(error)
         except WaspError as error:  # the other specs are still worth seeing
             damaged.append(error.message)
-    if changed:
-        damaged += changed
-        hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
-        raise ArtifactError(
-            "\n".join([f"files are not those that were stored ({len(changed)}):", *(f"  {text}" for text in damaged)]), hint
-        )
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
@@ -99,7 +89,6 @@ def report(
 
 
 def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
-    """The last run of each spec, or of one; and what is wrong with those that do not read."""
     from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import results_of
 
@@ -110,18 +99,6 @@ def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], 
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged
-
-
-def _changed(layout: Layout, recorded: Recorded) -> list[str]:
-    """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
-    from wasp_cli.plan.grid import COUNTERFACTUAL
-    from wasp_cli.report.provenance import altered
-    from wasp_cli.store.find import KIND
-
-    artifacts = [(KIND, key) for _, key in recorded.cells] + [(COUNTERFACTUAL, key) for _, key in recorded.branched]
-    read, wrong = altered(layout, [*artifacts, *((part.kind, key) for part, key in recorded.parts)])
-    say(f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as they were stored")
-    return wrong
 
 
 def show_report(
@@ -278,7 +255,6 @@ def publish(
     half: Annotated[bool, flag("--half", "Weights in half precision: half the size.")] = False,
     steps: Annotated[int | None, option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0)] = None,
     no_images: Annotated[bool, flag("--no-images", "Leave out the images of diagnostics.")] = False,
-    archive: Annotated[Path | None, option("FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card.")] = None,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be published.")] = False,
 ) -> None:
     """Copy the results of a spec to a folder for git.
@@ -300,10 +276,6 @@ def publish(
             return
         carry_publication(planned, spec, layout, target, Slimming(half, steps, images=not no_images))
     say(f"published in {target.root}")
-    if archive is not None:
-        from wasp_cli.run.publish import write_archive
-
-        say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 
 
 @command("wasp verify results/ --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage")

@@ -248,7 +248,6 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
 
 
 MACHINE = ("processor", "platform", "python", "threads", "cuda")  # provenance that enters no key, and may move the last digits
-DEEPEST = 50  # steps upstream; our longest chain has a dozen
 
 
 class Causes:
@@ -260,16 +259,16 @@ class Causes:
 
     def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
         """Say in words what differs between two artifacts that should be alike; of the same key only the machine can differ."""
-        return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after, DEEPEST)))
+        return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after)))
 
-    def _follow(self, kind: str, before: str, after: str, left: int) -> tuple[str, ...]:
+    def _follow(self, kind: str, before: str, after: str) -> tuple[str, ...]:
         place = (kind, before, after)
         if place not in self._known:
             self._known[place] = ()  # a circle, which none of ours has, adds nothing
-            self._known[place] = tuple(dict.fromkeys(self._changes(kind, before, after, left)))
+            self._known[place] = tuple(dict.fromkeys(self._changes(kind, before, after)))
         return self._known[place]
 
-    def _changes(self, kind: str, before: str, after: str, left: int) -> Iterator[str]:
+    def _changes(self, kind: str, before: str, after: str) -> Iterator[str]:
         try:
             old, new = (read_manifest(layout, kind, key) for layout, key in zip(self._layouts, (before, after), strict=True))
             own = changes_between(old, new)
@@ -283,8 +282,8 @@ class Causes:
         precision = list(_precision(old, new))
         yield from precision
         upstream = list(_differing(old, new))
-        for _, other, needed, needed_too in upstream if left else ():
-            yield from self._follow(other, needed, needed_too, left - 1)
+        for _, other, needed, needed_too in upstream:
+            yield from self._follow(other, needed, needed_too)
         reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
         if reads:
             yield f"{kind}: reads other artifacts: {few(reads)}"

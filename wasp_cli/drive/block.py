@@ -78,8 +78,6 @@ SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 
 @dataclass(frozen=True)
 class How:
-    """How a session is shown and paced; none of it is in a key."""
-
     speed: float = 1.0  # simulated seconds per second
     shown: frozenset[str] = frozenset(SHOWN)
     simulated: bool = False
@@ -114,12 +112,10 @@ class Block:
 
     @property
     def fired(self) -> list[tuple[float, bool]]:
-        """Return of every answer with which a gate fired how long it took, and whether it was late."""
         made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
         return [(seconds, late) for seconds, late, record in made if record is not None and bool((record.gate != GATE_NONE).any())]
 
     def hello(self) -> dict[str, Any]:
-        """Return what the page has to know of the block before the first frame."""
         return {
             "type": "block", "task": self.cell.task, "shown": [name for name in SHOWN if name in self.how.shown],
             "period_ms": 1000 * self.period, "speed": self.how.speed, "cameras": getattr(self.task, "cameras", 2),
@@ -174,7 +170,6 @@ class Block:
         return {"type": "review", "driven": driven.frames, "alone": alone}
 
     def _numbers(self, view: WorldView, score: Score, step: Step | None) -> dict[str, Any]:
-        """What a header says of the world, as far as it is shown."""
         numbers: dict[str, Any] = dict(view.now()) if "map" in self.how.shown else {}
         if "cost" in self.how.shown:
             numbers |= {"cost": score.cost, "costly": bool(step is not None and step.cost[0])}
@@ -220,7 +215,6 @@ class _Running:
         time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
 
     def decide(self) -> None:
-        """Sample the controls, ask the assistant, carry the action out, show what came of it."""
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
         held = block.desk.held
@@ -316,7 +310,6 @@ class _Running:
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
-        """Return the episode as an evaluation would have it."""
         stacked = {name: np.stack(values) for name, values in self.rows.items()}
         times = np.array([beat.decision_ms for beat in self.beats], np.float32)
         # Decisions that were late have an empty plan where the others have plans.

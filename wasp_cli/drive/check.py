@@ -81,7 +81,6 @@ class Habits:
         return [self._wrong.pop()] if self._wrong else self._seen[0]
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any]:
-        """Agree, and draw every scale."""
         scales = {scale["name"]: float(self._draw.integers(0, 101)) for scale in form["scales"]}
         return {"agreed": True if form["name"] == "consent" else None, "scales": scales}
 
@@ -123,7 +122,9 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                     held = [""]
                     await send({"type": "ask", "what": "go"})
                 elif state["phase"] == "form":
-                    given = middling(state["form"]) if answers is None else answers(state["form"])
+                    form = state["form"]
+                    middle = {"agreed": True if form["name"] == "consent" else None, "scales": {s["name"]: 50.0 for s in form["scales"]}}
+                    given = middle if answers is None else answers(form)
                     await send({"type": "answers", **given})
                 elif state["phase"] == "over":
                     return frames
@@ -137,7 +138,6 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
 
 
 async def connected(address: str) -> ClientConnection:
-    """Connect as a page does: again, where the server is too busy to answer or others take its places."""
     parts, left = urlsplit(address), ATTEMPTS
     while True:
         try:
@@ -147,10 +147,6 @@ async def connected(address: str) -> ClientConnection:
             if not left:
                 raise WaspError(f"the scripted driver cannot connect: {error}", "the machine may be too busy: try again") from error
         await asyncio.sleep(PAUSE)
-
-
-def middling(form: Mapping[str, Any]) -> dict[str, Any]:
-    return {"agreed": True if form["name"] == "consent" else None, "scales": {scale["name"]: 50.0 for scale in form["scales"]}}
 
 
 TOLERATED = 0.02  # share of late decisions that is said to be in time
@@ -178,7 +174,6 @@ class Timing:
 
     @property
     def in_time(self) -> bool:
-        """Whether few enough decisions were late, and the world hardly slowed down."""
         return self.late_share <= TOLERATED and self.fired_late_share <= TOLERATED_FIRED and self.pace <= TOLERATED_PACE
 
     @property
@@ -240,20 +235,14 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     fired = [seconds for seconds, _ in block.fired]
     between = [b.at - a.at for a, b in pairwise(beats)]
     return Timing(
-        label=node.label,
-        period_ms=1000 * block.period,
-        decisions=len(beats),
-        late_share=float(np.mean([beat.late for beat in beats])),
-        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]),
-        input_ms=percentiles(fresh),
-        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]),
-        speed=speed,
+        label=node.label, period_ms=1000 * block.period, decisions=len(beats), late_share=float(np.mean([beat.late for beat in beats])),
+        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]), input_ms=percentiles(fresh),
+        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]), speed=speed,
         recommended=recommended(block.answer_seconds, fired, driven, block.period, speed),
-        pace=float(np.mean(between)) / block.period if between else 1.0,
-        fired=len(fired),
+        pace=float(np.mean(between)) / block.period if between else 1.0, fired=len(fired),
         fired_late_share=float(np.mean([late for _, late in block.fired])) if fired else 0.0,
         fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
-    )
+    )  # fmt: skip
 
 
 def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float) -> float:
@@ -268,7 +257,6 @@ def recommended(seconds: list[float], fired: list[float], driven: Driven, period
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:
-    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
     table = count_table("", "median", "99th percentile")
     for timing in timings:
         table.add_row(timing.label, style="bold")

@@ -61,7 +61,6 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).exists()
 
     def prepared(self, *, recorded: bool = True) -> Session:
-        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -73,7 +72,6 @@ class Wanted:
         return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
 
     def everyone(self) -> list[Wanted]:
-        """Return one for each participant of a spec; where a task or a participant is meant, this one."""
         if self._is_task or self.participant is not None:
             return [self]
         return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))]
@@ -110,7 +108,6 @@ class Wanted:
             raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])
 
     def _of(self, session: int, methods: Sequence[str] = (), seeds: Sequence[int] = ()) -> Loaded:
-        """The shipped spec for this task, session and method, or for several of both."""
         number = self.participant or 0
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:

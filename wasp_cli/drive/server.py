@@ -179,7 +179,6 @@ class Server(LocalServer):
 
 
 def packed(frame: Frame) -> bytes:
-    """Pack a frame: length of the header as uint32 (little endian), the header as JSON, then the pixels."""
     header = json.dumps(frame.header).encode()
     return struct.pack("<I", len(header)) + header + frame.pixels
 

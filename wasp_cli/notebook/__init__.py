@@ -251,33 +251,3 @@ class StoredCell:
         path = reading.table_of(self.layout, self.names)
         assert path is not None  # the cell is computed: `Results.cell` has seen to it
         yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)
-
-    def to_minari(self, name: str, observation: str = "vision") -> Any:
-        """Write the episodes as a Minari dataset, and return it: executed actions, rewards, and infos with cost and the operator's command.
-
-        They are played again in the task's gymnasium environment, decision by decision. Needs the package minari.
-
-        Args:
-            name: of the dataset, `namespace/name-v0`.
-            observation: what a step sees: `state`, `pixels`, `vision`, `privileged` or `all`.
-
-        Raises:
-            UsageError: minari is not installed, or the cell was published without all its steps.
-            ArtifactError: what is played is not what was recorded.
-        """
-        try:
-            from wasp_cli.notebook.minari import written
-        except ImportError as error:
-            raise UsageError(f"the export needs a package that is not here: {error}", "pip install 'minari[create,hdf5]'") from error
-        from wasp_cli.learning.rerun import Recorded
-        from wasp_cli.store.recorded import read_recorded
-        from wasp_cli.store.slim import without_steps
-        from wasp_cli.tasks.registry import TASKS
-
-        if without_steps(self.manifest):
-            raise UsageError(f"{self.label} was published without all its steps", "wasp run SPEC --reuse none computes it whole")
-        path = reading.table_of(self.layout, self.names)
-        assert path is not None
-        manifest, recorded = self.manifest, Recorded(**read_recorded(path))
-        repeat, about = int(manifest["settings"]["action_repeat"]), f"{self.label}, {self.key}"
-        return written(name, TASKS[str(manifest["task"])].gym_id, recorded, repeat, observation, about)

@@ -53,7 +53,6 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)
@@ -74,7 +73,6 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
-    """Those that are whole, of nodes that the store does not have under the code of today; and what is wrong with the others."""
     nodes = {node.recipe: node for node in own.nodes}
     recipes = {node.key: node.recipe for node in own.nodes}
     usable, notes = [], []

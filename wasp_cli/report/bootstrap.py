@@ -50,8 +50,6 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class _Clusters:
-    """What is resampled, in ascending order."""
-
     unit: Literal["training", "world"]
     names: Floats  # [K] the seeds of the trainings, or of the worlds
 
@@ -255,8 +253,6 @@ def _middle_mean(numbers: Floats, times: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Contrast:
-    """A contrast over trainings; limits are None where they are undefined."""
-
     value: float
     trainings: tuple[float, ...]  # the contrast of each training, in the order of their seeds
     bootstrap: Limits | None

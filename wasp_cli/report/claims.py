@@ -58,7 +58,6 @@ class Judged:
 
     @property
     def part(self) -> Outcome:
-        """The outcome of those questions that could be asked; `untested` where none could."""
         return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
 
     @property
@@ -99,15 +98,11 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     others = tuple(filter(rows.has, further))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
-        paper=paper,
-        rows=tuple(_beside(rows, paper)),
+        paper=paper, rows=tuple(_beside(rows, paper)),
         claims=tuple(replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others)) for own in judged),
-        tasks=rows.tasks,
-        seeds=seeds,
-        one_training=len({cell.training for cell in frame.cells}) == 1,
-        notes=tuple(_notes(frame, rows, paper, seeds, spec)),
-        others=others,
-    )
+        tasks=rows.tasks, seeds=seeds, one_training=len({cell.training for cell in frame.cells}) == 1,
+        notes=tuple(_notes(frame, rows, paper, seeds, spec)), others=others,
+    )  # fmt: skip
 
 
 def decide(interval: Limits | None, relation: Relation) -> Outcome:
@@ -185,7 +180,6 @@ def stood_for(who: Who) -> Who:
 
 
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
-    """Judge a claim with a further row of a method in its place; None where it says nothing of the method, or of an ablation."""
     place = stood_for(who)
     named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
     own = {side for side in named if side.method == place.method}

@@ -1,6 +1,6 @@
 """How all figures of a report look and are written, and those of methods.
 
-Cost against return, profiles, what interventions were worth (Figure 3), and along the severities. A figure that has nothing to show writes
+Cost against return, what interventions were worth (Figure 3), and along the severities. A figure that has nothing to show writes
 no file.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import groupby, pairwise, product
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -34,7 +34,6 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-LINES = ("-", "--", ":")  # of methods with one colour, in their rounds
 ENDINGS = ("png", "svg")
 # The markers move on by one with every round of the colours, or the eighth method would look like the first.
 STYLES = {  # colour and marker of a method, the same in every figure; the marker also tells them apart in print
@@ -53,8 +52,6 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
     "are the limits of the table.",
     "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
-    "profile": "Performance profiles: the share of episodes that return at least x, and that cost at most x; every operator and seed "
-    "weighs the same.",
     "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
     "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
 }
@@ -188,41 +185,6 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
         return figure_files(figure, folder, "cost_return")
 
 
-def profile_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
-    tasks = rows_by_task(frame)
-    if not tasks:
-        return []
-    with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
-        panels = figure.subplots(2, len(tasks), squeeze=False, sharey=True)
-        for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
-            for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
-                x, share = profile(group, key, at_least=key == "return")
-                place = list(METHODS).index(group.method) // len(PALETTE) if group.method in METHODS else 0
-                look = {"color": style_of(group.method)[0], "linestyle": LINES[place % len(LINES)], "linewidth": 1.3}
-                panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
-            column[0].set_title(task_title(task), loc="left", fontweight="bold")
-            column[0].set_xlabel("return x of an episode (better: up)")
-            column[1].set_xlabel("cost x of an episode (better: up)")
-            for panel in column:
-                panel.set_ylim(0.0, 1.02)
-                ruled(panel)
-        column = panels[:, 0]
-        column[0].set_ylabel("share of episodes that return ≥ x")
-        column[1].set_ylabel("share of episodes that cost ≤ x")
-        legend(figure, panels[0], loc="outside right upper")
-        return figure_files(figure, folder, "profile")
-
-
-def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
-    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at most x; every cell weighs the same."""
-    values = np.concatenate([cell.episodes[key] for cell in group.cells])
-    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(group.cells)
-    order = np.argsort(values, kind="stable")
-    x, reached = values[order], np.cumsum(weights[order])
-    return x, 1.0 - reached + weights[order] if at_least else reached
-
-
 def _draw(panel: Axes, group: Group) -> None:
     colour, marker = style_of(group.method)
     x, y = _point(group.cells)
@@ -330,7 +292,6 @@ Condition = tuple[str, float]  # operator variant and severity value
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write return, cost and intervention rate under every operator and severity, with the spread over seeds; a row for each task."""
     assistants = [group for rows in rows_by_task(frame).values() for group in rows if METHODS[group.method].impaired]
     under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.value is not None)
     variants = list(dict.fromkeys(variant for variant, _ in under))

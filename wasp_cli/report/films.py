@@ -37,8 +37,6 @@ FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
 
 class Sprite(NamedTuple):
-    """A film as one image: frames from left to right, then downwards."""
-
     data: bytes
     mime: str
     columns: int

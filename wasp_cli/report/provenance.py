@@ -13,18 +13,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.config import DIFFERS, assumptions
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Part
+from wasp_cli.plan.node import Part, changed_since
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import corruption, read_manifest, read_record
+from wasp_cli.store.artifact import read_manifest, read_record
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
@@ -95,7 +94,6 @@ class Origins:
             yield f"Published cells: {few(cells, NAMED)}."
 
     def remarks(self) -> Iterator[str]:
-        """Yield what the keys of cells do not tell apart."""
         mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
         if mixed:
             said = [
@@ -238,24 +236,3 @@ def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
         shown = json.dumps(value, default=str, ensure_ascii=False)
         lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
     return "\n".join(lines) + "\n"
-
-
-def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
-    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those that are not there are left out.
-
-    Returns how many were read, and what is wrong with each that differs.
-    """
-    read, wrong = 0, []
-    for kind, key in dict.fromkeys(artifacts):
-        try:
-            if not layout.within(layout.manifest(kind, key)).is_file():
-                continue
-            problem = corruption(layout, kind, key)
-        except (ArtifactError, StoreError) as error:
-            problem = error.message
-        except (OSError, AttributeError) as error:  # it changes now, or names no digests
-            problem = f"'{layout.artifact(kind, key)}': {error}"
-        read += 1
-        if problem is not None:
-            wrong.append(problem)
-    return read, wrong

@@ -18,7 +18,7 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report import provenance
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure, severity_figure
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, severity_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
@@ -165,26 +165,18 @@ class Report:
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
         page = rendered(
-            "page.html",
-            report=self,
-            verdict=None if self.verdict is None else verdict_html(self.verdict),
+            "page.html", report=self, verdict=None if self.verdict is None else verdict_html(self.verdict),
             gaps=missing_words(self.frame) if self.missing else None,
-            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING],
-            further=self.tables[self.shown :],
+            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING], further=self.tables[self.shown :],
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
             films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
             training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
-            notes=lines_of(self.notes),
-            style=trusted("style.css"),
-            script=trusted("sort.js") + trusted("script.js"),
-            task_title=task_title,
-            cell_address=cell_address,
-            duration=duration,
-            numbers_text=numbers_text,
+            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys), notes=lines_of(self.notes),
+            style=trusted("style.css"), script=trusted("sort.js") + trusted("script.js"), task_title=task_title,
+            cell_address=cell_address, duration=duration, numbers_text=numbers_text,
             as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
-        )
+        )  # fmt: skip
         return str(page)
 
 
@@ -205,7 +197,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
+    of_cells = (cost_return_figure, necessity_figure, severity_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
     for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
         files += [] if figure is None else figure_files(figure, folder, name)
@@ -222,17 +214,10 @@ def report_run(
     unknown: Sequence[str] = (),
     absent: Sequence[str] = (),
 ) -> Report:
-    """Summarise the cells and the trained parts of a run, each with the key of its artifact.
+    """Summarise the cells and the trained parts of a run, each with the key of its artifact, against the numbers and claims of a paper.
 
-    Args:
-        results: the results folder.
-        spec: what the run was asked for.
-        cells: its cells.
-        parts: what it trains.
-        paper: whose numbers and claims the cells are held against; None: against none.
-        branched: the cells whose interventions are judged, with the keys of their counterfactual branches.
-        unknown: what the record of the run has that this version does not know.
-        absent: whose cells are left out, since it is not installed here, each as a sentence.
+    `branched` are the cells whose interventions are judged, with the keys of their counterfactual branches. `unknown` is what the record of
+    the run has that this version does not know, and `absent` whose cells are left out, since it is not installed here, each as a sentence.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
@@ -275,21 +260,10 @@ def report_run(
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged)
     return Report(
-        name=spec.name,
-        layout=layout,
-        facts=facts,
-        tables=(*front, *back),
-        shown=len(front),
-        frame=frame,
-        trained=trained,
-        assumptions=tuple(provenance.assumptions_in_force(spec)),
-        damaged=tuple(damaged),
-        published=tuple(published),
-        remarks=remarks,
-        verdict=verdict,
-        keys=keys,
-        notes=tuple(notes),
-    )
+        name=spec.name, layout=layout, facts=facts, tables=(*front, *back), shown=len(front), frame=frame, trained=trained,
+        assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
+        verdict=verdict, keys=keys, notes=tuple(notes),
+    )  # fmt: skip
 
 
 def wanted_cells(
@@ -315,7 +289,6 @@ def wanted_cells(
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
-    """Why a node failed last; a record that does not read is added to `damaged`."""
     try:
         record = read_record(layout.failure(key))
     except ArtifactError as error:

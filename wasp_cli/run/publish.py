@@ -1,23 +1,17 @@
-"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read; and from there to an archive.
+"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read.
 
-What is copied is whole, small, and says where it came from without naming a person's machine. The same layer gives an archive of the same
-bytes.
+What is copied is whole, small, and says where it came from without naming a person's machine.
 """
 
 from __future__ import annotations
 
-import gzip
-import hashlib
-import io
 import os
 import platform
 import re
 import shutil
-import tarfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +20,7 @@ from rich.text import Text
 
 import wasp_cli
 from wasp_cli.console import count_table, size, waiting_aloud
-from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
+from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
@@ -217,65 +211,3 @@ def show_publication(publication: Publication, largest: float, console: Console)
     if publication.absent:
         kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
         console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
-
-
-CARD = """\
----
-license: apache-2.0
-library_name: wasp-cli
-pipeline_tag: reinforcement-learning
-tags: [shared-autonomy, safe-reinforcement-learning, world-model, mujoco]
----
-
-# {name}
-
-Results and trained models of `{name}`, an experiment in safety-aware shared autonomy, written by wasp {version}.
-
-| Kind | Artifacts | Tasks |
-| --- | ---: | --- |
-{rows}
-
-Unpack it, and name the folder to compute further cells with these models, or to compute some again and compare them to the bit:
-
-    wasp run {name} --reuse DIR
-    wasp verify DIR --cells 30
-
-`sha256sum --check SHA256SUMS` compares every file. The manifest of an artifact has its settings, inputs, library versions and commit.
-"""
-
-
-def write_archive(target: Layout, name: str, file: Path) -> int:
-    if not file.name.endswith(".tar.gz"):
-        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
-    if file.exists():
-        raise UsageError(f"'{file}' is there already", "remove it, or name another file")
-    if not target.store.is_dir():
-        raise StoreError(f"nothing is published in '{target.root}'")
-    folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
-    paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
-    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
-    beside = Path(__file__).parents[2] / "LICENSE"  # of a checkout; else the installed package's
-    path = beside if beside.is_file() else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
-    licence = Path(str(path)).read_bytes()
-    members |= {"README.md": card.encode(), "LICENSE": licence}
-    sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
-    members["SHA256SUMS"] = sums.encode()
-    root = file.name.removesuffix(".tar.gz")
-    with file.open("xb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
-        for member, data in sorted(members.items()):
-            entry = tarfile.TarInfo(f"{root}/{member}")
-            entry.size, entry.mode = len(data), 0o644
-            archive.addfile(entry, io.BytesIO(data))
-    return len(members)
-
-
-def _rows(target: Layout) -> Iterator[str]:
-    for kind in sorted(artifact.stored_kinds(target)):
-        keys, tasks = artifact.stored_keys(target, kind), set()
-        for key in keys:
-            try:
-                tasks.add(str(artifact.read_manifest(target, kind, key)["task"]))
-            except (ArtifactError, KeyError):
-                tasks.add("damaged")
-        yield f"| {kind} | {len(keys)} | {', '.join(sorted(tasks))} |"

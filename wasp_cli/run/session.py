@@ -64,8 +64,6 @@ class Session:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a run is carried out. None of it changes a result."""
-
     jobs: int  # worker processes at most; 0 computes in this process
     limit: float | None = None  # seconds that a node may take
     retries: int = 0

@@ -21,8 +21,8 @@ from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
+from wasp_cli.plan.node import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
@@ -62,8 +62,6 @@ def unseen(root: Path | str, run_id: str) -> StoreError:
 
 
 class Envelope:
-    """What surrounds a node: from the look whether its folder is there to what is told of it."""
-
     def __init__(self, job: NodeJob, own_process: bool) -> None:
         self.job, self.own_process = job, own_process
         self.layout = Layout(Path(job.root))
@@ -166,7 +164,6 @@ class Envelope:
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
-    """The clone that drives in a node, or that continues a person's session in its branches."""
     if OPERATOR_CLONE not in job.inputs:
         return None
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
@@ -271,7 +268,6 @@ def finite(value: Any, name: str = "summary") -> Any:
 
 
 def set_threads(count: int) -> None:
-    """Threads of linear algebra: a constant of the stage, since another number may give other bytes."""
     os.environ.update(OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1")
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(count)

@@ -35,7 +35,6 @@ class Loaded:
     overrides: tuple[Override, ...] = ()
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
-        """Return a refusal that points at a place of this spec, for what only later steps can know."""
         return InvalidSpec([_placed(self.chain, self.overrides, Finding(loc, message, hint))])
 
 
@@ -83,8 +82,6 @@ SUFFIX = ".yaml"
 
 @dataclass(frozen=True)
 class Chain:
-    """A spec file and, behind it, the one that it extends, the one that this extends, and so on."""
-
     sources: tuple[Source, ...]
 
     @property
@@ -95,7 +92,6 @@ class Chain:
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """Return the values of all files, nearer ones over farther ones, and what in them is none; `named`: an option brings the name."""
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
@@ -118,7 +114,6 @@ class Chain:
         return source.problem(loc, message, hint, at_key=at_key)
 
     def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
-        """Return the problems file by file, nearest first; those of no file (options) last."""
         names = [source.name for source in self.sources]
         return sorted(problems, key=lambda problem: names.index(problem.source) if problem.source in names else len(names))
 
@@ -150,7 +145,6 @@ def chain_of(source: Source) -> Chain:
 
 
 def _with_list(source: Source) -> Source:
-    """`task: a` is a short way to write `tasks: [a]`."""
     if SHORT not in source.document:
         return source
     document, places, problems = dict(source.document), dict(source.places), list(source.problems)
@@ -174,7 +168,6 @@ class Override:
 
 
 def override(number: int, text: str) -> Override:
-    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types."""
     place = f"--set #{number}"
     key, equals, value = text.partition("=")
     path = path_of(key)
@@ -218,14 +211,12 @@ WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp abla
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
-    """Return settings as `--set` takes them, with a preset before them."""
     if preset is not None and preset not in preset_names():
         raise UnknownName("preset", preset, preset_names())
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
 
 
 def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them."""
     update: dict[str, tuple[str, ...]] = {}
     for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
         for name in chosen or ():
@@ -242,7 +233,6 @@ def with_episodes(spec: Spec, episodes: int) -> Spec:
 
 
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
-    """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
     if episodes is None:
         return loaded
     return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
@@ -251,7 +241,6 @@ def limited(loaded: Loaded, episodes: int | None) -> Loaded:
 def ablation(
     path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
-    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone."""
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)

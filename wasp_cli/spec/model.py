@@ -161,7 +161,6 @@ class Spec(Config):
         return _over(getattr(self, kind), self.by_task.get(task or "", {}).get(kind))
 
     def method(self, name: str, variant: str = "full", task: str | None = None) -> Config:
-        """Return the configuration of a method in one of its variants: with a task's own settings, or as the spec has it for all."""
         info = METHODS[name]
         section: Config = info.config_model()()
         if name in method_sections():
@@ -189,7 +188,6 @@ class Spec(Config):
 
 
 def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
-    """A section with some other values, validated again."""
     if not values:
         return section
     document = merged(section.model_dump(mode="json"), values)
@@ -273,7 +271,6 @@ def _skill_problems(spec: Spec) -> list[Problem]:
 
 
 def method_sections() -> list[str]:
-    """Return the methods that have a section of their own: those whose name is not also a stage's."""
     return [name for name in METHODS if name not in STAGES]
 
 
@@ -285,7 +282,6 @@ def mixing_stages() -> tuple[str, ...]:
 
 @cache
 def spec_type() -> type[Spec]:
-    """Build `Spec` with one section for each registered stage and method."""
     _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}

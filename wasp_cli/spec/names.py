@@ -25,7 +25,6 @@ RECORDED = "recorded"
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
-    """Return the error for a name that no registry has; its context carries the hint."""
     hint = did_you_mean(name, sorted(known))
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
@@ -106,7 +105,6 @@ OperatorName = Annotated[str, known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
     taken, clean = set(taken), re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
     ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
     return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)

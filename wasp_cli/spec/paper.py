@@ -1,8 +1,5 @@
 """What a paper prints and states: its tables number by number, and its claims as comparisons that rows can answer.
 
-    paper = load_paper()                the paper that this project reproduces, specs/paper.yaml
-    paper = load_paper(Path("x.yaml"))  another one
-
 The file explains its own words; mistakes in it are told as those of a spec are, with file, line and column.
 """
 
@@ -39,15 +36,11 @@ TOLERANT = ("not_lower", "not_higher")
 
 
 class Printed(NamedTuple):
-    """A number as the paper prints it, in the unit of the page."""
-
     mean: float
     spread: float | None = None  # after ±
 
 
 class Who(NamedTuple):
-    """A row of the tables: a method, or an ablation of it."""
-
     method: str
     variant: str = FULL
 
@@ -110,8 +103,6 @@ class PrintedTable(Config):
 
 @dataclass(frozen=True)
 class Comparison:
-    """One question to the rows: how a number of one row stands to another row's, or to a bound."""
-
     task: str
     column: str
     left: Who
@@ -181,7 +172,6 @@ class Paper(Config):
         return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
-        """Return the printed number of a row, from the first table that has it."""
         for table in self.tables:
             row = table.rows.get(task, {}).get(who)
             if row is not None and column in table.columns:

@@ -37,8 +37,6 @@ START = Position(1, 1)
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake: its place, what is wrong, how to fix it, and the line it stands in."""
-
     source: str  # the file as the user named it, or the option that brought the value
     position: Position | None
     message: str
@@ -74,8 +72,6 @@ def _printable(text: str) -> str:
 
 
 class InvalidSpec(SpecError):
-    """A spec with all its problems: file by file as they are first named, each in its order, then those of options."""
-
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
 
@@ -159,7 +155,6 @@ def read(path: Path) -> Source:
 
 
 def parse(text: str, name: str) -> Source:
-    """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text)
     try:
         _refuse_sharing(source)

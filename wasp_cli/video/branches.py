@@ -34,8 +34,6 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 
 class BranchTrace(NamedTuple):
-    """What a branch was; w decisions."""
-
     cost: list[bool]  # [w] c_t
     cost_env: list[int]  # [w]
     reward: list[float]  # [w]
@@ -94,7 +92,6 @@ class BranchPair:
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
-        """Write both branches: step after step, or their last states where the ending is that of a still picture."""
         checked(out, STILL)
         last = max(len(trace.cost) for trace in self.traces.values())
         if out.suffix.lower() in STILL:

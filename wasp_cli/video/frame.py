@@ -161,7 +161,6 @@ class Painter:
 
 
 def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colour: str, kind: str) -> float:
-    """A sample and its name at (x, y); returns where the next one begins."""
     middle = y + 8
     if kind == "dot":
         draw.ellipse((x + 6, middle - 4, x + 14, middle + 4), colour)
@@ -204,7 +203,6 @@ def film_episode(
 
 
 def seconds_of(stored: Episode) -> float:
-    """Return the simulated time of a decision; where nothing says it, something that can be watched."""
     return stored.constants.decision_seconds or 0.1
 
 
@@ -224,8 +222,6 @@ def frames_of(source: Source, stored: Episode, episode: int, correction: Correct
 
 
 class Timeline:
-    """The timeline of the pages as a picture, with a row of all gates that fired, and where its cursor is."""
-
     def __init__(self, episode: Episode, width: int, height: int) -> None:
         self._decisions, self._width = episode.decisions, width
         looked_at = curves(episode)

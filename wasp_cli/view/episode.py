@@ -61,7 +61,6 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
 def episode_view(
     site: Site, cell: ListedCell, stored: Episode, step: int | None = None, film: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Gather what the part of a page about one episode shows (`templates/player.html`)."""
     from wasp_cli.video.map import SEEN
 
     number, branches, problem, live, film = int(stored.row["episode"]), None, "", site.links.live, film or {}
@@ -145,7 +144,6 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
-    """Return lines that were written for a terminal as the content of a `<pre>`, everything escaped."""
     from markupsafe import Markup
 
     console, span = Console(), Markup('<span class="{}">{}</span>')

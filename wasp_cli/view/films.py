@@ -1,9 +1,4 @@
-"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room.
-
-films = Films(Layout(Path("results")))
-films.ask(key, 3, FILM)        begins to draw, where nobody has; returns how far it is
-films.frame(key, 3, FILM, 17)  the bytes of a frame, None while it is not there
-"""
+"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room."""
 
 from __future__ import annotations
 
@@ -42,7 +37,6 @@ NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 class Films:
     def __init__(self, layout: Layout, room: int = ROOM) -> None:
-        """Use a folder within the results, or one of our own where these cannot be written."""
         self._layout, self._room = layout, room
         self._lock = threading.Lock()
         self._drawing: dict[str, subprocess.Popen[bytes]] = {}
@@ -75,11 +69,7 @@ class Films:
             return {**NOTHING, "state": "drawing"}
 
     def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
-        """Return how far a film is.
-
-        `state` is absent, drawing, done, or failed, with `problem`; of a film that is begun `frames`, `ready` of them, decisions between
-        two (`every`) and `legend`.
-        """
+        """Return `state`: absent, drawing, done, or failed, with `problem`; of a film also frames, ready ones, `every` and `legend`."""
         with self._lock:
             return self._state(_name(key, episode, kind, step))
 
@@ -118,7 +108,6 @@ class Films:
         return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({code})"}
 
     def _make_room(self) -> None:
-        """The films that were written longest ago go first."""
         films = []
         for folder in self.folder.iterdir():
             process = self._drawing.get(folder.name)
@@ -171,7 +160,6 @@ Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and 
 
 
 def _require_drawable(stored: Episode) -> int:
-    """Return the env steps of a decision; a UsageError where drawing would import a module that the results name, or last for hours."""
     task, repeat = str(stored.row["task"]), stored.constants.action_repeat
     if task not in TASKS:
         raise UsageError(f"'{task}' is no task of ours: drawing it would run a module that these results name", "wasp replay does so")
@@ -181,7 +169,6 @@ def _require_drawable(stored: Episode) -> int:
 
 
 def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Legend]]:
-    """Draw the map, and beside it what the robot's cameras see; each frame with the legend."""
     from wasp_cli.video.film import film
     from wasp_cli.video.map import legend_of
 

@@ -12,13 +12,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.compare import MEASURES, paired_episodes
 from wasp_cli.console import duration
-from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
+from wasp_cli.errors import ArtifactError, StoreError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs, upstream_first
-from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
@@ -62,7 +60,6 @@ def cells_page(site: Site) -> str:
 
 
 def numbers(site: Site, after: int = 0) -> dict[str, Any]:
-    """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
     known, left = site.cells.numbers()
     return {"left": left, "known": len(known), "numbers": {key: shown.row for key, shown in islice(known.items(), after, None)}}
 
@@ -119,7 +116,6 @@ def _numeric(text: str) -> tuple[float, str]:
 
 
 def _session(site: Site, artifact: FoundCell) -> Iterator[tuple[str, str]]:
-    """Who drove when and how well in time, of a cell that a person drove; names and values, one a line."""
     if artifact.key is None:
         return
     try:
@@ -139,52 +135,6 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
                 yield from _flat(entry, f"{before}{name} {place}: ")
         else:
             yield f"{before}{name}", ", ".join(map(str, part)) if isinstance(part, list) else str(part)
-
-
-def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
-    if not a or not b:
-        raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
-    pair = site.one(a), site.one(b)
-    tables = []
-    for _, artifact in pair:
-        with odd_tables_refused(artifact.path):
-            tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
-    worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}  # both episodes in a world
-    first, second = (site.cells.one(cell).numbers for cell, _ in pair)
-    rows: list[tuple[str, str, str, str]] = []
-    if first is not None and second is not None:
-        paired = paired_episodes(first, second)
-        for column in COLUMNS:
-            texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
-            apart = column.number(paired.differences[column.key].value, sign=True) if paired and column.key in MEASURES else ""
-            rows.append((column.heading, texts[0], texts[1], apart))
-    if world is not None and world not in worlds:
-        raise UsageError(f"not both cells met the world {world}")
-    met = () if world is None else worlds[world]
-    episodes: list[Episode] = []
-    problem = ""
-    try:
-        episodes = [episode.load(artifact, row["episode"]) for (_, artifact), row in zip(pair, met, strict=False)]
-    except WaspError as error:  # where one does not read, neither is shown
-        problem = problem_of(error)
-    differs = first_difference(*episodes) if len(episodes) == 2 else None
-    start = step if step is not None else differs
-    return site.render(
-        "beside.html", " and ".join(cell.label for cell, _ in pair), cells=[cell for cell, _ in pair], rows=rows, world=world,
-        views=[episode.episode_view(site, cell, stored, start) for (cell, _), stored in zip(pair, episodes, strict=False)],
-        problem=problem, differs=differs, worlds=worlds, pair=(a, b),
-    )  # fmt: skip
-
-
-def first_difference(a: Episode, b: Episode) -> int | None:
-    """Return the first decision at which two episodes were driven differently, or were rewarded so; None where there is none."""
-    shared = min(a.decisions, b.decisions)
-    apart = (a.numbers["reward"][:shared] != b.numbers["reward"][:shared]) | (a.costly[:shared] != b.costly[:shared])
-    if a.a.shape[1:] == b.a.shape[1:]:
-        apart |= (a.a[:shared] != b.a[:shared]).any(1) | (a.a_h[:shared] != b.a_h[:shared]).any(1)
-    if apart.any():
-        return int(apart.argmax())
-    return None if a.decisions == b.decisions else shared - 1
 
 
 LISTED = 30  # runs on the first page; the newest ones

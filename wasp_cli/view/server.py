@@ -73,7 +73,6 @@ class ViewServer(LocalServer):
                 site, request.path_params["cell"], request.path_params["number"], _number(request, "step")
             ),
             "/cell/{cell:path}": lambda request: pages.cell_page(site, request.path_params["cell"]),
-            "/compare/cells": self._beside,
             film: lambda request: _json(self._films(request).state(*_film(request))),
             film + "/frame/{frame:int}": self._frame,
             "/report/{spec}": self._report,
@@ -120,7 +119,6 @@ class ViewServer(LocalServer):
         return guarded
 
     def _entered(self, request: Request) -> Response:
-        """The token is right: a cookie has it from now on, and the address is one without it."""
         rest = "&".join(part for part in request.url.query.split("&") if part and not part.startswith("token="))
         answer = RedirectResponse(quote(request.url.path, "/=+%") + (f"?{rest}" if rest else ""), 303)
         answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict", path="/")
@@ -161,10 +159,6 @@ class ViewServer(LocalServer):
         cell, artifact = self.site.one(request.path_params["cell"])
         stored = load(artifact, request.path_params["number"])
         return str(step_part(self.site, cell, stored, _number(request, "step") or 0))
-
-    def _beside(self, request: Request) -> str:
-        a, b = (request.query_params.get(name, "") for name in ("a", "b"))
-        return pages.beside_page(self.site, a, b, _number(request, "world"), _number(request, "step"))
 
     def _films(self, request: Request) -> Films:
         key = request.path_params["key"]
@@ -323,7 +317,6 @@ def _write(site: Site, folder: Path, listed: Mapping[str, ListedCell], episodes:
 
 
 def _drawn(site: Site, cell: ListedCell, number: int, folder: Path) -> tuple[dict[str, Any], str]:
-    """Draw a film in a process of its own, as the server does; what it says of the film, and what went wrong."""
     target = folder / site.links.film(cell, number, FILM)
     target.mkdir(parents=True, exist_ok=True)
     every = max(1, -(-load(site.one(cell.key)[1], number).decisions // FRAMES))

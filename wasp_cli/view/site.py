@@ -37,8 +37,6 @@ COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 
 @dataclass(frozen=True)
 class Shown:
-    """The numbers of a cell, or why there are none."""
-
     numbers: CellNumbers | None
     episodes: int = 0
     reason: str = ""  # why there are none, or what is odd about them
@@ -66,8 +64,6 @@ class Shown:
 
 
 class Cells:
-    """What a folder has; safe to ask from several threads."""
-
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self._listed: list[ListedCell] = []
@@ -148,7 +144,6 @@ class Cells:
         return {**shown, **{key: shown[key].without(episodes) for key, episodes in marked.items()}}
 
     def find(self, text: str) -> tuple[list[ListedCell], FoundCell | None]:
-        """Return the listed cells that a label or the beginning of a key names, and the artifact where it is only one."""
         cells = matching(self.listed(), text)
         if len(cells) > 1:
             # Of several versions of one cell the one of the newest run of its spec is meant; the page names the others.
@@ -205,7 +200,6 @@ class Links:
         return f"/static/{name}" if self.live else name
 
     def report(self, file: str) -> str:
-        """Return a page of a report; the server has none: it may come from elsewhere."""
         return quote(self._reports.get(file, ""))
 
     def shown_report(self, spec: str, layout: Layout) -> str:
@@ -230,9 +224,6 @@ class Links:
     def film(self, cell: ListedCell, number: int, kind: str) -> str:
         return f"/film/{cell.key}/{number}/{kind}" if self.live else f"films/{cell.key}-{number}"
 
-    def beside(self, a: str, b: str, **more: object) -> str:
-        return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}" if self.live else self.cells
-
 
 def _name(cell: ListedCell) -> str:
     return slug(f"{cell.label}-{cell.key[:8]}").replace("=", "-").replace("+", "-")
@@ -247,7 +238,6 @@ class Site:
 
     @property
     def name(self) -> str:
-        """Return the name of the folder; in a bundle, which is for others, without the way to it."""
         return str(self.layout.root) if self.links.live else self.layout.root.absolute().name
 
     def render(self, template: str, title: str, **values: Any) -> str:

@@ -93,7 +93,6 @@ def local(host: str | None) -> bool:
 
 
 def own_origin(host: str | None, origin: str | None) -> bool:
-    """Return whether an Origin is that of the pages that are served here, or is not named: programs need not name one."""
     return origin in (None, f"http://{host}")
 
 

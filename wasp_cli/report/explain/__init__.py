@@ -1,10 +1,5 @@
 """Why an assistant did what it did: one stored episode with what the manifest says of its method, and the timeline of its gates.
 
-    episode = read_episode(find_cell(layout, "611a4993"), 3)
-    episode_lines(episode, width, command)    `text`: totals, runs of decisions under one gate, costs without a gate
-    decision_lines(episode, 57, width)        one decision: command, gates, plan, what then happened
-    episode_json(episode)                     `facts`: the same as JSON values; decision_json(episode, 57) likewise
-
 Letters: T decisions of the episode, A actions, L residual steps, I iterations of the planner.
 """
 
@@ -107,7 +102,7 @@ class Episode:
 
     @property
     def signal(self) -> Signal:
-        return signal_of(self.method)
+        return METHODS[self.method].signal if self.method in METHODS else Signal()
 
     @property
     def signal_limit(self) -> float | None:
@@ -144,10 +139,6 @@ class Episode:
     def late(self) -> Bools:
         late: Bools = self.costly & (self.gate == GATE_LATE)
         return late
-
-
-def signal_of(method: str) -> Signal:
-    return METHODS[method].signal if method in METHODS else Signal()
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
@@ -200,7 +191,6 @@ def _floats(values: list[float | None]) -> Floats:
 
 
 def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:
-    """An empty list says as little as none; NaN inside is no plan either."""
     return tuple(None if not value or any(part is None or part != part for part in value) else tuple(value) for value in values)
 
 
@@ -225,14 +215,9 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
-        **counts,
-        takeover=takeover,
-        bootstrap_cost=bootstrap,
-        gamma_c=gamma_c if isinstance(gamma_c, float) else None,
-        vote=of("vote", float),
-        action_repeat=repeat,
-        decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
-    )
+        **counts, takeover=takeover, bootstrap_cost=bootstrap, gamma_c=gamma_c if isinstance(gamma_c, float) else None,
+        vote=of("vote", float), action_repeat=repeat, decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
+    )  # fmt: skip
 
 
 def imagines_expert(cell: FoundCell) -> bool:
@@ -265,8 +250,6 @@ BASE = (("base", STRIP),)
 
 
 class Lane(NamedTuple):
-    """A row of a timeline, `height` px high; x counts decisions."""
-
     name: str
     height: int
     levels: Sequence[tuple[str, float | str]]  # horizontal lines: their class and height from above in px
@@ -292,7 +275,6 @@ class Curve(NamedTuple):
 
 
 def curves(episode: Episode) -> list[Curve]:
-    """Return what the method looks at; a method without a signal of its own shows its deviation."""
     numbers, limits = episode.numbers, episode.thresholds
     if episode.gated:
         return [Curve("Ḡᶜ", numbers["g_cost"], limits.tau_c, "τ_c"), Curve("ΔG", numbers["delta_g"], limits.tau_r, "τ_r")]

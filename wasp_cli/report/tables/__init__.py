@@ -100,7 +100,6 @@ class Table:
         return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
 
     def shown_labels(self, row: int) -> list[str]:
-        """Return the labels of a row as people read them: a group is named once."""
         labels = list(self.rows[row].labels)
         if self.grouped and not self.starts_group(row):
             labels[: self.grouping] = [""] * self.grouping

@@ -152,7 +152,6 @@ def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[s
 
 
 def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
-    """Return a number of every row: [n], NaN where there is none."""
     return np.array([row.get(name) for row in rows], np.float64)
 
 
@@ -204,7 +203,6 @@ class _Training:
         return over_seeds(numbers, ranked=False)
 
     def tells(self, parts: Sequence[Part], name: str) -> bool:
-        """Whether a part knows the number, be it undefined."""
         return any(name in self.summaries.get(part, {}) for part in parts)
 
     def missing(self, parts: Sequence[Part]) -> list[Part]:

@@ -122,7 +122,6 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw how often an imagined cost came true, by its predicted probability; a row for each task, a column for each set of episodes."""
     diagrams = list(reliabilities(layout, trained))
     tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:
@@ -143,7 +142,6 @@ def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | Non
 
 
 def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
-    """The lines of a panel: marks grow with their rows, and all seeds of a step look the same."""
     for i, step in enumerate(STEPS):
         own = [each for each in diagrams if each.step == step]
         errors = [each.error for each in own if np.isfinite(each.error)]

@@ -59,7 +59,6 @@ def of_environment(name: str) -> Iterator[None]:
 
 @contextmanager
 def calling(part: str) -> Iterator[None]:
-    """Call code of another in the block, which must neither end this process nor print its traceback."""
     try:
         yield
     except TaskError:
@@ -91,19 +90,12 @@ def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
     if "goals" in info:
         goals = _finite("info['goals'] is", info["goals"], "the number of goals reached so far in the episode", least=0.0, whole=True)
     return EnvStep(
-        seen,
-        reward,
-        _flag("terminated", terminated),
-        _flag("truncated", truncated),
-        cost,
-        _sources(info, cost),
-        None if goals is None else int(goals),
-        _flag("info['success']", info.get("success", False)),
-    )
+        seen, reward, _flag("terminated", terminated), _flag("truncated", truncated), cost, _sources(info, cost),
+        None if goals is None else int(goals), _flag("info['success']", info.get("success", False)),
+    )  # fmt: skip
 
 
 def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
-    """What a call returned, of which the last value has to be an info."""
     if not isinstance(returned, tuple) or len(returned) != size:
         got = f"{len(returned)} values" if isinstance(returned, tuple) else f"a single {type(returned).__name__}"
         raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
@@ -162,12 +154,7 @@ class Facts:
 
 
 def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
-    """Make the environment `name` once per process, drive it for a step, and return what it says of itself.
-
-    Args:
-        name: `module:Id-v0`, or an id that is registered already.
-        tasks: what else `name` could stand for, to be suggested where there is no such id.
-    """
+    """Make the environment `name` (`module:Id-v0`, or a registered id) once per process; `tasks` are for suggestions."""
     # What modules and environments print as they start must not get between the lines of a plan that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
         find_spec(name, tasks)
@@ -195,12 +182,7 @@ def _examined(name: str) -> Facts:
 
 
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
-    """Return the registration of an id; the module before the colon is imported first, and registers it.
-
-    Args:
-        name: as for `examine`.
-        tasks: as for `examine`.
-    """
+    """Return the registration of an id; the module before the colon is imported first, and registers it."""
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
     if module:

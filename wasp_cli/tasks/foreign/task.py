@@ -23,15 +23,7 @@ Ints = NDArray[np.int64]
 
 
 class GymTask:
-    """B environments of the gymnasium id `name` as a `VectorTask`; see there for the meaning of every member.
-
-    Args:
-        name: `module:Id-v0`, or an id that is registered already.
-        batch: B.
-        action_repeat: env steps per decision step.
-        observe: fields of `Observation` to fill.
-        threads: has no effect; the environments are stepped one after the other.
-    """
+    """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect, they are stepped one after the other."""
 
     def __init__(
         self,
@@ -144,14 +136,9 @@ class GymTask:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {
-            "env_steps": self._env_steps,
-            "goals": self._goals,
-            "ended": self._ended,
-            "terminated": self._terminated,
-            "pixels": self._pixels,
-            "state": self._state,
-            "privileged": self._privileged,
-        }
+            "env_steps": self._env_steps, "goals": self._goals, "ended": self._ended, "terminated": self._terminated,
+            "pixels": self._pixels, "state": self._state, "privileged": self._privileged,
+        }  # fmt: skip
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         check_begun(self._begun)

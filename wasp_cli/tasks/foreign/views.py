@@ -34,7 +34,6 @@ class _Camera:
     shape: tuple[int, ...]  # of the image as the observation holds it
 
     def image(self, observation: Any) -> Pixels:
-        """Return the image as it is, checked: uint8, of the shape of its space."""
         image = np.asarray(observation if self.entry is None else _entry(observation, self.entry))
         if image.shape != self.shape or image.dtype != np.uint8:
             which = "its observation" if self.entry is None else f"its observation '{self.entry}'"
