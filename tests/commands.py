@@ -6,7 +6,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from wasp_cli import console
-from wasp_cli.cli.app import app
+from wasp_cli.cli import app
 
 
 def run_here(*arguments: str | Path, columns: int | None, code: int | None = None) -> Result:

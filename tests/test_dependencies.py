@@ -10,8 +10,6 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 """Distributions whose module has another name."""
-OPTIONAL = {"minari"}
-"""Of which an error says how to install it: no extra holds it."""
 
 
 def modules_of(source: str) -> set[str]:
@@ -35,7 +33,7 @@ def declared(*extras: str) -> set[str]:
 def test_every_import_is_declared():
     imported: dict[str, set[str]] = {}
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
-        for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - OPTIONAL - {"wasp_cli"}:
+        for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - {"wasp_cli"}:
             imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
     missing = {
         module: places

@@ -14,12 +14,11 @@ from PIL import Image
 
 import wasp_cli
 from tests.commands import run_here
-from wasp_cli.cli.app import app
+from wasp_cli.cli import app
 from wasp_cli.drive.session import shipped
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.spec.derived import ablation, read_sweep
-from wasp_cli.spec.load import load
+from wasp_cli.spec.load import ablation, load, read_sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 

@@ -25,7 +25,7 @@ ALLOWED: Mapping[str, str] = {
     "run/worker.py": "the stage that a node names, in the process that runs it",
     "run/pool.py": "whether dask or ray is installed, without importing it",
     "learning/configs/__init__.py": "the file of a section that is asked for, so that a stage's closure has its own group alone",
-    "plan/closure.py": "where the source of a package lies, without importing it",
+    "plan/node.py": "where the source of a package lies, without importing it",
     "cli/options.py": "the registry whose names are offered, imported when it is asked for",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a package that nobody has imported",

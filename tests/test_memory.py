@@ -13,7 +13,7 @@ COUNT = """\
 import resource
 import torch
 from tests.benchmarks.decisions import Setup, configs
-from wasp_cli.memory import keep_memory
+from wasp_cli.run.worker import keep_memory
 
 def faults():
     decide()

@@ -76,7 +76,7 @@ MISTAKES = {
 }
 CHECK = """
 import sys
-from wasp_cli.cli.app import main
+from wasp_cli.cli import main
 
 for source in %r:
     sys.modules.pop("halfway", None)

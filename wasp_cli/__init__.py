@@ -12,7 +12,7 @@ TYPE_CHECKING = False  # nothing is imported here, `typing` neither: `wasp_cli._
 if TYPE_CHECKING:
     from typing import Any
 
-    from wasp_cli.notebook.results import open_results as results
+    from wasp_cli.notebook import open_results as results
     from wasp_cli.notebook.world_model import load_world_model
 
 __version__ = "0.2.0"
@@ -22,7 +22,7 @@ __all__ = ["__version__", "load_world_model", "results"]
 def __getattr__(name: str) -> "Any":
     # Imported when they are asked for: importing the package must take no time, and the command line needs neither.
     if name == "results":
-        from wasp_cli.notebook.results import open_results
+        from wasp_cli.notebook import open_results
 
         return open_results
     if name == "load_world_model":

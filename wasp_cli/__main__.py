@@ -14,7 +14,7 @@ def main() -> None:
         from wasp_cli.console import end_at_once
 
         end_at_once()
-        from wasp_cli.cli.app import main as run
+        from wasp_cli.cli import main as run
 
         try:
             run()

@@ -44,7 +44,7 @@ if __name__ == "__main__":
     sys.path.insert(0, checkout)
     import torch
 
-    from wasp_cli.memory import keep_memory
+    from wasp_cli.run.worker import keep_memory
 
     keep_memory()  # as every worker does
     torch.set_num_threads(1)

@@ -20,9 +20,16 @@ from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.summarize import draw_figures
-from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_table
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.main import (
+    ablation_table,
+    detail_table,
+    latency_table,
+    main_table,
+    operator_table,
+    severity_table,
+    threshold_table,
+)
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity, Thresholds, cell_tables, write_episodes
 

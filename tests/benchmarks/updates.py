@@ -22,7 +22,7 @@ def wasp(report: Any) -> None:
     from wasp_cli.learning.configs import WorldModelConfig
     from wasp_cli.learning.privileged_state import new_readout
     from wasp_cli.learning.shards import Recording
-    from wasp_cli.memory import keep_memory
+    from wasp_cli.run.worker import keep_memory
     from wasp_cli.tasks.privileged_layout import privileged_mirror
     from wasp_cli.tasks.registry import TASKS
 
@@ -62,7 +62,7 @@ def dreamer(report: Any) -> None:
     from gymnasium import spaces
 
     from wasp_cli.learning.configs import WorldModelConfig
-    from wasp_cli.memory import keep_memory
+    from wasp_cli.run.worker import keep_memory
 
     keep_memory()
     ours = WorldModelConfig()

@@ -76,7 +76,7 @@ def test_without_its_packages_a_command_says_what_to_install(
 
 LIGHT = """
 import sys
-from wasp_cli.cli.app import main
+from wasp_cli.cli import main
 for arguments, heavy in %r:
     sys.argv[1:] = arguments
     try:

@@ -14,16 +14,14 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.report.conftest import without_figures
-from wasp_cli.cli.app import app
-from wasp_cli.cli.command import GROUPS
-from wasp_cli.cli.options import method_names, setting_names, task_names, variant_names
+from wasp_cli.cli import app
+from wasp_cli.cli.options import GROUPS, method_names, setting_names, task_names, variant_names
 from wasp_cli.errors import UnknownName, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.spec.derived import restricted, sized
 from wasp_cli.spec.hints import settings
-from wasp_cli.spec.load import load
+from wasp_cli.spec.load import load, restricted, sized
 from wasp_cli.spec.shipped import shipped_names
 from wasp_cli.tasks.registry import TASKS
 
@@ -160,7 +158,7 @@ WASP = (
     "import atexit, sys\n"
     "sys.argv[0] = 'wasp'\n"
     f"atexit.register(lambda: print('HEAVY', [name for name in {HEAVY} if name in sys.modules], file=sys.stderr))\n"
-    "from wasp_cli.cli.app import main\n"
+    "from wasp_cli.cli import main\n"
     "main()\n"
 )
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.compare.two_runs import episodes, write_results
-from wasp_cli.compare.runs import MEASURES, Compared, Side, State, compare
+from wasp_cli.compare import MEASURES, Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wasp_cli.compare.runs import EXACT, MEASURES, corrected, paired_episodes
+from wasp_cli.compare import EXACT, MEASURES, corrected, paired_episodes
 from wasp_cli.report.bootstrap import difference_of
 from wasp_cli.report.stats import CellNumbers, Floats
 from wasp_cli.store.tables import CellIdentity

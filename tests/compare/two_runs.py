@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.report.invented import invent, write_rows
 from tests.store.untrusted import write_run_of
-from wasp_cli.compare.runs import Side
+from wasp_cli.compare import Side
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
-from wasp_cli.cli.app import app
+from wasp_cli.cli import app
 from wasp_cli.drive import block
 from wasp_cli.drive.check import Habits, Timing, checked_blocks, warning
 from wasp_cli.drive.command import drive_session

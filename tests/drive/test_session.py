@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.drive.conftest import harmed, served, swept_before_commit, wanted
-from wasp_cli.cli.app import app
+from wasp_cli.cli import app
 from wasp_cli.drive.check import Habits, drive, to_the_goal
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk

@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
-from wasp_cli.cli.app import app
+from wasp_cli.cli import app
 from wasp_cli.drive.block import Block
 from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.errors import UsageError
 from wasp_cli.report.summarize import TABLES
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.goal.task import Goal

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from wasp_cli.spec.study import balanced_order
+from wasp_cli.spec.model import balanced_order
 
 
 @pytest.mark.parametrize("conditions", range(1, 10))

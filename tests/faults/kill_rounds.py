@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 import torch  # noqa: F401  (imported before the forks)
 
-import wasp_cli.cli.app
+import wasp_cli.cli
 import wasp_cli.cli.run
 import wasp_cli.drive.command
 import wasp_cli.report.summarize
@@ -45,7 +45,7 @@ BEFORE = "before.json"
 def wasp(*arguments: object) -> None:
     """Be `wasp ARGUMENTS`, to the end of this process."""
     sys.argv = ["wasp", *map(str, arguments)]
-    wasp_cli.cli.app.main()
+    wasp_cli.cli.main()
 
 
 def ends_well(*arguments: object) -> None:

@@ -9,7 +9,7 @@ from tests.compare.two_runs import write_results
 from tests.run.harness import ROOT
 from tests.view.conftest import viewed
 from tests.view.test_cells import numbers
-from wasp_cli.compare.runs import Side, compare
+from wasp_cli.compare import Side, compare
 from wasp_cli.report.stats import COLUMNS, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.store.tables import EPISODES_FILE

@@ -21,7 +21,7 @@ from tests.store.folders import folder_of_cells
 from tests.test_docs import ROOT, blocks
 from tests.video.replayed import CELL, made_store
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.notebook.results import Results
+from wasp_cli.notebook import Results
 from wasp_cli.store.tables import cell_file, read_episodes
 
 GOLDEN = Path(__file__).parents[1] / "golden"

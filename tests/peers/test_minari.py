@@ -7,9 +7,6 @@ import pytest
 
 import wasp_cli.tasks.gym  # noqa: F401  # registers the ids
 from tests.peers import IDS
-from wasp_cli.errors import ArtifactError
-from wasp_cli.learning.rerun import Recorded
-from wasp_cli.notebook.minari import written
 
 
 @pytest.mark.filterwarnings("ignore:`eval_env` is set to None|.*is set to None. For .*:UserWarning")
@@ -48,28 +45,3 @@ def test_what_it_recorded_plays_again(name, observation, tmp_path, monkeypatch):
 def _pairs(recorded, seen):
     """Of every entry of an observation: what was recorded of all steps, and what is seen now."""
     return [(recorded[name], seen[name]) for name in seen] if isinstance(seen, dict) else [(recorded, seen)]
-
-
-@pytest.mark.filterwarnings("ignore:`eval_env` is set to None|.*is set to None. For .*:UserWarning")
-def test_a_recorded_cell_becomes_a_dataset(tmp_path, monkeypatch):
-    """Executed actions as they were, with the operator's commands beside them; another episode is refused."""
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    env = gymnasium.make(IDS[0], observation="vision", action_repeat=50)
-    random, actions, rewards = np.random.default_rng(1), [], []
-    env.reset(seed=7)
-    done = False
-    while not done:
-        actions.append(random.uniform(-1, 1, 2).astype(np.float32))
-        _, reward, terminated, truncated, _ = env.step(actions[-1])
-        rewards.append(np.float32(reward))
-        done = terminated or truncated
-    commands = np.stack(actions) * 0.5
-    recorded = Recorded([7], [commands], [np.stack(actions)], [np.array(rewards)])
-    dataset = written("wasp/person-v0", IDS[0], recorded, 50, "vision", "a cell")
-    (episode,) = dataset.iterate_episodes()
-    np.testing.assert_array_equal(episode.actions, np.stack(actions))
-    np.testing.assert_array_equal(episode.infos["command"][:-1], commands)
-    assert np.isnan(episode.infos["command"][-1]).all()
-    other = recorded._replace(reward=[np.array(rewards) + 1])
-    with pytest.raises(ArtifactError, match="another one from decision 0"):
-        written("wasp/other-v0", IDS[0], other, 50, "vision", "a cell")

@@ -16,11 +16,9 @@ from tests.plugins import forget
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan import closure as module
-from wasp_cli.plan import node as keys
-from wasp_cli.plan.closure import closure, closure_hash, source_hash
+from wasp_cli.plan import node as module
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.node import LENGTH, canonical, key_of, libraries, recipe_of
+from wasp_cli.plan.node import LENGTH, canonical, closure, closure_hash, key_of, libraries, recipe_of, source_hash
 from wasp_cli.registry import module_of
 from wasp_cli.spec.model import validate
 from wasp_cli.spec.names import training_stages
@@ -314,9 +312,9 @@ def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeyp
     key, recipe = key_of(identity), recipe_of(identity)
     with monkeypatch.context() as other:
         changed = libraries() | {"torch": "0.1"}
-        other.setattr(keys, "libraries", lambda: changed)
+        other.setattr(module, "libraries", lambda: changed)
         assert key_of(identity) != key
         assert recipe_of(identity) == recipe
-    monkeypatch.setattr(keys, "SCHEMA", keys.SCHEMA + 1)
+    monkeypatch.setattr(module, "SCHEMA", module.SCHEMA + 1)
     assert key_of(identity) != key
     assert recipe_of(identity) != recipe

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from tests.plugins import forget
-from wasp_cli.plan import closure as module
+from wasp_cli.plan import node as module
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
 
 ROOT = Path(__file__).parents[2]
 SCIENCE = frozenset({"learning", "methods", "metrics", "models", "operators", "stages", "store", "tasks"})
 """Rooms whose source may be in a key."""
-SHARED = frozenset({"config", "memory", "registry", "seeds"})
+SHARED = frozenset({"config", "registry", "seeds"})
 """Modules beside the rooms that science is built on."""
 ROOMS = sorted(
     path.stem

@@ -16,18 +16,18 @@ from typing import Any
 from tests.report.invented import invent, write
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.report.stats import Wanted, read_frame
-from wasp_cli.report.tables.by_axis import Condition, Swept
+from wasp_cli.report.sweep import Swept
 from wasp_cli.store.tables import CellIdentity
 
 NUMBERS: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))
 """Values as they are written, and as a file has them."""
-CONDITIONS: tuple[Condition, ...] = (("noisy", 0.2), ("noisy", 0.6))
+CONDITIONS: tuple[tuple[str, float], ...] = (("noisy", 0.2), ("noisy", 0.6))
 
 
 def invent_sweep(
     folder: Path,
     values: Sequence[tuple[str, Any]] = NUMBERS,
-    conditions: Sequence[Condition] = CONDITIONS,
+    conditions: Sequence[tuple[str, float]] = CONDITIONS,
     seeds: Sequence[int] = (0, 1),
     methods: Sequence[str] = ("diffusion",),
     task: str = "goal1",

@@ -8,7 +8,7 @@ import pytest
 
 from tests.report.explained import NAN, PRINTED, Invented, decision_text, episode_text, text_of
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.episode import Episode
+from wasp_cli.report.explain import Episode
 from wasp_cli.report.explain.facts import decision_json, decision_of, exceeds, merged_runs, places_of, runs_of
 from wasp_cli.report.explain.text import MOST_RUNS, episode_lines
 from wasp_cli.store.tables import Thresholds

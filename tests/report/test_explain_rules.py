@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.commands import run_here
 from tests.report.explained import KEY, NAN, PRINTED, WASP, Invented, decision_text, episode_text, text_of
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK, Plans, episode_metrics
-from wasp_cli.report.explain.episode import Episode, timeline
+from wasp_cli.report.explain import Episode, timeline
 from wasp_cli.report.explain.facts import decision_json, episode_json, merged_runs, places_of, runs_of
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.tables import Thresholds

@@ -11,6 +11,7 @@ import pytest
 
 from wasp_cli.report.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.people import (
     WORKLOAD,
     Sitting,
@@ -21,8 +22,7 @@ from wasp_cli.report.tables.people import (
     people_tables,
     read_people,
 )
-from wasp_cli.report.tables.table import Table
-from wasp_cli.spec.study import QUESTIONS, balanced_order
+from wasp_cli.spec.model import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
 from wasp_cli.store.tables import CellIdentity
@@ -47,7 +47,7 @@ def sitting(participant: int, method: str, place: int, value: float, *, simulate
     identity = CellIdentity("goal1", method, "full", "person", float(participant), 0)
     pooled = {"return": value, "success": 1.0, "cost": 2.0 * value, "int_rate": 0.1 * BETTER[method]}
     cell = CellNumbers(identity, f"p{participant}", pooled, {})
-    return Sitting(cell, place, answers or {}, beats([False] * 8 + [True] * 2), simulated, cut=1, pauses=2, lost=0)
+    return Sitting(cell, place, answers or {}, beats([False] * 8 + [True] * 2), simulated)
 
 
 def study(participants: int = 8) -> list[Sitting]:
@@ -118,7 +118,6 @@ def test_decisions_that_were_late_are_counted() -> None:
     found = table(people_tables(study()), "timing")
     assert value(found, "IDA", "decisions").mean == 80
     assert value(found, "IDA", "late_share").mean == pytest.approx(0.2)
-    assert (value(found, "IDA", "cut").mean, value(found, "IDA", "pauses").mean) == (8, 16)
 
 
 def test_the_age_of_a_key_counts_where_it_is_new() -> None:
@@ -142,8 +141,8 @@ def test_scripts_do_not_pass_for_people() -> None:
     ("session", "said"),
     [
         ("{", "damaged"),
-        ('{"cut": 3, "sittings": []}', "is not as wasp writes it"),
-        ('{"cut": [], "sittings": [], "answers": {"tlx": 7}}', "is not as wasp writes it"),
+        ('{"block": [3]}', "is not as wasp writes it"),
+        ('{"answers": {"tlx": 7}}', "is not as wasp writes it"),
         ("[]", ""),
         (None, "is missing"),
     ],
@@ -151,7 +150,7 @@ def test_scripts_do_not_pass_for_people() -> None:
 def test_damage_is_said_and_the_rest_is_read(tmp_path: Path, session: str | None, said: str) -> None:
     whole, other = sitting(1, "human", 0, 1.0), sitting(2, "human", 0, 1.0)
     wanted = []
-    for each, text in ((whole, json.dumps({"cut": [], "sittings": [{"pauses": 2}], "block": 1})), (other, session)):
+    for each, text in ((whole, json.dumps({"block": 1})), (other, session)):
         folder = tmp_path / str(each.participant)
         folder.mkdir()
         write_table(each.beats, folder / TIMING_FILE)
@@ -159,6 +158,6 @@ def test_damage_is_said_and_the_rest_is_read(tmp_path: Path, session: str | None
             (folder / SESSION_FILE).write_text(text)
         wanted.append(Wanted(each.cell.identity, "a cell", folder / "episodes.parquet"))
     found, damaged = read_people(wanted, Frame((whole.cell, other.cell)))
-    assert [(each.participant, each.place, each.pauses) for each in found] == [(1, 1, 2)]
+    assert [(each.participant, each.place) for each in found] == [(1, 1)]
     assert len(damaged) == 1
     assert said in damaged[0]

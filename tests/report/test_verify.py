@@ -86,7 +86,7 @@ def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Pa
     assert {"goal1/table/IDA", "goal1/table/Human-only", "goal1/s0/Expert"} <= runs.keys()
     numbers = EventAccumulator(str(runs["goal1/table/IDA"]))
     numbers.Reload()
-    from wasp_cli.notebook.results import open_results
+    from wasp_cli.notebook import open_results
 
     rows = open_results(results).table().to_pylist()
     (row,) = [row for row in rows if row["method"] == "IDA"]

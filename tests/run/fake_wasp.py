@@ -10,7 +10,7 @@ from types import SimpleNamespace
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-    import wasp_cli.cli.app
+    import wasp_cli.cli
     import wasp_cli.cli.run
     from tests.run import fake_stages
     from wasp_cli.console import out
@@ -26,4 +26,4 @@ if __name__ == "__main__":
         return SimpleNamespace(missing=())
 
     wasp_cli.cli.run.show_report = show_cells
-    wasp_cli.cli.app.main()
+    wasp_cli.cli.main()

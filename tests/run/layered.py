@@ -12,8 +12,7 @@ import pytest
 from tests.run.harness import SMALL, faked
 from wasp_cli.console import err
 from wasp_cli.plan import grid, reasons
-from wasp_cli.plan.closure import closure
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, closure
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.publish import carry_publication, publication

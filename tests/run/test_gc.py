@@ -18,7 +18,7 @@ from tests.commands import run_here
 from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import key, planned, process, write_run
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.notebook.results import open_results
+from wasp_cli.notebook import open_results
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import reach

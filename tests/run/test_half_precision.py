@@ -10,7 +10,7 @@ from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.plan.test_plan import text_of
 from tests.run.layered import fresh_console, plan, run
-from wasp_cli.compare.runs import Causes
+from wasp_cli.compare import Causes
 from wasp_cli.run.publish import carry_publication, publication
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load

@@ -6,8 +6,8 @@ from tests.plan.test_plan import text_of
 from tests.run.harness import data_of
 from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, kinds, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.plan import reasons
-from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.node import closure
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load

@@ -24,8 +24,7 @@ from wasp_cli.run.pool import InlinePool, LokyPool, _signals_wait
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.worker import execute
-from wasp_cli.spec.derived import limited
-from wasp_cli.spec.load import Loaded, load
+from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held

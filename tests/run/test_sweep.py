@@ -9,7 +9,7 @@ from wasp_cli.errors import CellsFailed, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
-from wasp_cli.spec.derived import read_sweep
+from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 

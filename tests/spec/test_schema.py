@@ -219,7 +219,7 @@ def test_an_installed_wheel_has_the_specs_and_the_published_parts(installed, tmp
 import sys
 sys.path.insert(0, {str(installed)!r})
 import wasp_cli
-from wasp_cli.cli.app import main
+from wasp_cli.cli import main
 
 print(wasp_cli.__file__)
 for command in (["check", "quickstart", "specs/table1.yaml", "paper"], ["plan", "quickstart", "--json"]):

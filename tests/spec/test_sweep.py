@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import UsageError
-from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, values_of
+from wasp_cli.spec.load import CELLS, Sweep, read_sweep, values_of
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.read import InvalidSpec
 

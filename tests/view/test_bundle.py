@@ -25,7 +25,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("bundle")
     results = brought(folder / "results", BRANCHED, HUMAN)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wasp_cli.view.bundle.FRAMES", 25)
+        patch.setattr("wasp_cli.view.server.FRAMES", 25)
         done = run_here("view", results, "--bundle", folder / "pages", "--cell", BRANCHED, "--episodes", "0,1", columns=200)
     assert done.exit_code == 0, done.output
     assert "2 cells, 1 episodes, 1 films" in done.stdout

@@ -10,7 +10,7 @@ import pytest
 from tests.commands import run_here
 from tests.view.conftest import viewed
 from tests.view.test_server import ask
-from wasp_cli.notebook.results import open_results
+from wasp_cli.notebook import open_results
 from wasp_cli.view.server import ViewServer
 
 SPEC = "extends: field\nname: part\ntasks: [goal1]\nmethods: [human, ida, wasp]\nseeds: [313]\n"

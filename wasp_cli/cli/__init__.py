@@ -1,1 +1,38 @@
-"""The command line: a file for each group of commands. Each command parses, makes one call and returns an exit code."""
+"""The `wasp` program. Each command parses, makes one call and returns an exit code; heavy imports are inside the commands."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from wasp_cli import __version__
+from wasp_cli.cli import doctor, drive, inspect, report, run, spec  # noqa: F401 (each adds its commands)
+from wasp_cli.cli.options import app, flag
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"wasp {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main_options(
+    debug: Annotated[bool, flag("--debug", "Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
+    version: Annotated[bool, flag("--version", "Print the version and exit.", callback=_print_version, is_eager=True)] = False,
+) -> None:
+    """Take the options of every command."""
+    if debug:
+        os.environ["WASP_DEBUG"] = "1"
+
+
+def main() -> None:
+    os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working directory, which may be somebody's results
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # an ASCII terminal shows ? where it has no character
+            stream.reconfigure(errors="replace")
+    app([*(["--debug"] if "--debug" in sys.argv[1:] else []), *(word for word in sys.argv[1:] if word != "--debug")])

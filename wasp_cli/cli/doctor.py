@@ -9,8 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from wasp_cli.cli.command import command
-from wasp_cli.cli.options import RESULTS, ResultsOption
+from wasp_cli.cli.options import RESULTS, ResultsOption, command
 from wasp_cli.console import out
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.registry import Registry, load_target
@@ -49,7 +48,6 @@ class Finding(NamedTuple):
 
 
 def examine(results: Path) -> Iterator[Finding]:
-    """Check everything that a run can use. Imports torch and MuJoCo."""
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         try:

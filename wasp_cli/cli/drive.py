@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import (
     RESULTS,
     Folder,
@@ -20,9 +19,11 @@ from wasp_cli.cli.options import (
     SetOption,
     Sized,
     argument,
+    command,
     flag,
     method_names,
     option,
+    print_json,
     require_extra,
 )
 from wasp_cli.cli.report import show_report

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import argument, directory, flag, option, require_extra
+from wasp_cli.cli.options import argument, command, directory, flag, option, print_json, require_extra
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.store.layout import Layout
@@ -111,7 +110,7 @@ def explain(
     read.
     """
     from wasp_cli.plan.recorded import keys_of
-    from wasp_cli.report.explain.episode import read_episode
+    from wasp_cli.report.explain import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.text import decision_lines, episode_lines
     from wasp_cli.store.find import find_cell
@@ -215,7 +214,7 @@ def view(
     through an SSH tunnel they work from elsewhere. Nothing of the results is executed or changed.
     """
     require_extra("web", "starlette", "uvicorn")
-    from wasp_cli.view.bundle import bundle as write_bundle
+    from wasp_cli.view.server import bundle as write_bundle
     from wasp_cli.view.server import serve
     from wasp_cli.view.site import site_of
 

@@ -1,6 +1,7 @@
-"""Arguments and options that commands share: single ones, groups of them, which a command takes as one parameter, and what a shell offers.
+"""How a function becomes a command of `wasp`: its options, its help, and how an expected error ends it.
 
-What is offered is imported when it is asked for: every command loads this module. Names in registries need neither torch nor MuJoCo. A
+And the options that commands share: single ones, groups of them, which a command takes as one parameter, and what a shell offers. What is
+offered is imported when it is asked for: every command loads this module. Names in registries need neither torch nor MuJoCo. A
 plugin that does not load offers nothing, instead of a traceback.
 """
 
@@ -8,21 +9,159 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
+import json
+import os
 import re
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from wasp_cli.errors import UnknownName, UsageError, WaspError
+from wasp_cli.console import INTERRUPTED, end_in_order, report_error, silence
+from wasp_cli.errors import UnknownName, UsageError, WaspError, refusal
 from wasp_cli.registry import load_target
 from wasp_cli.spec.shipped import shipped_names
 
 if TYPE_CHECKING:
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
+
+
+PIPE_CLOSED = 141
+GROUPS = {  # all commands, as `wasp --help` lists them: each with the first sentence of its docstring
+    "Start": ("run", "report", "view", "drive"),
+    "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
+    "Compare": ("sweep", "ablate", "compare"),
+    "Follow": ("status", "logs"),
+    "Look into": ("show", "explain", "replay", "note", "export"),
+    "Maintain": ("publish", "verify", "gc", "doctor"),
+}
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+class _Group(TyperGroup):
+    """All commands, whose help fits on one screen; that of a command is Typer's."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            typer.echo(self.get_help(ctx))
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2, 0, 0))
+        for style in ("dim", "bold cyan", ""):
+            table.add_column(style=style, no_wrap=bool(style))
+        for title, names in GROUPS.items():
+            table.add_row()
+            for name in names:
+                table.add_row(title if name == names[0] else "", name, self.commands[name].get_short_help_str(limit=1000))
+        options = ", ".join(name for parameter in self.get_params(ctx) for name in parameter.opts)
+        console = Console(highlight=False)
+        with console.capture() as shown:
+            console.print(self.get_usage(ctx), f"\n{self.help}", table, f"\nOptions: {options}", sep="\n", markup=False)
+        formatter.write(shown.get())
+
+
+class _Command(TyperCommand):
+    def get_params(self, ctx: Any) -> list[Any]:
+        params: list[Any] = super().get_params(ctx)
+        for param in params:
+            if getattr(param, "is_flag", False) and param.metavar is None:
+                param.metavar = ""
+        return params
+
+
+HELP = """\
+Run experiments in shared autonomy. A spec says which; results go to results/.
+Start here: wasp run quickstart, then: wasp report results/
+Drive: wasp drive race1. Check: wasp verify. Your own: docs/extending.md"""
+app = typer.Typer(name="wasp", cls=_Group, help=HELP, rich_markup_mode="rich", pretty_exceptions_enable=False)
+
+
+def command(*examples: str, codes: str = "", name: str | None = None) -> Callable[[Command], Command]:
+    """Make a function a command: its docstring is the help, its parameters are the options.
+
+    A parameter whose type is a dataclass stands for the fields of it, so that commands share options.
+    """
+    shown = "   ·   ".join(f"[bold]{example}[/]" for example in examples)
+    epilog = f"{shown}\n\nExit codes: {codes}." if codes else shown
+
+    def registered(function: Command) -> Command:
+        app.command(name, cls=_Command, epilog=epilog)(_expecting_errors(_flat(function)))
+        return function
+
+    return registered
+
+
+def _flat(function: Callable[..., None]) -> Callable[..., None]:
+    """Take the fields of parameters that are dataclasses as parameters of their own."""
+    hints = get_type_hints(function, include_extras=True)
+    shared: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(function).parameters.values():
+        group = shared.get(parameter.name)
+        types = get_type_hints(group, include_extras=True) if group else hints
+        for option in inspect.signature(group).parameters.values() if group else [parameter]:
+            parameters.append(option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=types[option.name]))
+
+    @functools.wraps(function)
+    def flat(**values: Any) -> None:
+        for name, kind in shared.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        function(**values)
+
+    flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    flat.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    # Help is the docstring, and its paragraphs are wrapped to the terminal, not to the source.
+    flat.__doc__ = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
+    return flat
+
+
+def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
+    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
+
+    Expected are also the refusals of the system: a full disk, a folder without permission, a broken pipe.
+    """
+
+    @functools.wraps(function)
+    def wrapped(**values: Any) -> None:
+        try:
+            end_in_order()
+            function(**values)
+            sys.stdout.flush()
+        except (WaspError, OSError) as error:
+            if isinstance(error, OSError):
+                silence(sys.stdout)  # what it still holds would raise again at the end
+            if os.environ.get("WASP_DEBUG"):
+                raise
+            if isinstance(error, BrokenPipeError):
+                raise typer.Exit(PIPE_CLOSED) from None
+            expected = error if isinstance(error, WaspError) else refusal(error)
+            report_error(expected)
+            raise typer.Exit(expected.exit_code) from None
+        except KeyboardInterrupt:
+            if os.environ.get("WASP_DEBUG"):
+                raise
+            print("interrupted", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+
+    return wrapped
+
+
+def print_json(value: Any) -> None:
+    json.dump(value, sys.stdout, indent=1)
+    sys.stdout.write("\n")
+
 
 RESULTS = Path("results")
 Completion = Callable[..., list[str]] | None
@@ -32,7 +171,6 @@ SPECS = "specs/"
 
 
 def spec_names(incomplete: str) -> list[str]:
-    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
     files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
@@ -67,7 +205,6 @@ setting_names = _offered("wasp_cli.spec.hints:settings", "=")  # the keys of `--
 
 
 def require_extra(extra: str, *packages: str) -> None:
-    """Check that the packages of an extra can be imported."""
     for package in packages:
         try:
             importlib.import_module(package)
@@ -76,7 +213,6 @@ def require_extra(extra: str, *packages: str) -> None:
 
 
 def parse_folder(value: str | Path) -> Path:
-    """Return a folder as it was typed; refuse an empty name."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
     return Path(value)
@@ -162,7 +298,7 @@ class Sized:
 
     @property
     def settings(self) -> list[str]:
-        from wasp_cli.spec.derived import sized
+        from wasp_cli.spec.load import sized
 
         return sized(self.preset, self.set_)
 
@@ -172,8 +308,7 @@ class SizedSpec(Sized):
     spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)]
 
     def load(self) -> Loaded:
-        from wasp_cli.spec.derived import restricted
-        from wasp_cli.spec.load import load
+        from wasp_cli.spec.load import load, restricted
 
         return restricted(load(self.spec, self.settings), self.task)
 
@@ -187,8 +322,7 @@ class SelectedSpec(SizedSpec):
     reuse: ReuseOption = None
 
     def load(self) -> Loaded:
-        """Load the spec that is meant; `select` and `failed` say which of its cells."""
-        from wasp_cli.spec.derived import limited, restricted
+        from wasp_cli.spec.load import limited, restricted
 
         return limited(restricted(super().load(), None, self.method), self.limit)
 

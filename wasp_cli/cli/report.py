@@ -9,15 +9,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import Folder, JobsOption, JsonOption, SelectOption, SizedSpec, argument, directory, flag, option, parse_folder
+from wasp_cli.cli.options import (
+    Folder,
+    JobsOption,
+    JsonOption,
+    SelectOption,
+    SizedSpec,
+    argument,
+    command,
+    directory,
+    flag,
+    option,
+    parse_folder,
+    print_json,
+)
 from wasp_cli.console import err, say, waiting_aloud
 from wasp_cli.console import out as console
 from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
-    from wasp_cli.compare.runs import Compared
+    from wasp_cli.compare import Compared
     from wasp_cli.report.films import Draw
     from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
@@ -161,8 +173,8 @@ def export(
 
     Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR trackio show`.
     """
-    from wasp_cli.report.export import to_tensorboard, to_trackio
     from wasp_cli.report.summarize import report_run
+    from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
     from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:
@@ -173,7 +185,7 @@ def export(
         report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
         for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
             if folder is not None:
-                say(f"{name}: {write(report, folder)} runs in {folder}")
+                say(f"{name}: {write(name, series_of(report.layout, report.trained, report.frame), folder)} runs in {folder}")
     if damaged:
         raise ArtifactError("\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)]))
 
@@ -197,8 +209,8 @@ def compare(
 
     What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
-    from wasp_cli.compare.runs import compare as compared_runs
-    from wasp_cli.compare.runs import pairs
+    from wasp_cli.compare import compare as compared_runs
+    from wasp_cli.compare import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():

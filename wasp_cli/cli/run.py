@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import (
     JobsOption,
     JsonOption,
@@ -17,8 +16,10 @@ from wasp_cli.cli.options import (
     Sized,
     SizedSpec,
     Work,
+    command,
     flag,
     option,
+    print_json,
     setting_names,
     spec_names,
     variant_names,
@@ -85,7 +86,7 @@ def ablate(
     --dry-run says how long, --set changes them.
     """
     from wasp_cli.run.session import planned
-    from wasp_cli.spec.derived import ablation
+    from wasp_cli.spec.load import ablation
 
     options = work.options()
     loaded = ablation(spec, variant, asked.task, asked.preset, asked.set_ or ())
@@ -116,7 +117,7 @@ def sweep(
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.record import reported
     from wasp_cli.run.session import planned_sweep, run_sweep
-    from wasp_cli.spec.derived import read_sweep
+    from wasp_cli.spec.load import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
@@ -135,13 +136,12 @@ def sweep(
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
-        say(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)")
+        say(f"report: {page} (its table is in the same folder as CSV, LaTeX and HTML)")
     session.require_complete()
     require_cells(report.missing, layout)
 
 
 def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
-    """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
     from wasp_cli.plan.plan import show
 
     if json:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from wasp_cli.cli.command import command, print_json
-from wasp_cli.cli.options import JsonOption, SetOption, argument, option, parse_folder, spec_names, task_names
+from wasp_cli.cli.options import JsonOption, SetOption, argument, command, option, parse_folder, print_json, spec_names, task_names
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
@@ -181,10 +180,6 @@ def method_cells(info: Row) -> tuple[str, ...]:
     return info["rule"] or "see its documentation", "\n".join(stages), "\n".join(variants)
 
 
-def operator_cells(info: Row) -> tuple[str, ...]:
-    return info["severity"], f"{info['low']:g} to {info['high']:g}"
-
-
 def task_cells(task: Row) -> tuple[str, ...]:
     pixels = "x".join(map(str, task["pixels_shape"]))
     sides = zip(task["action_low"], task["action_high"], strict=True)
@@ -200,7 +195,10 @@ LISTS: dict[str, tuple[Callable[[], list[Row]], tuple[str, ...], Callable[[Row],
         methods, ("Method", "How it decides", "Stages", "Variants"), method_cells,
         "Stages are trained besides world model and policies; in brackets: under some settings only.",
     ),
-    "operators": (operators, ("Operator", "Severity", "Range"), operator_cells, "Your own assistant or operator: docs/extending.md"),
+    "operators": (
+        operators, ("Operator", "Severity", "Range"), lambda info: (info["severity"], f"{info['low']:g} to {info['high']:g}"),
+        "Your own assistant or operator: docs/extending.md",
+    ),
     "tasks": (tasks, ("Task", "Spaces", "Costs", "Limit"), task_cells, "Any gymnasium id is a task too: docs/own_task.md"),
 }  # fmt: skip
 

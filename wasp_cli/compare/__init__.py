@@ -1,1 +1,318 @@
-"""Two results folders, cell by cell."""
+"""Two runs side by side, cell by cell: the same rows, or a difference, whether it is more than noise, and where it comes from.
+
+A cell is what its identity says: task, method, variant, operator, value and seed. One key on both sides means one configuration, one code
+and one upstream, so the same rows but for what a machine may move; they are read all the same. Differences are second minus first.
+
+Episodes of the same world are pairs. Under the hypothesis that the two evaluations are alike, the difference of every world could as well
+have the other sign, for all measures at once: the p-value of a measure is the share of the 2^n flips (all of them up to EXACT worlds, else
+FLIPS draws) in which the largest of all standardised differences reaches that of the measure (Westfall and Young 1993). So p-values are
+corrected for the number of measures already; `corrected` does the same for the number of cells (Holm 1979). What counts as noise is chance
+over worlds, for the models of these two evaluations.
+
+Causes are found from the manifests alone, which may be untrusted; nothing is imported and no code of today is looked at.
+Letters: n worlds (episodes), M measures, R flips.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
+from wasp_cli.plan.node import Cell
+from wasp_cli.plan.reasons import changes_between, few
+from wasp_cli.report.bootstrap import COVERAGE, SEED, Estimate, difference_of, drawn
+from wasp_cli.report.node import mapping, upstream_of
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.stats import CellNumbers, Wanted, odd_tables_refused, read_frame
+from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.summary import Interval
+from wasp_cli.run.record import read_run, results_of
+from wasp_cli.spec.model import Spec
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import half_inputs
+from wasp_cli.store.tables import CellIdentity, same_rows
+
+MEASURES = ("return", "cost", "viol", "int_rate", "success")
+EXACT = 13  # worlds up to which all flips are tried
+FLIPS = 10_000
+LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A measure of one cell, after minus before, as a mean over episodes."""
+
+    value: float
+    interval: Interval | None  # None with a single world
+    p: float  # corrected for the number of measures
+
+
+@dataclass(frozen=True)
+class Paired:
+    differences: Mapping[str, Difference]  # by measure
+    worlds: int  # n, those that both have
+    episodes: tuple[int, int]
+    least: float  # the smallest p-value that so many episodes can have
+
+
+def paired_episodes(before: CellNumbers, after: CellNumbers) -> Paired | None:
+    """Compare the episodes of two evaluations; None where they have no world in common."""
+    x, y = (np.stack([cell.episodes[name] for name in MEASURES], 1) for cell in (before, after))
+    common, left, right = np.intersect1d(before.episodes["world"], after.episodes["world"], return_indices=True)
+    if not len(common):
+        return None
+    change = y[right] - x[left]
+    n, measures = change.shape
+    intervals: list[Interval | None] = [None] * measures
+    if n > 1:
+        limits = np.quantile(drawn(n) @ change / n, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=0)
+        intervals = [Interval(float(low), float(high), "world", n) for low, high in limits.T]
+    moved = change[np.any(change != 0, 1)]  # a world without any difference has no sign
+    exact = len(moved) <= EXACT
+    if exact:
+        signs = 1.0 - 2.0 * ((np.arange(2 ** len(moved))[:, None] >> np.arange(len(moved))) & 1)
+    else:
+        signs = 1.0 - 2.0 * (np.random.PCG64(SEED).random_raw((FLIPS, len(moved))) >> np.uint64(63)).astype(np.float64)
+    size = np.sqrt(np.square(moved).sum(0))  # the same under every flip; 0 of a measure that never differs
+    flipped, own = (np.divide(np.abs(v), size, out=np.zeros_like(v), where=size > 0) for v in (signs @ moved, moved.sum(0)))
+    reached = (flipped.max(1)[:, None] >= own * (1 - 1e-12)).sum(0)
+    p = reached / len(signs) if exact else (reached + 1) / (FLIPS + 1)
+    least = 1 / (FLIPS + 1) if not exact else 2.0 ** (1 - len(moved)) if len(moved) else 1.0
+    differences = {name: Difference(*each) for name, *each in zip(MEASURES, change.mean(0).tolist(), intervals, p.tolist(), strict=True)}
+    return Paired(differences, n, (len(x), len(y)), least)
+
+
+def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Correct the p-values of measures for the number of cells by Holm's steps: cells in the order of their smallest one."""
+    order = sorted(range(len(cells)), key=lambda i: min(cells[i].values()))
+    adjusted: list[dict[str, float]] = [{} for _ in cells]
+    floor = 0.0
+    for step, i in enumerate(order):
+        adjusted[i] = {name: min(1.0, max(floor, (len(cells) - step) * p)) for name, p in cells[i].items()}
+        floor = min(adjusted[i].values())
+    return adjusted
+
+
+State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
+
+
+@dataclass(frozen=True)
+class Side:
+    layout: Layout
+    run_id: str
+    spec: Spec
+    cells: Sequence[tuple[Cell, str]]  # each with the key of its evaluation
+
+    @classmethod
+    def read(cls, layout: Layout, run_id: str) -> Side:
+        run = read_run(layout, run_id)
+        return cls(layout, run.run_id, run.spec, run.cells)
+
+
+@dataclass(frozen=True)
+class ComparedCell:
+    label: str
+    identity: CellIdentity
+    state: State
+    keys: tuple[str | None, str | None]
+    reason: str = ""  # why it is not compared
+    paired: Paired | None = None  # of one that differs
+    p: Mapping[str, float] = field(default_factory=dict)  # by measure, corrected for measures and cells
+    causes: tuple[str, ...] = ()
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        return tuple(name for name, p in self.p.items() if p <= LEVEL)
+
+
+@dataclass(frozen=True)
+class Summary:
+    task: str
+    method: str
+    variant: str
+    cells: int
+    differing: int
+    estimates: Mapping[str, Estimate | None]  # by measure
+
+
+@dataclass(frozen=True)
+class Compared:
+    first: Side
+    second: Side
+    cells: tuple[ComparedCell, ...]
+    summary: tuple[Summary, ...]
+
+    def having(self, *states: State) -> list[ComparedCell]:
+        return [cell for cell in self.cells if cell.state in states]
+
+    @property
+    def beyond(self) -> list[ComparedCell]:
+        return [cell for cell in self.cells if cell.beyond]
+
+    @property
+    def alike(self) -> bool:
+        return not self.beyond and not self.having("only first", "only second", "not compared")
+
+    @property
+    def causes(self) -> list[tuple[str, int]]:
+        return Counter(cause for cell in self.cells for cause in cell.causes).most_common()
+
+
+def pairs(
+    first: Path, second: Path, spec: str | None = None, spec_a: str | None = None, spec_b: str | None = None
+) -> list[tuple[Side, Side]]:
+    """Return the pairs of runs to compare: two named specs, or every spec that has run in both folders."""
+    if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
+        what = "--spec-a and --spec-b need each other, and exclude --spec"
+        raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
+    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
+    try:
+        layouts = [results_of(folder) for folder in (first, second)]
+        runs = [last_runs(layout)[0] for layout in layouts]
+        for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
+            if name is not None and name not in known:
+                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
+        names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
+        if not names:
+            which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
+            raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
+        return [(Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names]
+    except (StoreError, ArtifactError) as error:
+        raise UsageError(error.message, error.hint) from error
+
+
+def compare(first: Side, second: Side) -> Compared:
+    sides = [_Read(first), _Read(second)]
+    causes = Causes(first.layout, second.layout)
+    identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
+    cells = [_cell(identity, sides[0], sides[1], causes) for identity in identities]
+    tested = [(cell, cell.paired) for cell in cells if cell.paired is not None]
+    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in tested])
+    by_identity = {cell.identity: numbers for (cell, _), numbers in zip(tested, p, strict=True)}
+    cells = [replace(cell, p=by_identity.get(cell.identity, {})) for cell in cells]
+    return Compared(first, second, tuple(cells), tuple(_summary(cells, *sides)))
+
+
+class _Read:
+    def __init__(self, side: Side) -> None:
+        self.layout = side.layout
+        cells, _ = wanted_cells(side.layout, side.spec, side.cells)
+        frame = read_frame(cells)
+        self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
+        self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}
+        self.numbers: dict[CellIdentity, CellNumbers] = {cell.identity: cell for cell in frame.cells}
+        self.reasons = {gap.identity: gap.reason for gap in frame.missing}
+
+
+def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -> ComparedCell:
+    keys = first.keys.get(identity), second.keys.get(identity)
+    label = (first.wanted.get(identity) or second.wanted[identity]).label
+    if keys[0] is None or keys[1] is None:
+        return ComparedCell(label, identity, "only first" if keys[1] is None else "only second", keys)
+    reasons = [f"{which}: {side.reasons[identity]}" for which, side in (("first", first), ("second", second)) if identity in side.reasons]
+    paths = first.wanted[identity].path, second.wanted[identity].path
+    if not reasons:
+        try:
+            with odd_tables_refused(paths[0]), odd_tables_refused(paths[1]):
+                same = same_rows(*paths)
+        except (StoreError, OSError) as error:
+            reasons = [str(error)]
+    if reasons:
+        return ComparedCell(label, identity, "not compared", keys, reason="; ".join(reasons))
+    if same:
+        why = () if keys[0] == keys[1] else causes.of("evaluate", keys[0], keys[1])
+        return ComparedCell(label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why)
+    paired = paired_episodes(first.numbers[identity], second.numbers[identity])
+    if paired is None:
+        return ComparedCell(label, identity, "not compared", keys, reason="no world in common")
+    return ComparedCell(label, identity, "differs", keys, paired=paired, causes=causes.of("evaluate", keys[0], keys[1]))
+
+
+def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iterator[Summary]:
+    """The assistants of which both sides have cells, those without any difference too."""
+    rows: dict[tuple[str, str, str], list[ComparedCell]] = {}
+    for cell in cells:
+        if cell.state in ("same", "same rows", "differs"):
+            rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.variant), []).append(cell)
+    for (task, method, variant), own in rows.items():
+        before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
+        estimates = {name: difference_of(after, before, name) for name in MEASURES}
+        yield Summary(task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates)
+
+
+MACHINE = ("processor", "platform", "python", "threads", "cuda")  # provenance that enters no key, and may move the last digits
+
+
+class Causes:
+    """Follows two artifacts upstream to where they begin to differ; every pair is looked at once."""
+
+    def __init__(self, before: Layout, after: Layout) -> None:
+        self._layouts = before, after
+        self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
+
+    def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
+        """Say in words what differs between two artifacts that should be alike; of the same key only the machine can differ."""
+        return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after)))
+
+    def _follow(self, kind: str, before: str, after: str) -> tuple[str, ...]:
+        place = (kind, before, after)
+        if place not in self._known:
+            self._known[place] = ()  # a circle, which none of ours has, adds nothing
+            self._known[place] = tuple(dict.fromkeys(self._changes(kind, before, after)))
+        return self._known[place]
+
+    def _changes(self, kind: str, before: str, after: str) -> Iterator[str]:
+        try:
+            old, new = (read_manifest(layout, kind, key) for layout, key in zip(self._layouts, (before, after), strict=True))
+            own = changes_between(old, new)
+        except (ArtifactError, StoreError):
+            yield f"another {kind}, of which not both folders have the record"
+            return
+        except (AttributeError, KeyError, TypeError, ValueError):
+            yield f"another {kind}, whose record is damaged"
+            return
+        yield from own
+        precision = list(_precision(old, new))
+        yield from precision
+        upstream = list(_differing(old, new))
+        for _, other, needed, needed_too in upstream:
+            yield from self._follow(other, needed, needed_too)
+        reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
+        if reads:
+            yield f"{kind}: reads other artifacts: {few(reads)}"
+        if not own and not precision and not upstream and not reads:
+            yield f"{kind}: another cell of the grid, or a key of another version"
+
+    def _machine(self, kind: str, key: str) -> Iterator[str]:
+        try:
+            manifests = [read_manifest(layout, kind, key) for layout in self._layouts]
+        except (ArtifactError, StoreError):
+            return
+        yield from _precision(*manifests)
+        old, new = (mapping(each.get("provenance")) for each in manifests)
+        versions = [mapping(each.get("versions")) for each in (old, new)]
+        pairs = [(name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in MACHINE]
+        libraries = dict.fromkeys((*versions[0], *versions[1]))
+        pairs += [(name, str(versions[0].get(name) or "unknown"), str(versions[1].get(name) or "unknown")) for name in libraries]
+        yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(pairs) if one != two)
+
+
+def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
+    if before != after:
+        yield f"inputs in half precision {before} -> {after}"
+
+
+def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """What both read under one name, as another artifact: the name, the kind and both keys."""
+    after = upstream_of(new)
+    for name, (_, key) in upstream_of(old).items():
+        if name in after and after[name][1] != key:
+            yield name, after[name][0], key, after[name][1]

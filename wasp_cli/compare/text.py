@@ -10,14 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare.runs import LEVEL, MEASURES, Compared, Difference, Side, State
+from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import markdown, terminal, write_pages
 from wasp_cli.report.summary import UNDEFINED, Value
+from wasp_cli.report.tables import Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12  # cells that a terminal names of each kind

@@ -57,8 +57,6 @@ class Beat(NamedTuple):
 
 @dataclass
 class Driven:
-    """A finished episode."""
-
     layout: int
     trajectory: Trajectory
     decision_ms: NDArray[Any]  # [T]
@@ -70,8 +68,6 @@ class Driven:
 
 @dataclass(frozen=True)
 class Cut:
-    """An episode that was given up, or broken off."""
-
     layout: int
     decisions: int
     why: str  # `restart`, `next` or `end`
@@ -82,8 +78,6 @@ SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 
 @dataclass(frozen=True)
 class How:
-    """How a session is shown and paced; none of it is in a key."""
-
     speed: float = 1.0  # simulated seconds per second
     shown: frozenset[str] = frozenset(SHOWN)
     simulated: bool = False
@@ -109,23 +103,19 @@ class Block:
         self._begun = time.monotonic()
 
     def close(self) -> None:
-        """End the assistant's thread."""
         self._decider.finish()
         self._decider.close()
 
     @property
     def answer_seconds(self) -> list[float]:
-        """Return how long every answer of the assistant took, late ones too."""
         return [seconds for seconds, _, _ in self._decider.answers]
 
     @property
     def fired(self) -> list[tuple[float, bool]]:
-        """Return of every answer with which a gate fired how long it took, and whether it was late."""
         made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
         return [(seconds, late) for seconds, late, record in made if record is not None and bool((record.gate != GATE_NONE).any())]
 
     def hello(self) -> dict[str, Any]:
-        """Return what the page has to know of the block before the first frame."""
         return {
             "type": "block", "task": self.cell.task, "shown": [name for name in SHOWN if name in self.how.shown],
             "period_ms": 1000 * self.period, "speed": self.how.speed, "cameras": getattr(self.task, "cameras", 2),
@@ -180,7 +170,6 @@ class Block:
         return {"type": "review", "driven": driven.frames, "alone": alone}
 
     def _numbers(self, view: WorldView, score: Score, step: Step | None) -> dict[str, Any]:
-        """What a header says of the world, as far as it is shown."""
         numbers: dict[str, Any] = dict(view.now()) if "map" in self.how.shown else {}
         if "cost" in self.how.shown:
             numbers |= {"cost": score.cost, "costly": bool(step is not None and step.cost[0])}
@@ -191,14 +180,11 @@ class Block:
 
 @dataclass
 class Score:
-    """Sums of an episode so far."""
-
     returned: float = 0.0
     cost: int = 0
     goals: int = 0
 
     def add(self, step: Step) -> None:
-        """Add a step's reward, cost (env steps) and goals."""
         self.returned += float(step.reward[0])
         self.cost += int(step.cost_env[0])
         self.goals += int(step.goals[0])
@@ -206,8 +192,6 @@ class Score:
 
 @dataclass
 class _Running:
-    """An episode while it is driven."""
-
     block: Block
     layout: int
     ended: bool = False
@@ -231,7 +215,6 @@ class _Running:
         time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
 
     def decide(self) -> None:
-        """Sample the controls, ask the assistant, carry the action out, show what came of it."""
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
         held = block.desk.held
@@ -327,7 +310,6 @@ class _Running:
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
-        """Return the episode as an evaluation would have it."""
         stacked = {name: np.stack(values) for name, values in self.rows.items()}
         times = np.array([beat.decision_ms for beat in self.beats], np.float32)
         # Decisions that were late have an empty plan where the others have plans.

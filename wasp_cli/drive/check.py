@@ -69,21 +69,18 @@ class Habits:
     """Frames of delay at most, share of frames in which a key slips at most, frames for which a wrong one is held."""
 
     def __init__(self, participant: int) -> None:
-        """`participant` is the number."""
         self._draw = np.random.default_rng(seeds.derive("drive-script", participant))
         self._seen: deque[list[str]] = deque(maxlen=1 + int(self._draw.integers(self.DELAY)))
         self._slips = float(self._draw.uniform(0.0, self.SLIPS))
         self._wrong: list[str] = []
 
     def keys(self, header: Mapping[str, Any]) -> list[str]:
-        """Return the keys that are held at a frame."""
         self._seen.append(to_the_goal(header))
         if not self._wrong and self._draw.random() < self._slips:
             self._wrong = [str(self._draw.choice(ARROWS))] * self.HELD
         return [self._wrong.pop()] if self._wrong else self._seen[0]
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any]:
-        """Agree, and draw every scale."""
         scales = {scale["name"]: float(self._draw.integers(0, 101)) for scale in form["scales"]}
         return {"agreed": True if form["name"] == "consent" else None, "scales": scales}
 
@@ -125,7 +122,9 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                     held = [""]
                     await send({"type": "ask", "what": "go"})
                 elif state["phase"] == "form":
-                    given = middling(state["form"]) if answers is None else answers(state["form"])
+                    form = state["form"]
+                    middle = {"agreed": True if form["name"] == "consent" else None, "scales": {s["name"]: 50.0 for s in form["scales"]}}
+                    given = middle if answers is None else answers(form)
                     await send({"type": "answers", **given})
                 elif state["phase"] == "over":
                     return frames
@@ -139,7 +138,6 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
 
 
 async def connected(address: str) -> ClientConnection:
-    """Connect as a page does: again, where the server is too busy to answer or others take its places."""
     parts, left = urlsplit(address), ATTEMPTS
     while True:
         try:
@@ -151,11 +149,6 @@ async def connected(address: str) -> ClientConnection:
         await asyncio.sleep(PAUSE)
 
 
-def middling(form: Mapping[str, Any]) -> dict[str, Any]:
-    """Agree, and put every scale in the middle."""
-    return {"agreed": True if form["name"] == "consent" else None, "scales": {scale["name"]: 50.0 for scale in form["scales"]}}
-
-
 TOLERATED = 0.02  # share of late decisions that is said to be in time
 TOLERATED_FIRED = 0.1  # the same of the decisions at which a gate fires: their 90th percentile is in time
 TOLERATED_PACE = 1.05  # by how much the world may slow down
@@ -165,8 +158,6 @@ SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
 
 @dataclass(frozen=True)
 class Timing:
-    """How one method kept up."""
-
     label: str
     period_ms: float
     decisions: int
@@ -183,12 +174,10 @@ class Timing:
 
     @property
     def in_time(self) -> bool:
-        """Whether few enough decisions were late, and the world hardly slowed down."""
         return self.late_share <= TOLERATED and self.fired_late_share <= TOLERATED_FIRED and self.pace <= TOLERATED_PACE
 
     @property
     def where_gates_fired(self) -> str:
-        """Say how well the decisions were in time that matter most."""
         if not self.fired:
             return f"{self.label}: no gate fired"
         median, most = self.fired_ms
@@ -246,20 +235,14 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     fired = [seconds for seconds, _ in block.fired]
     between = [b.at - a.at for a, b in pairwise(beats)]
     return Timing(
-        label=node.label,
-        period_ms=1000 * block.period,
-        decisions=len(beats),
-        late_share=float(np.mean([beat.late for beat in beats])),
-        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]),
-        input_ms=percentiles(fresh),
-        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]),
-        speed=speed,
+        label=node.label, period_ms=1000 * block.period, decisions=len(beats), late_share=float(np.mean([beat.late for beat in beats])),
+        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]), input_ms=percentiles(fresh),
+        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]), speed=speed,
         recommended=recommended(block.answer_seconds, fired, driven, block.period, speed),
-        pace=float(np.mean(between)) / block.period if between else 1.0,
-        fired=len(fired),
+        pace=float(np.mean(between)) / block.period if between else 1.0, fired=len(fired),
         fired_late_share=float(np.mean([late for _, late in block.fired])) if fired else 0.0,
         fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
-    )
+    )  # fmt: skip
 
 
 def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float) -> float:
@@ -274,7 +257,6 @@ def recommended(seconds: list[float], fired: list[float], driven: Driven, period
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:
-    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
     table = count_table("", "median", "99th percentile")
     for timing in timings:
         table.add_row(timing.label, style="bold")
@@ -287,8 +269,6 @@ def timing_table(timings: Sequence[Timing]) -> Table:
 
 
 def as_json(timing: Timing) -> dict[str, Any]:
-    """Return a timing as JSON values."""
-
     def known(value: float) -> float | None:
         return round(value, 2) if math.isfinite(value) else None
 

@@ -108,7 +108,6 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
 
 
 def quality_table(document: Mapping[str, Any]) -> RichTable:
-    """Return what a clone foretells, beside what needs no learning."""
     held, learnt = document["heldout_episodes"], document["episodes"]
     table = count_table(f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}", "log-density", "squared error")
     for name, row in document["models"].items():
@@ -153,7 +152,6 @@ def _require_unused(layout: Layout, node: Node) -> None:
 
 
 def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
-    """What a participant saw and commanded in each episode of a cell."""
     recorded = Recorded(**read_recorded(cell_file(layout.artifact("evaluate", key))))
     episodes = []
     for e in range(len(recorded.a)):
@@ -169,7 +167,6 @@ def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
 
 
 def together(episodes: Sequence[Issued]) -> Issued:
-    """Return the decisions of several episodes as one."""
     return Issued(*(torch.cat(parts) for parts in zip(*episodes, strict=True)))
 
 

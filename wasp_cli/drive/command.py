@@ -23,11 +23,10 @@ from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
-from wasp_cli.spec.derived import sized
-from wasp_cli.spec.load import Loaded, load
+from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
@@ -44,8 +43,6 @@ WAITED = 20.0  # milliseconds after their beat at which decisions may begin with
 
 @dataclass(frozen=True)
 class Wanted:
-    """What was asked for."""
-
     what: str
     method: str | None
     participant: int | None
@@ -64,7 +61,6 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).exists()
 
     def prepared(self, *, recorded: bool = True) -> Session:
-        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -76,13 +72,11 @@ class Wanted:
         return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
 
     def everyone(self) -> list[Wanted]:
-        """Return one for each participant of a spec; where a task or a participant is meant, this one."""
         if self._is_task or self.participant is not None:
             return [self]
         return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))]
 
     def orders(self) -> Table:
-        """Return who drives what in which order, without computing anything."""
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
         orders = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
@@ -94,7 +88,6 @@ class Wanted:
         return table
 
     def loaded(self) -> Loaded:
-        """Return the spec: the shipped one for a task, or the one that was named."""
         if not self._is_task:
             self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):
@@ -107,7 +100,6 @@ class Wanted:
         return self._of(free_session(Layout(self.results.absolute()), self._of))
 
     def _require_spec(self) -> None:
-        """Raise what is wrong with a word that is neither a task nor a spec."""
         if spec_path(Path(self.what)).exists():
             return
         if is_foreign(Path(self.what).name):
@@ -116,7 +108,6 @@ class Wanted:
             raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])
 
     def _of(self, session: int, methods: Sequence[str] = (), seeds: Sequence[int] = ()) -> Loaded:
-        """The shipped spec for this task, session and method, or for several of both."""
         number = self.participant or 0
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:

@@ -30,16 +30,12 @@ KEYS = {
 
 
 class Frame(NamedTuple):
-    """What there is to see after a decision."""
-
     header: Mapping[str, Any]
     pixels: bytes  # RGB of the cameras, one below the other; empty where they are not shown
 
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
-
     keys: frozenset[str] = frozenset()
     axes: tuple[float, float] = (0.0, 0.0)  # of a gamepad or a finger: forward, left in [-1, 1]
     number: int = 0  # of the message that said so; 0: none did
@@ -55,10 +51,7 @@ class Held:
 
 
 class Desk:
-    """See the module."""
-
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
-        """`changed` is called from any thread when there is something to send."""
         self.held = Held()  # the latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock.
         self.changed = changed
         self._lock = threading.Condition()
@@ -92,7 +85,6 @@ class Desk:
         self.changed()
 
     def say(self, message: Mapping[str, Any]) -> None:
-        """Send a message, all of them in order."""
         with self._lock:
             self._messages.append(message)
         self.changed()
@@ -111,7 +103,6 @@ class Desk:
             return request if self._drivers else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
-        """Wait until one of these is asked for, and return it."""
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
@@ -120,7 +111,6 @@ class Desk:
                     return str(request)
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Show a form and wait for its answers; None where the driver ends instead."""
         with self._lock:
             # Before the page knows of the form: a quick answer must not be taken for one to an earlier form.
             self._answers = None
@@ -136,7 +126,6 @@ class Desk:
     # The socket's side.
 
     def come(self) -> bool:
-        """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
         with self._lock:
             if self._drivers:
                 return False
@@ -148,7 +137,6 @@ class Desk:
             return True
 
     def leave(self) -> None:
-        """Note that the driver's connection is over."""
         with self._lock:
             self._drivers, self.focused = 0, False
             self.lost += self._state.get("phase") == "driving"
@@ -162,13 +150,11 @@ class Desk:
             self._lock.notify_all()
 
     def answer(self, values: dict[str, Any]) -> None:
-        """Give the answers of a form."""
         with self._lock:
             self._answers = values
             self._lock.notify_all()
 
     def focus(self, there: bool) -> None:
-        """Note whether the window has the focus; without it nothing is held."""
         with self._lock:
             self.blurred += self.focused and not there and self._state.get("phase") == "driving"
             self.focused = there
@@ -176,14 +162,12 @@ class Desk:
             self._release()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state of the controls; keys that mean nothing here are left out."""
         self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
 
     def _release(self) -> None:
         self.held = Held(number=self.held.number, at=time.monotonic())
 
     def outgoing(self) -> tuple[list[Mapping[str, Any]], Frame | None]:
-        """Return and forget the messages to be sent, and a frame where the last one was acknowledged."""
         with self._lock:
             messages = list(self._messages)
             self._messages.clear()
@@ -196,7 +180,6 @@ class Desk:
             return messages, frame
 
     def acknowledged(self, number: int) -> None:
-        """Note that the page has drawn a frame."""
         with self._lock:
             sent = self._sent.pop(number, None)
             if sent is not None:
@@ -225,13 +208,11 @@ class Clock:
     """Beats of one period in wall time; what takes longer moves all later beats, so that none is skipped."""
 
     def __init__(self, period: float) -> None:
-        """`period` is in seconds."""
         self.period = period
         self._next = time.monotonic()
         self._rest: deque[float] = deque(maxlen=KEPT)
 
     def begin(self) -> None:
-        """Let the next beat be now: an episode begins, or goes on after a pause."""
         self._next = time.monotonic()
 
     @property
@@ -252,7 +233,6 @@ class Clock:
         return self._next - min(rest, self.period)
 
     def spent(self, seconds: float) -> None:
-        """Note how long everything but deciding took: the step of the world, its images, the filter, the frame."""
         self._rest.append(seconds)
 
 
@@ -301,11 +281,9 @@ class Decider(Generic[T]):
         return answer
 
     def finish(self) -> None:
-        """Wait for what is still being thought about: an episode has ended."""
         if self._asked is not None:
             wait([self._asked])
             self._asked = None
 
     def close(self) -> None:
-        """End the thread."""
         self._thread.shutdown()

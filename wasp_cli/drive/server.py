@@ -20,7 +20,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.web.server import LocalServer, local, own_origin, page
+from wasp_cli.web import LocalServer, local, own_origin, page
 
 LONGEST = 8192  # bytes of a message
 MOST = 2000
@@ -42,8 +42,6 @@ Word = Annotated[str, Field(max_length=24)]
 
 
 class Input(_Message):
-    """What is held down."""
-
     type: Literal["input"]
     number: Annotated[int, Field(ge=0, lt=2**31)]
     keys: Annotated[list[Word], Field(max_length=16)]
@@ -51,37 +49,27 @@ class Input(_Message):
 
 
 class Ack(_Message):
-    """A frame was drawn."""
-
     type: Literal["ack"]
     frame: Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Focus(_Message):
-    """The window got or lost the focus."""
-
     type: Literal["focus"]
     there: bool
 
 
 class Ask(_Message):
-    """The driver asks for something."""
-
     type: Literal["ask"]
     what: Literal["go", "pause", "restart", "next", "end"]
 
 
 class Answers(_Message):
-    """A form was filled in."""
-
     type: Literal["answers"]
     agreed: bool | None = None
     scales: Annotated[dict[Word, Annotated[float, Field(ge=0.0, le=100.0)]], Field(max_length=32)] = {}
 
 
 class Alive(_Message):
-    """The page is there."""
-
     type: Literal["alive"]
 
 
@@ -89,10 +77,7 @@ MESSAGE: TypeAdapter[Any] = TypeAdapter(Annotated[Input | Ack | Focus | Ask | An
 
 
 class Server(LocalServer):
-    """Serves the page of a desk, from a thread of its own or until it is stopped."""
-
     def __init__(self, desk: Desk, port: int = 0) -> None:
-        """Take a port, 0 for any free one."""
         self.desk = desk
         routes = [Route("/", self._index), Route("/{name}", self._file), WebSocketRoute("/socket", self._drive)]
         super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
@@ -194,13 +179,11 @@ class Server(LocalServer):
 
 
 def packed(frame: Frame) -> bytes:
-    """Pack a frame: length of the header as uint32 (little endian), the header as JSON, then the pixels."""
     header = json.dumps(frame.header).encode()
     return struct.pack("<I", len(header)) + header + frame.pixels
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return header and pixels of a packed frame."""
     (length,) = struct.unpack_from("<I", data)
     header: dict[str, Any] = json.loads(data[4 : 4 + length])
     return header, data[4 + length :]

@@ -1,43 +1,52 @@
 """A session: who drives which cells, in which order, and what is asked between them.
 
-Cells that are there are not driven again, so that a session that broke off goes on where it was.
+Cells that are there are not driven again, so that a session that broke off goes on where it was. What a block leaves behind is a cell like
+any other, with what the clock and the connection were like in two more files (`store.people`): `CellRecord` has every finished episode on
+disk before the next one begins. A block that ends early is the cell of as many episodes as were finished, so that it is never taken for
+whole; the same session continued takes these over.
 """
 
 from __future__ import annotations
 
+import itertools
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import torch
 
 from wasp_cli import seeds
-from wasp_cli.console import plain
-from wasp_cli.drive.block import ALONE, SHOWN, Block, Cut, Driven, How
+from wasp_cli.console import plain, waiting_aloud
+from wasp_cli.drive.block import ALONE, SHOWN, Beat, Block, Cut, Driven, How
 from wasp_cli.drive.desk import END, NEXT, Desk
-from wasp_cli.drive.record import CellRecord
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
-from wasp_cli.memory import keep_memory
+from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.run.worker import require_whole
-from wasp_cli.spec.derived import limited
-from wasp_cli.spec.load import Loaded, load
-from wasp_cli.spec.model import Spec
-from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
+from wasp_cli.run.worker import keep_memory, manifest_of, require_whole
+from wasp_cli.spec.load import Loaded, limited, load
+from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
-from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys, write_record
 from wasp_cli.store.layout import Layout, is_key
-from wasp_cli.store.people import SESSION_FILE
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.lock import held
+from wasp_cli.store.parquet import write_table
+from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
 from wasp_cli.tasks.registry import TASKS
 
 SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
@@ -45,8 +54,6 @@ SHIPPED = Path("drive")  # the spec behind `wasp drive TASK`
 
 @dataclass
 class Session:
-    """See the module."""
-
     loaded: Loaded
     layout: Layout
     run_id: str
@@ -62,7 +69,6 @@ class Session:
         return str(self.blocks[0][0].severity)
 
     def run(self, desk: Desk) -> None:
-        """Lead the driver through everything; returns when all is driven, or the driver ends."""
         if not self._consent(desk):
             desk.state("over", text="Nothing was recorded.", blocks=[])
             return
@@ -175,19 +181,12 @@ class Session:
 
     def _facts(self, number: int, cell: Cell) -> dict[str, Any]:
         return {
-            "participant": self.participant,
-            "number": int(cell.value or 0),
-            "task": cell.task,
-            "simulated": self.how.simulated,
-            "block": number,
-            "speed": self.how.speed,
-            "shown": [name for name in SHOWN if name in self.how.shown],
-            "spec": self.loaded.spec.name,
-            **self.facts,
-        }
+            "participant": self.participant, "number": int(cell.value or 0), "task": cell.task, "simulated": self.how.simulated,
+            "block": number, "speed": self.how.speed, "shown": [name for name in SHOWN if name in self.how.shown],
+            "spec": self.loaded.spec.name, **self.facts,
+        }  # fmt: skip
 
     def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
-        """Load what a cell needs, and tell the page about it."""
         # As in evaluations: one thread, and memory that is kept. More threads would wait for each other while the page is drawn.
         torch.set_num_threads(1)
         keep_memory()
@@ -254,17 +253,14 @@ def shipped(
 
 
 def participants(spec: Spec) -> dict[int, str]:
-    """Return the pseudonyms of the people who drive in a spec, by their numbers."""
     return {int(value): name for name, value in spec.operators.get(PERSON, {}).items()}
 
 
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
-    """Return the cells that a participant drives, as the grid lists them."""
     return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
 
 
 def node_inputs(node: Node) -> list[tuple[str, str]]:
-    """Return kind and key of what a cell is driven with."""
     return [(needed.kind, needed.key) for needed in node.needs.values()]
 
 
@@ -277,13 +273,11 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
 
 
 def driven_by(manifest: Mapping[str, Any], participant: int) -> bool:
-    """Return whether an artifact is of what a participant drove."""
     axes = manifest.get("axes", {})
     return bool(axes.get("operator") == PERSON and axes.get("value") == participant)
 
 
 def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield key and manifest of every cell that a participant drove, in ascending order of keys."""
     for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
         manifest = read_manifest(layout, "evaluate", key)
         if driven_by(manifest, participant):
@@ -291,17 +285,90 @@ def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, An
 
 
 def driven_tasks(results: Path, participant: int) -> list[str]:
-    """Return the tasks of which a participant has driven anything; a UsageError where there is none."""
     tasks = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
     if not tasks:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")
     return sorted(tasks)
 
 
-def free_session(layout: Layout, of: Callable[[int], Loaded], most: int = 10_000) -> int:
+def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
     """Return the first number of a session whose worlds nobody has driven in these cells yet."""
-    for number in range(most):
-        grid: Grid = lay_out_over(of(number).spec, layout, None)
-        if not any(exists(layout, node.kind, node.key) for _, node in grid.cells):
-            return number
-    raise UsageError(f"{most} sessions were driven", "choose another results folder with --results")
+
+    def is_driven(number: int) -> bool:
+        return any(exists(layout, node.kind, node.key) for _, node in lay_out_over(of(number).spec, layout, None).cells)
+
+    return next(number for number in itertools.count() if not is_driven(number))
+
+
+class CellRecord:
+    def __init__(
+        self, layout: Layout, node: Node, identity: CellIdentity, goals: int, facts: Mapping[str, Any], begun: Path | None = None
+    ) -> None:
+        self._layout, self._node, self._identity, self._goals = layout, node, identity, goals
+        self._folder = layout.work(node.key)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        if begun is not None and not (self._folder / EPISODES_FILE).exists():
+            for name in (TIMING_FILE, SESSION_FILE, STEPS_FILE, EPISODES_FILE):
+                shutil.copyfile(begun / name, self._folder / name)
+        earlier = self._earlier()
+        self.finished = 0 if earlier is None else len(earlier.episodes)
+        self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
+        self._session |= facts
+        self._session["sittings"].append({"begun": _now(), "first_episode": self.finished})
+        self.note()
+
+    def _earlier(self) -> Any:
+        return first_rows(self._folder, 1) if (self._folder / EPISODES_FILE).exists() else None
+
+    def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
+        row = episode_metrics(driven.trajectory, self._goals, safe_cost, TASKS[self._identity.task].motors.force)
+        count = len(driven.beats)
+        columns: dict[str, list[Any]] = {"episode": [self.finished] * count, "t": list(range(count))}
+        columns |= {name: [getattr(beat, name) for beat in driven.beats] for name in Beat._fields}
+        rows = pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
+        beats = pa.concat_tables([self._timing(), rows])
+        # The timing first: an episode counts once its rows are there, and the timing of one that does not is written again.
+        write_table(beats, self._folder / TIMING_FILE)
+        write_cell(
+            self._folder, self._identity, [driven.trajectory], [row], thresholds, [driven.decision_ms], [driven.layout], self._earlier()
+        )
+        sitting = self._session["sittings"][-1]
+        sitting["pauses"] = sitting.get("pauses", 0) + driven.pauses
+        sitting["paused_seconds"] = sitting.get("paused_seconds", 0) + round(driven.paused_seconds, 1)
+        sitting["ended"] = _now()
+        self.note()
+        self.finished += 1
+
+    def cut(self, cut: Cut) -> None:
+        self._session["cut"].append({"before_episode": self.finished, **asdict(cut)})
+        self.note()
+
+    def note(self, **facts: Any) -> None:
+        self._session |= facts
+        write_record(self._folder / SESSION_FILE, self._session)
+
+    def _timing(self) -> pa.Table:
+        path = self._folder / TIMING_FILE
+        known = read_timing(path) if path.exists() else BEAT.empty_table()
+        return known.filter(pc.less(known["episode"], self.finished))
+
+    def publish(self, run_id: str, node: Node) -> dict[str, Any]:
+        summary = timing_summary(self._timing())
+        numbers = read_episodes([self._folder / EPISODES_FILE])
+        shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
+        measures = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
+        job = job_of(self._layout, run_id, node)
+        begun = str(self._session["sittings"][0]["begun"])
+        seconds = float(self._timing()["at"].to_numpy().max(initial=0.0))
+        manifest = manifest_of(job, {**measures, "late": summary["late_share"]}, seconds, begun)
+        with held(self._layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
+            staging = staging_folder(self._layout, node.key)
+            for path in self._folder.iterdir():
+                shutil.copyfile(path, staging / path.name)
+            commit(self._layout, node.kind, node.key, staging, manifest)
+        shutil.rmtree(self._folder, ignore_errors=True)
+        return summary
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

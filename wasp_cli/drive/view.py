@@ -162,7 +162,6 @@ class Futures:
 
 
 def _correction(a_h: Tensor, decision: Decision) -> Any:
-    """[L, A] residuals of the plan, of a method without plans of the one action; None where the command stood."""
     if decision.planned is not None:
         chosen = decision.planned.residuals[0].cpu().numpy()
         return chosen if np.isfinite(chosen).all() and np.abs(chosen).max() > 0 else None

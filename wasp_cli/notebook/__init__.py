@@ -1,1 +1,253 @@
-"""What `wasp_cli.results` and `wasp_cli.load_world_model` return."""
+"""A results folder as Arrow tables.
+
+    results = wasp_cli.results("results")                                  # of the spec that ran last; spec="table1" for another
+    results.episodes(method="wasp", operator="laggy").to_pandas()          # a row per episode
+    results.steps(method="wasp", columns=["t", "cost", "gate"])            # a row per decision
+    results.branches()                                                     # a row per intervention that was tested counterfactually
+    results.trained(kind="world_model")                                    # a row per trained part, with its numbers
+    results.table("main")                                                  # a table of the report
+    results.cell("goal1 s1 wasp laggy=0.7").replay(episode=0)              # frames
+
+Nothing is computed, and torch is imported by `replay` alone. Columns have the names of `wasp run --select`: `variant` is the ablation,
+`operator` the impaired operator, `value` its severity's value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.notebook import cells as reading
+from wasp_cli.notebook.cells import ListedCell, Names, Numbers
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.find import KIND, FoundCell, matching
+from wasp_cli.store.layout import Layout
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pyarrow as pa
+    from numpy.typing import NDArray
+
+Columns = Iterable[str] | None
+
+
+def open_results(folder: str | Path = "results", spec: str | Sequence[str] | None = None) -> Results:
+    """Open a results folder.
+
+    Args:
+        folder: as `wasp run --results` wrote it, or one without runs, such as `results/published`.
+        spec: whose cells: a name, or several. None: of the spec that ran last; everything in the store of a folder without runs.
+
+    Raises:
+        StoreError: there is no such folder.
+        UnknownName: no such spec has run there.
+    """
+    layout = Layout(Path(folder))
+    plans = reading.recorded_plans(layout)
+    if not plans and not layout.store.is_dir():
+        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+    named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
+    for name in named:
+        if name not in plans:
+            raise UnknownName("spec in these results", name, plans)
+    return Results(layout, plans, tuple(named))
+
+
+class Results:
+    """The cells of one spec, or of several, and everything that is stored of them.
+
+    Every method takes a value or a list of values to choose by, and raises UnknownName for one that no cell has. What is not computed has
+    no rows; `missing` lists it.
+    """
+
+    def __init__(self, layout: Layout, plans: Mapping[str, Mapping[str, Any]], named: tuple[str, ...]) -> None:
+        self._layout, self._plans, self._named = layout, plans, named
+
+    @property
+    def specs(self) -> list[str]:
+        """All specs that have run in the folder, oldest first."""
+        return list(self._plans)
+
+    @cached_property
+    def cells(self) -> list[ListedCell]:
+        """The cells, computed or not, in the order of the spec."""
+        if not self._named:
+            return reading.stored_cells(self._layout)
+        return [cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])]
+
+    @property
+    def missing(self) -> list[str]:
+        """The labels of cells that are not computed."""
+        return [cell.label for cell in self.cells if reading.table_of(self._layout, cell) is None]
+
+    def __repr__(self) -> str:
+        whose = f"spec={', '.join(map(repr, self._named))}" if self._named else "without runs"
+        return f"<wasp results '{self._layout.root}', {whose}: {len(self.cells)} cells>"
+
+    def episodes(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
+
+        Args:
+            task: only these; so for the next ones.
+            method: as the spec names it.
+            variant: the ablation; `full` for the method itself.
+            operator: as the spec names it; `none` for the expert's.
+            severity: the spec's name, such as `moderate`.
+            value: of the severity.
+            seed: of the evaluation.
+            columns: which measures; None for all.
+
+        Raises:
+            UnknownName: no cell has such a task, method, ...
+            KeyError: no such column.
+            StoreError: rows are damaged.
+        """
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return reading.stacked(self._layout, cells, reading.episodes_of, reading.EPISODE, columns)
+
+    def steps(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return reading.stacked(self._layout, cells, reading.steps_of, reading.STEPS, columns)
+
+    def branches(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return reading.stacked(self._layout, cells, reading.branches_of, reading.BRANCH, columns)
+
+    def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
+        """Read a row per trained part: key, kind, folder, seconds, and every number that its stage reports.
+
+        Args:
+            task: only these.
+            kind: of stage, such as `world_model`.
+            seed: of the training.
+
+        Raises:
+            UnknownName: no part has such a task, kind or seed.
+        """
+        parts = [(part["kind"], part["key"]) for name in self._named for part in self._plans[name].get("parts", ())]
+        return reading.trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
+
+    def table(self, name: str = "main") -> pa.Table:
+        """Make a table of the report: `main`, `table2`, `figure3`, `statistics`, `operators`, `severity`, `details`, `latency`, ...
+
+        Numbers are unscaled, as in the report's CSV files; `_sd`, `_low` and `_high` columns have the spread.
+
+        Raises:
+            UsageError: the results are of no spec, or of several.
+            UnknownName: the report has no such table.
+            ArtifactError: the record of the run is damaged.
+        """
+        if len(self._named) != 1:
+            raise UsageError("a table is of one spec", f"wasp_cli.results(folder, spec=...) with one of: {', '.join(self.specs) or 'none'}")
+        return reading.report_table(self._layout, self._named[0], name)
+
+    def cell(self, label: str) -> StoredCell:
+        """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its key.
+
+        Raises:
+            UnknownName: there is none.
+            UsageError: several have this label, or it is not computed.
+        """
+
+        cells = {cell.key: cell for cell in matching(self.cells, label)}
+        if not cells:
+            raise UnknownName("cell", label, [cell.label for cell in self.cells])
+        if len(cells) > 1:
+            raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
+        (cell,) = cells.values()
+        if reading.table_of(self._layout, cell) is None:
+            raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
+        return StoredCell(self._layout, cell)
+
+    def _chosen(self, *values: Any) -> list[ListedCell]:
+        names = ("task", "method", "variant", "operator", "severity", "value", "seed")
+        return reading.chosen(self.cells, dict(zip(names, values, strict=True)))
+
+
+@dataclass(frozen=True)
+class StoredCell:
+    """A computed cell; see `Results.cell`."""
+
+    layout: Layout
+    names: ListedCell
+
+    @property
+    def key(self) -> str:
+        """Name of its folder in `store/evaluate`."""
+        return self.names.key
+
+    @property
+    def label(self) -> str:
+        """As `wasp run` prints it."""
+        return self.names.label
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """What is recorded of it: configuration, inputs, versions, time."""
+        return read_manifest(self.layout, KIND, self.key)
+
+    def __repr__(self) -> str:
+        return f"<wasp cell '{self.label}', {self.key}>"
+
+    def episodes(self) -> pa.Table:
+        """Read a row per episode.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        return reading.stacked(self.layout, [self.names], reading.episodes_of, reading.EPISODE, None)
+
+    def steps(self, episode: int | None = None) -> pa.Table:
+        """Read a row per decision, of one episode or of all.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
+        if episode is None:
+            return rows
+        import pyarrow.compute as pc
+
+        return rows.filter(pc.equal(rows["episode"], episode))
+
+    def branches(self) -> pa.Table:
+        """Read a row per counterfactually tested decision.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        return reading.stacked(self.layout, [self.names], reading.branches_of, reading.BRANCH, None)
+
+    def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined futures, gates; uint8 [704, 976, 3] each.
+
+        Needs torch and the cell's models in the results folder.
+
+        Args:
+            episode: counted from 0.
+            every: decisions between two frames; None: so many that there are at most 125 frames.
+
+        Raises:
+            UsageError: no such episode.
+            ArtifactError: a model is missing or damaged, or what is played is not what was recorded.
+        """
+        from wasp_cli.video.replay import replay_frames
+
+        path = reading.table_of(self.layout, self.names)
+        assert path is not None  # the cell is computed: `Results.cell` has seen to it
+        yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)

@@ -215,7 +215,7 @@ def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
 
 def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
     # Imported here: what a report needs is not needed for rows.
-    from wasp_cli.report.trained.parts import NOT_TRAINED, scalars, trained_artifacts
+    from wasp_cli.report.trained import NOT_TRAINED, scalars, trained_artifacts
 
     roots = [*((KIND, key) for key in cells), *parts]
     if not roots:

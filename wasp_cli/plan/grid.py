@@ -16,8 +16,7 @@ from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
-from wasp_cli.plan.closure import PACKAGE, closure_hash
-from wasp_cli.plan.node import Cell, Node, Part, driver_label, key_of, recipe_of, sort_of, with_upstream
+from wasp_cli.plan.node import PACKAGE, Cell, Node, Part, closure_hash, driver_label, key_of, recipe_of, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
@@ -48,12 +47,10 @@ class Grid:
 
     @property
     def targets(self) -> frozenset[str]:
-        """The keys of what the spec asks for; the other nodes are there for these."""
         return frozenset(node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched))))
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
-        """What is trained, needed parts first."""
         return [(Part(node.task, node.kind, node.seed), node) for node in self.nodes if STAGES[node.kind].unit == "chain"]
 
 
@@ -76,7 +73,6 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
 
 
 def together(grids: Sequence[Grid]) -> Grid:
-    """Return what several specs ask for: what they share is there once."""
     return Grid(
         tuple({node.key: (cell, node) for grid in grids for cell, node in grid.cells}.values()),
         tuple(with_upstream(node for grid in grids for node in grid.nodes)),
@@ -90,7 +86,6 @@ def together(grids: Sequence[Grid]) -> Grid:
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
-    """Yield the cells of a spec in its own order."""
     impaired = [(variant, name, value) for variant, severities in spec.operators.items() for name, value in severities.items()]
     for task, method in product(spec.tasks, spec.methods):
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
@@ -99,8 +94,6 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
 
 
 class Section(NamedTuple):
-    """Settings as a stage reads them, and as a key has them: without those that move no result or are at their defaults."""
-
     values: dict[str, Any]
     identity: dict[str, Any]
 
@@ -126,7 +119,6 @@ class _Builder:
         self.assistant = cache(self._assistant)
 
     def evaluation(self, cell: Cell) -> Node:
-        """Return the node that computes a cell, from the training chain of its seed."""
         chain = self.spec.chain_seed(cell.seed)
         code = {cell.method: METHODS[cell.method].target} | _operators([cell.operator])
         config = self.method(cell.method, cell.assistant, cell.task).values
@@ -137,7 +129,6 @@ class _Builder:
         return self.node("evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.assistant)
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
-        """Return the node that branches the interventions of an evaluated cell."""
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
         if cell.operator in (CLONED, PERSON):  # a person cannot be asked again: in the branches the clone goes on
@@ -147,7 +138,6 @@ class _Builder:
         return self.node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, code, label, cell.assistant)
 
     def _assistant(self, task: str, chain: int, method: str, variant: str) -> Mapping[str, Node]:
-        """What all evaluations of one assistant on one training chain read."""
         info = METHODS[method]
         needs = self._inputs("evaluate", task, chain, method, variant)
         if info.calibrated:
@@ -167,7 +157,6 @@ class _Builder:
         return self.node(kind, task, seed, _plugins(code), self._inputs(kind, task, seed), code, kind)
 
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
-        """The clone of a participant; it is made by `wasp clone`, not by a run."""
         axes, code = {"operator": PERSON, "value": value}, _operators([PERSON]) | {CLONE: FITTING}
         return self.node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), code, f"{CLONE} {driver_label(PERSON, value)}")
 
@@ -187,7 +176,6 @@ class _Builder:
         return {name: self.training(name, task, seed) for name, _ in asked}
 
     def _settings(self, kind: str) -> Section:
-        """What a stage reads of the top of the spec: plain values, and sections."""
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
         sections = {name: _section(value) if isinstance(value, Config) else Section(value, value) for name, value in values.items()}
         return Section(*({name: section[form] for name, section in sections.items()} for form in (0, 1)))
@@ -224,7 +212,6 @@ class _Builder:
 
 
 def _operators(names: Iterable[str]) -> dict[str, str]:
-    """The code of operator variants; the unimpaired operator has none."""
     return {name: OPERATORS[name].target for name in names if name in OPERATORS}
 
 
@@ -257,7 +244,6 @@ class Condition(NamedTuple):
     excluding: bool
 
     def holds(self, facts: Mapping[str, str]) -> bool:
-        """Return whether a node with these facts is meant; one that has no such field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
 
 

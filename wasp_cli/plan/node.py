@@ -3,17 +3,28 @@
 A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node is, its resolved configuration, the
 keys of what it reads, the source of what it runs, and the major and minor versions of the libraries that compute. Not in it: the name of
 the spec and of its severities, the order of lists, paths, workers, devices.
+
+The source is every project module that is imported, hashed without comments and docstrings: modules are read, never imported, so that
+planning needs no torch. The package's registries are not followed (their import strings name every task and method at once); a node names
+the modules that it loads through them as further roots. In packages of others, such as a task of one's own, every module counts as it is:
+what they keep in a `registry` or a `config` may be constants.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
+
+from wasp_cli.errors import WaspError
+from wasp_cli.store.reached import reached
 
 SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
@@ -39,7 +50,6 @@ def recipe_of(identity: Mapping[str, Any]) -> str:
 
 @cache
 def libraries() -> dict[str, str]:
-    """Return the major and minor version of each library whose numerics enter the results."""
     return {name: minor(_installed(name)) for name in LIBRARIES}
 
 
@@ -75,13 +85,11 @@ class Cell:
 
 
 def cell_label(method: str, variant: str, operator: str, value: float | None) -> str:
-    """Say who assists whom: `wasp/no-case2 laggy=0.7`."""
     assistant = method if variant == "full" else f"{method}/{variant}"
     return f"{assistant} {driver_label(operator, value)}"
 
 
 def driver_label(operator: str, value: float | None) -> str:
-    """Say who drives: `laggy=0.7`, or `unimpaired`."""
     return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
@@ -124,7 +132,6 @@ class Node:
 
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
-    """Return the nodes and everything they need, each once, needed ones first."""
     ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
@@ -142,3 +149,194 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
     """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
     return digest([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16)
+
+
+PACKAGE = "wasp_cli"
+ORCHESTRATION = frozenset(
+    ["cli", "compare", "console", "drive", "errors", "notebook", "plan", "report", "run", "spec", "video", "view", "web", "__main__"]
+)
+"""Parts of the package that move no number, so that a better message re-runs nothing."""
+CONFIGURATION = frozenset({"config", "configs"})
+"""Our modules and folders of config models: the resolved values are in the key already, so fields and their defaults do not count."""
+
+
+def closure(roots: Iterable[str]) -> frozenset[str]:
+    modules: set[str] = set()
+    for root in roots:
+        if _file(root) is None:
+            hint = "check the module that the plugin's entry names; its source has to be installed"
+            raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", hint)
+        modules |= _reach(root)
+    return frozenset(modules)
+
+
+@cache
+def closure_hash(roots: tuple[str, ...]) -> str:
+    lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
+
+
+def source_hashes(roots: Iterable[str]) -> dict[str, str]:
+    """Return the hash by module of the closure: the manifest keeps them, so that a later plan can name what changed."""
+    return {name: source_hash(name) for name in sorted(closure(roots))}
+
+
+@cache
+def source_hash(module: str) -> str:
+    return _hash(module, _stamp(module))
+
+
+def changed_since(hashes: Mapping[str, str]) -> list[str]:
+    """Return the modules whose source is not what `source_hashes` once said; reads again only what was written since."""
+    changed = []
+    for module, known in hashes.items():
+        try:
+            now = _hash(module, _stamp(module))
+        except (OSError, SyntaxError, ValueError):  # removed, or half saved
+            now = ""
+        changed += [module] if now != known else []
+    return changed
+
+
+def _stamp(module: str) -> tuple[int, int]:
+    """Time of the last write and size of a module's file; zeros where it has none. Taken before a file is read."""
+    file = _file(module)
+    state = file.stat() if file is not None else None
+    return (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
+
+
+@cache
+def _hash(module: str, stamp: tuple[int, int]) -> str:
+    tree = _tree(module, stamp)
+    parts = module.split(".")
+    configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
+    texts: list[str] = []
+    _syntax(_configured(tree) if configured else tree, texts)
+    return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
+
+
+@cache
+def _reach(root: str) -> set[str]:
+    return reached([root], _imports)
+
+
+@cache
+def _imports(module: str) -> frozenset[str]:
+    """Project modules that a module imports anywhere, functions included, except for type checking only."""
+    file = _file(module)
+    package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
+    own = module.partition(".")[0]
+    imported: set[str] = set()
+    for node in _running(_tree(module, _stamp(module))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, base] if base else above)
+            # `from package import module` and `from module import name` look alike.
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
+    # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
+    parts = [name.split(".") for name in imported]
+    parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
+    return frozenset(imported | {parent for parent in parents if _counts(parent)})
+
+
+def _counts(module: str) -> bool:
+    parts = module.split(".")
+    if parts[0] != PACKAGE:
+        return True
+    # The package's own __init__ holds its version.
+    return len(parts) > 1 and parts[1] not in ORCHESTRATION and parts[-1] != "registry"
+
+
+def _running(tree: ast.AST) -> Iterator[ast.AST]:
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        yield node
+        if isinstance(node, ast.expr):
+            continue  # no import hides in an expression
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in (getattr(node.test, "attr", ""), getattr(node.test, "id", "")):
+            pending.extend(node.orelse)
+        else:
+            pending.extend(ast.iter_child_nodes(node))
+
+
+def _configured(tree: ast.Module) -> ast.Module:
+    """A module of config models without their fields; what is left are constants and methods."""
+    body: list[ast.stmt] = []
+    for statement in tree.body:
+        if not isinstance(statement, ast.ClassDef):
+            body.append(statement)
+            continue
+        rest: list[ast.stmt] = [part for part in statement.body if isinstance(part, ast.FunctionDef)]
+        if rest:
+            body.append(ast.ClassDef(statement.name, statement.bases, statement.keywords, rest, statement.decorator_list))
+    return ast.Module(body, [])
+
+
+_NO_SYNTAX = frozenset({"ctx", "type_comment"})
+
+
+def _syntax(node: ast.AST, into: list[str]) -> None:
+    """The syntax as text, the same on every Python: no positions, and empty parts left out (new versions add fields).
+
+    Into one list: planning spends most of its time here, and a generator in each of a million nodes takes twice as long.
+    """
+    into.append(type(node).__name__)
+    for name in node._fields:
+        value = getattr(node, name, None)
+        if value is None or name in _NO_SYNTAX:
+            continue
+        if isinstance(value, ast.AST):
+            into.append(f"({name}")
+            _syntax(value, into)
+        elif isinstance(value, list):
+            items = [item for item in value if not _is_text(item)]
+            if not items or items == [None]:
+                continue
+            into.append(f"({name}")
+            for item in items:
+                if isinstance(item, ast.AST):
+                    _syntax(item, into)
+                else:
+                    into.append(repr(item))
+        else:
+            into.append(f"({name}{value!r}")
+        into.append(")")
+
+
+def _is_text(item: object) -> bool:
+    """A string that stands alone: the docstring of a module, a class, a function or an attribute."""
+    return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant) and isinstance(item.value.value, str)
+
+
+@cache
+def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
+    file = _file(module)
+    return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
+
+
+@cache
+def _file(module: str) -> Path | None:
+    """The source of a module, found without importing anything; None for a namespace package, or when there is none."""
+    top, _, rest = module.partition(".")
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    if not rest:
+        return Path(spec.origin) if spec.origin is not None and spec.origin.endswith(".py") else None
+    for folder in spec.submodule_search_locations or ():
+        path = Path(folder).joinpath(*rest.split("."))
+        for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):
+            if candidate.is_file():
+                return candidate
+    return None

@@ -51,14 +51,12 @@ class Plan:
     """The sorts whose time is an estimate: nodes like them were measured, or other machines measured them."""
 
     def to_run(self) -> list[Node]:
-        """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
     def count(self, state: State, kind: str | None = None) -> int:
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
-        """Return the number of nodes by kind and state; kinds in the order in which they first run."""
         counts: dict[str, Counter[State]] = {}
         levels: dict[str, int] = {}
         for step in self.steps:  # needed ones first
@@ -68,13 +66,11 @@ class Plan:
         return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         total, _ = simulated(nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers)
         return total, sum(node.sort not in self.seconds for node in nodes)
 
     def critical_path(self) -> tuple[float, list[Node]]:
-        """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
         ends: dict[str, float] = {}
         before: dict[str, Node | None] = {}
         last: Node | None = None
@@ -94,7 +90,6 @@ class Plan:
         return seconds, path[::-1]
 
     def as_json(self) -> dict[str, Any]:
-        """Return this as plain values: for machines, and for the report of a run that is long over."""
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
@@ -119,7 +114,6 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
-        """Return the part of this plan that is about a grid whose nodes it has."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -168,7 +162,6 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
 
 
 def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
-    """Return the plan of a grid over the store of a results folder, which need not be there."""
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
@@ -209,7 +202,6 @@ def _with_precision(plan: Plan, stored: Stored) -> Plan:
 
 
 def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
-    """Yield each node of a plan whose time was measured, here or where it was published, with its seconds."""
     for node in plan.grid.nodes:
         if node.sort in plan.seconds:
             yield node, plan.seconds[node.sort]
@@ -230,7 +222,6 @@ Thing = TypeVar("Thing", Cell, Part)
 
 
 def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
-    """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
     return [(thing, node.key) for thing, node in pairs]
 
 
@@ -264,7 +255,6 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
 
 
 def _reasons(plan: Plan) -> list[str]:
-    """Why nodes run that someone may believe to be done, and what is used that was published: each reason once, with its nodes."""
     lines = reason_lines(plan, "published", "changed", "failed", "damaged")
     if len(lines) > SHOWN:
         lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
@@ -274,7 +264,6 @@ def _reasons(plan: Plan) -> list[str]:
 
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
-    """Return the reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
     labels: dict[str, list[str]] = {}
     for step in plan.steps:
         if step.state in states:

@@ -10,9 +10,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of
+from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of, source_hashes
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER
@@ -70,7 +69,6 @@ def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
-    """Return the identity of a node without its configuration: who assists whom, where, with which seed."""
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
     return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} {axes.get('value')!r}"
@@ -104,7 +102,6 @@ class Reasons:
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
-        """Return what changed since the nearest version; None where there is none."""
         compared = [self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]]
         differences = [difference for difference in compared if difference is not None]
         return min(differences, key=lambda difference: difference[0])[1] if differences else None
@@ -118,7 +115,6 @@ class Reasons:
         return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
 
     def _begins(self, node: Node, key: str) -> bool:
-        """Whether a stored cell differs from this one in its episodes alone."""
         try:
             manifest = read_manifest(self._layout, node.kind, key)
             before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
@@ -141,7 +137,6 @@ class Reasons:
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
-    """How many things differ, and the words for them."""
     fields = list(_fields(node, manifest))
     modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
     parts = _words(fields, modules, versions)
@@ -167,19 +162,16 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
-    """Return the modules and the libraries that have changed since a version of a node was computed."""
     return _modules(source_hashes(node.modules), manifest["sources"]) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the libraries that an artifact was computed with in another version."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
     return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := minor(installed.get(name))) != new]
 
 
 def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Settings that differ, named as a spec names them."""
     model = stage_class(node.kind).config
     try:
         before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
@@ -211,7 +203,6 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:
-    """Name at most so many of several things, and say how many more there are."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return ", ".join(items[:most]) + more
 

@@ -25,7 +25,7 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import LENGTH, Node
 from wasp_cli.plan.reasons import few, moved_on
-from wasp_cli.spec.derived import with_episodes
+from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
@@ -40,7 +40,6 @@ HELDOUT = "heldout"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
@@ -54,7 +53,6 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)
@@ -75,7 +73,6 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
-    """Those that are whole, of nodes that the store does not have under the code of today; and what is wrong with the others."""
     nodes = {node.recipe: node for node in own.nodes}
     recipes = {node.key: node.recipe for node in own.nodes}
     usable, notes = [], []
@@ -121,7 +118,6 @@ def _episodes(offer: Offer) -> int:
 
 
 def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
-    """The offer of the first episodes of a published cell."""
     episodes = int(node.config["episodes"])
     # Under today's code it has the key that it would have been computed under; under other code, one that says what it was cut from.
     key = node.key if offer.key == longer.key else hashlib.sha256(f"first {episodes} of {offer.key}".encode()).hexdigest()[:LENGTH]

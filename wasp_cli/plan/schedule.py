@@ -53,19 +53,15 @@ class Schedule:
         return len(self._ready)
 
     def pop(self) -> Node:
-        """Take the ready node from which the longest path begins."""
         return heapq.heappop(self._ready)[1]
 
     def put(self, node: Node) -> None:
-        """Make a node ready, also one that was taken before and has to run again."""
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
     def waits(self, node: Node) -> bool:
-        """Return whether a node has not ended, and nothing that it needs has failed."""
         return node.key in self._left
 
     def ended(self, node: Node) -> None:
-        """Make ready what has waited for this node alone."""
         self._left.discard(node.key)
         for dependent in self._dependents[node.key]:
             needs = self._needs[dependent.key]
@@ -74,7 +70,6 @@ class Schedule:
                 self.put(dependent)
 
     def failed(self, node: Node) -> list[Node]:
-        """Give up a node, ready or taken, and return what can never begin without it, needed ones first."""
         self._left.discard(node.key)
         self._ready = [entry for entry in self._ready if entry[1].key != node.key]
         heapq.heapify(self._ready)
@@ -90,7 +85,6 @@ class Schedule:
 
 
 def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:
-    """Return how long the nodes take on so many workers (None: on any number), and how many run at once at most."""
     schedule = Schedule(nodes, lasting)
     running: list[tuple[float, str, Node]] = []
     now, most = 0.0, 0
@@ -125,7 +119,6 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
 
 @cache
 def speed() -> float:
-    """Return how much one core does, in rounds of arithmetic and Python per second. Without BLAS, whose threads are no part of it."""
     import numpy as np
 
     values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
@@ -142,7 +135,6 @@ def speed() -> float:
 
 
 def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
-    """Return the figures: `speed` of the machine that they were measured on, and `seconds` by preset and name."""
     figures: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return figures
 

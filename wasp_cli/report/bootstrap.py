@@ -44,16 +44,12 @@ TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on eit
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval; None where there is a single cluster."""
-
     value: float
     interval: Interval | None
 
 
 @dataclass(frozen=True, eq=False)
 class _Clusters:
-    """What is resampled, in ascending order."""
-
     unit: Literal["training", "world"]
     names: Floats  # [K] the seeds of the trainings, or of the worlds
 
@@ -257,8 +253,6 @@ def _middle_mean(numbers: Floats, times: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Contrast:
-    """A contrast over trainings; limits are None where they are undefined."""
-
     value: float
     trainings: tuple[float, ...]  # the contrast of each training, in the order of their seeds
     bootstrap: Limits | None

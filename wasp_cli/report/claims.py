@@ -29,7 +29,7 @@ from typing import Literal
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups
-from wasp_cli.report.tables.table import task_title
+from wasp_cli.report.tables import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 
@@ -58,7 +58,6 @@ class Judged:
 
     @property
     def part(self) -> Outcome:
-        """The outcome of those questions that could be asked; `untested` where none could."""
         return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
 
     @property
@@ -68,8 +67,6 @@ class Judged:
 
 @dataclass(frozen=True)
 class Beside:
-    """A row of the paper and the same row here, one entry per column of its table."""
-
     table: str
     columns: tuple[str, ...]
     task: str
@@ -95,22 +92,17 @@ class VerdictReport:
 
 
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
-    """Hold the rows of a report against a paper; `spec` says how large models and budgets are, and whether seeds share a training."""
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
     further = [Who(name) for name, info in METHODS.items() if info.instead_of]
     others = tuple(filter(rows.has, further))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
-        paper=paper,
-        rows=tuple(_beside(rows, paper)),
+        paper=paper, rows=tuple(_beside(rows, paper)),
         claims=tuple(replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others)) for own in judged),
-        tasks=rows.tasks,
-        seeds=seeds,
-        one_training=len({cell.training for cell in frame.cells}) == 1,
-        notes=tuple(_notes(frame, rows, paper, seeds, spec)),
-        others=others,
-    )
+        tasks=rows.tasks, seeds=seeds, one_training=len({cell.training for cell in frame.cells}) == 1,
+        notes=tuple(_notes(frame, rows, paper, seeds, spec)), others=others,
+    )  # fmt: skip
 
 
 def decide(interval: Limits | None, relation: Relation) -> Outcome:
@@ -184,12 +176,10 @@ def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
 
 
 def stood_for(who: Who) -> Who:
-    """Return the row in whose place a further one is judged."""
     return Who(METHODS[who.method].instead_of)
 
 
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
-    """Judge a claim with a further row of a method in its place; None where it says nothing of the method, or of an ablation."""
     place = stood_for(who)
     named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
     own = {side for side in named if side.method == place.method}

@@ -15,9 +15,9 @@ from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictReport, signed_margin, stood_for
 from wasp_cli.report.render import markdown_row, rendered
 from wasp_cli.report.summary import UNDEFINED, Value
+from wasp_cli.report.tables import Row, Table, task_title, who_title
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
 from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
-from wasp_cli.report.tables.table import Row, Table, task_title, who_title
 from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:
@@ -114,7 +114,6 @@ def _limits(answer: Answer, limits: Limits | None) -> str:
 
 
 def needed(answer: Answer) -> str:
-    """Write the contrast out, and say where its interval has to lie."""
     asked = answer.asked
     other = "right" if asked.bound is None else COLUMN_OF[asked.column].number(asked.bound)
     margin = f" {'+' if signed_margin(asked) < 0 else '-'} {asked.margin:g} |right|" if asked.margin else ""
@@ -133,7 +132,6 @@ def beyond_print(judged: Judged) -> str:
 
 
 def verdict_terminal(verdict: VerdictReport) -> Text:
-    """Count the claims in one line; the written report has each of them, with the comparisons that decide it."""
     line = " ".join((headline(verdict), *second_headlines(verdict)))
     return Text.assemble((f"{TITLE}: ", "bold"), f"{line[0].lower()}{line[1:-1]}; report.html lists them.")
 
@@ -159,7 +157,6 @@ def verdict_markdown(verdict: VerdictReport) -> str:
 
 
 def _told(judged: Judged) -> Iterator[str]:
-    """Yield what stands below a claim: how it is read, every comparison, and what is missing."""
     if judged.claim.reading:
         yield f"Read as: {judged.claim.reading}"
     for answers in judged.answers:
@@ -200,7 +197,6 @@ MEANINGS = (
 
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
-    """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
     keys = list(dict.fromkeys(key for row in verdict.rows for key in row.columns))
     if not verdict.rows:
         return None

@@ -1,6 +1,7 @@
-"""How all figures of a report look and are written, and those with a mark for each method.
+"""How all figures of a report look and are written, and those of methods.
 
-Cost against return, and what interventions were worth (Figure 3). A figure that has nothing to show writes no file.
+Cost against return, what interventions were worth (Figure 3), and along the severities. A figure that has nothing to show writes
+no file.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import groupby, product
+from itertools import groupby, pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,9 +19,10 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
-from wasp_cli.report.summary import summarise
+from wasp_cli.report.summary import UNDEFINED, Value, summarise
+from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title, who_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
-from wasp_cli.report.tables.table import Column, assistant_title, task_title
+from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
@@ -321,3 +323,66 @@ def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | 
     panel.spines["left"].set_visible(False)
     ruled(panel, "x")
     panel.tick_params(axis="y", length=0)
+
+
+SEVERITY_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return"))
+Condition = tuple[str, float]  # operator variant and severity value
+
+
+def severity_figure(frame: Frame, folder: Path) -> list[Path]:
+    assistants = [group for rows in rows_by_task(frame).values() for group in rows if METHODS[group.method].impaired]
+    under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.value is not None)
+    variants = list(dict.fromkeys(variant for variant, _ in under))
+    conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
+    tasks = list(dict.fromkeys(group.task for group in assistants))
+    if not tasks or len(conditions) < 2:
+        return []
+    with drawn((max(7.5, 2.2 + 0.9 * len(conditions)), 0.6 + 2.9 * len(tasks))) as figure:
+        panels = figure.subplots(len(tasks), len(SEVERITY_MEASURES), squeeze=False, sharex=True)
+        for row, task in zip(panels, tasks, strict=True):
+            shown = [group for group in assistants if group.task == task]
+            for panel, column in zip(row, SEVERITY_MEASURES, strict=True):
+                for i, group in enumerate(shown):
+                    # Methods stand beside each other, so that none hides another.
+                    _draw_severities(panel, group, conditions, column, 0.5 * (i / max(len(shown) - 1, 1) - 0.5))
+                panel.set_title(f"{task_title(task)}: {column.heading}", loc="left", fontsize=9)
+                _name_conditions(panel, conditions)
+        legend(figure, panels.flat, loc="outside lower center", most=7)
+        return figure_files(figure, folder, "severity")
+
+
+def _draw_severities(panel: Axes, group: Group, conditions: Sequence[Condition], column: Column, shift: float) -> None:
+    x: list[float] = []
+    values: list[Value] = []
+    for _, places in groupby(enumerate(conditions), key=lambda place: place[1][0]):
+        for place, condition in places:
+            cells = [cell for cell in group.cells if (cell.identity.operator, cell.identity.value) == condition]
+            x.append(place + shift)
+            values.append(summarise(cells, column.key))
+        # A gap between operators, so that one line serves for all: each further one takes as long to draw as this one.
+        x.append(x[-1])
+        values.append(UNDEFINED)
+    means, spreads = (
+        [math.nan if n is None else n * column.scale for n in numbers] for numbers in zip(*((v.mean, v.sd) for v in values), strict=True)
+    )
+    colour, marker = style_of(group.method)
+    bars = spreads if any(number > 0 for number in spreads) else None
+    panel.errorbar(
+        x, means, yerr=bars, fmt=marker, linestyle="-", color=colour, markersize=4, linewidth=0.9, elinewidth=0.8,
+        label=who_title(group.method, group.variant),
+    )  # fmt: skip
+
+
+def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
+    panel.set_xticks(
+        range(len(conditions)),
+        [f"{operator_title(variant)} {value:g}" for variant, value in conditions],
+        rotation=35,
+        ha="right",
+        fontsize=7,
+    )
+    ruled(panel, "y")
+    panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
+    for i, (left, right) in enumerate(pairwise(conditions)):
+        if left[0] != right[0]:
+            panel.axvline(i + 0.5, color="#bbbbbb", linewidth=0.6)

@@ -17,10 +17,10 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.explain.episode import LOOKS, Episode, read_episode, timeline
+from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import CellNumbers, Frame
-from wasp_cli.report.tables.table import operator_title
+from wasp_cli.report.tables import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
@@ -37,8 +37,6 @@ FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
 
 class Sprite(NamedTuple):
-    """A film as one image: frames from left to right, then downwards."""
-
     data: bytes
     mime: str
     columns: int
@@ -80,7 +78,6 @@ class TaskFilms:
 
 
 def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
-    """Yield the films of every task of which a map can be drawn; `tell` is told what is being drawn."""
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
         if task in TASKS and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:

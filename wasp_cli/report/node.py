@@ -14,7 +14,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained.parts import duration, scalars, short
+from wasp_cli.report.trained import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -38,26 +38,16 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     drawn = layout.root.glob(f"reports/*/trained/*-{node.key[:8]}") if node.key is not None and is_key(node.key) else ()
     return {
-        "key": node.key or "",
-        "kind": node.kind,
-        "label": node.label or "",
-        "folder": str(node.path),
-        "started_at": node.started_at,
+        "key": node.key or "", "kind": node.kind, "label": node.label or "", "folder": str(node.path), "started_at": node.started_at,
         "seconds": float(seconds) if isinstance(seconds, int | float) else None,
-        "attempt": attempt if isinstance(attempt, int) else None,
-        "summary": mapping(node.setting("summary")),
-        "changed": list(_changed(node)),
-        "settings": mapping(node.setting("settings")),
-        "upstream": list(_upstream(layout, node)),
-        "files": list(_files(layout, node)),
-        "pictures": sorted(printable(str(path)) for path in drawn),
-        "provenance": provenance,
+        "attempt": attempt if isinstance(attempt, int) else None, "summary": mapping(node.setting("summary")),
+        "changed": list(_changed(node)), "settings": mapping(node.setting("settings")), "upstream": list(_upstream(layout, node)),
+        "files": list(_files(layout, node)), "pictures": sorted(printable(str(path)) for path in drawn), "provenance": provenance,
         "failure": node.failure,
-    }
+    }  # fmt: skip
 
 
 def _changed(node: FoundNode) -> Iterator[Facts]:
-    """What of the stage's section and of the method's differs from the defaults; all of it, where this version has no such stage."""
     section = stage_class(node.kind).config if node.kind in STAGES else None
     yield from _differences("", mapping(node.setting("config")), _defaults(section))
     method = node.setting("axes", "method")
@@ -110,12 +100,10 @@ def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}
 
 
 def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return kind and key of what an artifact was computed from, by the name under which it was read; the valid ones."""
     kinds = mapping(manifest.get("upstream_kinds"))
     read = {name: (kinds.get(name, name), key) for name, key in mapping(manifest.get("upstream")).items()}  # older ones are named by kind
     return {name: one for name, one in read.items() if all(isinstance(text, str) for text in one) and is_name(one[0]) and is_key(one[1])}

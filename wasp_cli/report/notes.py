@@ -1,10 +1,5 @@
 """Notes on cells and episodes, and marks of what is invalid: one line each in `notes.jsonl` beside the store, never in a result's bytes.
 
-    add_note(layout, Note(key, label, 3, "the robot starts within a hazard", mark="invalid", author="ada"))
-    notes_of(layout)                  all of them, oldest first
-    invalid(notes_of(layout))         what reports leave out: by key the episodes, None for the whole cell
-    without_invalid(frame, ...)       the frame without them
-
 The file is only appended to: a later `valid` takes back an earlier `invalid`. It may be untrusted, as everything in a results folder.
 """
 
@@ -54,7 +49,6 @@ def one_line(note: Note, *, past: bool = False) -> str:
 
 
 def lines_of(notes: Sequence[Note]) -> list[str]:
-    """Return all notes as lines, oldest first; an `invalid` that no longer counts says so."""
     held = invalid(notes)
     return [one_line(note, past=note.mark == "invalid" and (note.key, note.episode) not in held) for note in notes]
 
@@ -115,7 +109,6 @@ def _note(record: dict[str, Any]) -> Note | None:
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
-    """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
     marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
         if note.mark == "invalid":
@@ -161,7 +154,6 @@ def without_invalid(
 
 
 def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | None:
-    """Return a cell pooled over its other episodes; None where none is left."""
     if not out:
         return cell
     rest = np.array([episode not in out for episode in range(cell.count)])

@@ -15,9 +15,8 @@ from typing import Any
 from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Part
+from wasp_cli.plan.node import Part, changed_since
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.render import markdown_row
@@ -61,8 +60,6 @@ def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
 
 @dataclass
 class Origins:
-    """Counts the artifacts of a report, and keeps the manifests of those that were published."""
-
     total: int = 0
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)

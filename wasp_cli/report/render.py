@@ -39,7 +39,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from wasp_cli.errors import StoreError
-from wasp_cli.report.tables.table import Row, Table
+from wasp_cli.report.tables import Row, Table
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
@@ -243,12 +243,10 @@ def _line(cells: list[str]) -> str:
 
 
 def _number(text: str) -> str:
-    """Signs are those of mathematics; digits stay text, which can be bold."""
     return text.replace("-", "$-$").replace("+", "$+$").replace("±", r"$\pm$").replace("[", "{[}").replace("]", "{]}")
 
 
 def _name(name: str) -> str:
-    """A label may have letters, digits and hyphens."""
     return "".join(character if character.isascii() and character.isalnum() else "-" for character in name)
 
 
@@ -260,7 +258,6 @@ TEMPLATES = ("wasp_cli.report", "page/templates")
 
 
 def rendered(template: str, /, **values: Any) -> Markup:
-    """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
     return Markup(templates(TEMPLATES).get_template(template).render(values))  # every value in it has been escaped
@@ -304,7 +301,6 @@ def make_own(folder: Path) -> None:
 
 
 def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table]) -> list[Path]:
-    """Write pages (name: text) and every table in every format; returns the files, the pages first."""
     texts = dict(pages)
     texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
     for name, text in texts.items():

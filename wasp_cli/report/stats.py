@@ -59,7 +59,6 @@ class Wanted:
 
     @classmethod
     def stored(cls, layout: Layout, kind: str, key: str, identity: CellIdentity, label: str, **known: Any) -> Wanted:
-        """Return what a results folder has under a key, a cell or its branches; what leads out of the folder is not read."""
         folder, refused = layout.artifact(kind, key), None
         path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
         try:
@@ -71,8 +70,6 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Missing:
-    """A wanted cell without readable rows."""
-
     identity: CellIdentity
     label: str
     reason: str
@@ -114,8 +111,6 @@ class CellNumbers:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What the N branched interventions of a cell were worth."""
-
     worth: Necessity
     episode: NDArray[np.int64]  # [N]
     window: int  # W
@@ -134,8 +129,6 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """What a row of a table stands for: the cells of one assistant on one task."""
-
     task: str
     method: str
     variant: str
@@ -155,7 +148,6 @@ class Group:
 
 
 def groups(frame: Frame) -> list[Group]:
-    """List the rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
     rows: dict[tuple[str, str, str], list[CellNumbers]] = {row_of(identity): [] for identity in frame.order}
     for cell in frame.cells:
         rows.setdefault(row_of(cell.identity), []).append(cell)
@@ -171,7 +163,6 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
 
 
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
-    """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
     results = [_read(cell) for cell in wanted]
     read = [(cell, numbers) for cell, numbers in zip(wanted, results, strict=True) if not isinstance(numbers, Missing)]
@@ -262,10 +253,9 @@ def median_of(values: Floats) -> float:
 
 
 def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
-    """Return the frame with JUDGED and their weights as columns of the cells that have branches.
+    """Return the frame with JUDGED and their weights as columns of the cells that have branches; `unbranched` names those that should.
 
-    An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell. The cells that
-    have rows, and not the branches that they should have, are named in `unbranched`.
+    An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell.
     """
     asked = {cell.identity: cell.branches for cell in wanted if cell.branches is not None}
     judged: dict[CellIdentity, Judged] = {}
@@ -312,11 +302,6 @@ def numbers_of(worth: Necessity) -> dict[str, Floats]:
     """Return [N] per column: one number for each branched intervention, NaN where it does not count."""
     unnecessary = worth.unnecessary.astype(np.float64)
     return {
-        "uir": unnecessary,
-        "uir_swapped": worth.swapped.astype(np.float64),
-        "uir_eff": np.where(worth.effective, unnecessary, np.nan),
-        "rho": worth.rho,
-        "at_risk": (worth.rho > 0.0).astype(np.float64),
-        "delta_c": worth.delta_c,
-        "delta_r": worth.delta_r,
-    }
+        "uir": unnecessary, "uir_swapped": worth.swapped.astype(np.float64), "uir_eff": np.where(worth.effective, unnecessary, np.nan),
+        "rho": worth.rho, "at_risk": (worth.rho > 0.0).astype(np.float64), "delta_c": worth.delta_c, "delta_r": worth.delta_r,
+    }  # fmt: skip

@@ -16,21 +16,28 @@ from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report import provenance
-from wasp_cli.report.axis_figures import severity_figure
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure
+from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure, severity_figure
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
-from wasp_cli.report.tables.by_axis import operator_table, severity_table
+from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
-from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, in_words, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.main import (
+    ablation_table,
+    autonomy_table,
+    detail_table,
+    in_words,
+    latency_table,
+    main_table,
+    operator_table,
+    severity_table,
+    threshold_table,
+)
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.tables.table import Table, task_title
-from wasp_cli.report.trained.figures import draw_learning, draw_reliability
-from wasp_cli.report.trained.parts import (
+from wasp_cli.report.trained import (
     Trained,
     duration,
     numbers_text,
@@ -39,6 +46,7 @@ from wasp_cli.report.trained.parts import (
     training_tables,
     with_warnings,
 )
+from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -128,7 +136,6 @@ class Report:
         return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def _kept(self, folder: Path) -> list[Path]:
-        """The figures of an earlier report with the same text; none where it said something else."""
         figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
         page = folder / "report.md"
         same = page.is_file() and page.read_text(encoding="utf-8") == self.markdown([path.name for path in figures])
@@ -158,26 +165,18 @@ class Report:
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
         page = rendered(
-            "page.html",
-            report=self,
-            verdict=None if self.verdict is None else verdict_html(self.verdict),
+            "page.html", report=self, verdict=None if self.verdict is None else verdict_html(self.verdict),
             gaps=missing_words(self.frame) if self.missing else None,
-            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING],
-            further=self.tables[self.shown :],
+            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING], further=self.tables[self.shown :],
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
             films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
             training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
-            notes=lines_of(self.notes),
-            style=trusted("style.css"),
-            script=trusted("sort.js") + trusted("script.js"),
-            task_title=task_title,
-            cell_address=cell_address,
-            duration=duration,
-            numbers_text=numbers_text,
+            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys), notes=lines_of(self.notes),
+            style=trusted("style.css"), script=trusted("sort.js") + trusted("script.js"), task_title=task_title,
+            cell_address=cell_address, duration=duration, numbers_text=numbers_text,
             as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
-        )
+        )  # fmt: skip
         return str(page)
 
 
@@ -215,17 +214,10 @@ def report_run(
     unknown: Sequence[str] = (),
     absent: Sequence[str] = (),
 ) -> Report:
-    """Summarise the cells and the trained parts of a run, each with the key of its artifact.
+    """Summarise the cells and the trained parts of a run, each with the key of its artifact, against the numbers and claims of a paper.
 
-    Args:
-        results: the results folder.
-        spec: what the run was asked for.
-        cells: its cells.
-        parts: what it trains.
-        paper: whose numbers and claims the cells are held against; None: against none.
-        branched: the cells whose interventions are judged, with the keys of their counterfactual branches.
-        unknown: what the record of the run has that this version does not know.
-        absent: whose cells are left out, since it is not installed here, each as a sentence.
+    `branched` are the cells whose interventions are judged, with the keys of their counterfactual branches. `unknown` is what the record of
+    the run has that this version does not know, and `absent` whose cells are left out, since it is not installed here, each as a sentence.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
@@ -268,21 +260,10 @@ def report_run(
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged)
     return Report(
-        name=spec.name,
-        layout=layout,
-        facts=facts,
-        tables=(*front, *back),
-        shown=len(front),
-        frame=frame,
-        trained=trained,
-        assumptions=tuple(provenance.assumptions_in_force(spec)),
-        damaged=tuple(damaged),
-        published=tuple(published),
-        remarks=remarks,
-        verdict=verdict,
-        keys=keys,
-        notes=tuple(notes),
-    )
+        name=spec.name, layout=layout, facts=facts, tables=(*front, *back), shown=len(front), frame=frame, trained=trained,
+        assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
+        verdict=verdict, keys=keys, notes=tuple(notes),
+    )  # fmt: skip
 
 
 def wanted_cells(
@@ -308,7 +289,6 @@ def wanted_cells(
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
-    """Why a node failed last; a record that does not read is added to `damaged`."""
     try:
         record = read_record(layout.failure(key))
     except ArtifactError as error:

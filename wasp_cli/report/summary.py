@@ -22,8 +22,6 @@ HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a number may lie, and what was resampled to say so."""
-
     low: float
     high: float
     unit: Literal["training", "world", "participant"]
@@ -42,8 +40,6 @@ FEW = 3  # clusters up to which 95 % of the resamples reach from the least to th
 
 @dataclass(frozen=True)
 class Value:
-    """A number of a table. None is undefined."""
-
     mean: float | None
     sd: float | None = None  # spread over seed-level means; None with fewer than two seeds
     n: int = 0  # seeds behind the mean
@@ -56,7 +52,6 @@ UNDEFINED = Value(None, ranked=False)
 
 
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
-    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
     by_seed: dict[int, list[float]] = {}
     for cell in cells:
         number = cell.pooled.get(key, math.nan)
@@ -75,7 +70,6 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
 
 
 def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
-    """Summarise a pooled column over cells: mean over seeds of the seed-level means."""
     return over_seeds(seed_means(cells, key).values(), ranked)
 
 

@@ -1,9 +1,9 @@
-"""The report of a sweep: its tables and curves once, printed, written, or for machines."""
+"""The report of a sweep: a table with a row for each assistant and value, printed, written, or for machines."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,88 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.axis_figures import sweep_figures
 from wasp_cli.report.render import make_own, markdown, terminal, write_pages
-from wasp_cli.report.stats import Missing
+from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
-from wasp_cli.report.tables import by_axis
-from wasp_cli.report.tables.table import Table
-from wasp_cli.spec.derived import Sweep
+from wasp_cli.report.summary import Value, paired_difference, spread_note
+from wasp_cli.report.tables import Row, Table, main
+from wasp_cli.spec.load import Sweep
+from wasp_cli.store.tables import CellIdentity
+
+REFERENCE = "human"
+COLUMNS = (*main.PAPER_COLUMNS, *(column for column in main.MORE_COLUMNS if column.key == "mag_int"))
+UNTOUCHED = "-"  # the value of a method whose cells are the same for every value
+UNTOUCHED_NOTE = f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are the same for every value."
+DIFFERENCE = "In brackets: mean difference to Human-only over the operators, severities and seeds that both have."
+CHOICE = "The best of several values looks better than it is: choose on seeds that no table uses, and report on others."
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    text: str  # the value as it was written
+    value: Any  # the same as a file would have it
+    frame: Frame
+    keys: Mapping[CellIdentity, str]  # the key of each wanted cell; two values share a cell when its key is the same
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    group: Group
+    swept: Swept | None  # None where the setting does not touch the assistant
+    reference: tuple[CellNumbers, ...]  # the cells of Human-only under the same value; empty for itself, and where it does not run
+
+    @property
+    def text(self) -> str:
+        return UNTOUCHED if self.swept is None else self.swept.text
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """Return the numbers of the row. Human-only corrects nothing, so the columns of autonomy have no difference to it."""
+        pairs = zip(main.values(self.group, COLUMNS), COLUMNS, strict=True)
+        return tuple(
+            value if column.key in main.AUTONOMY else replace(value, delta=paired_difference(self.group.cells, self.reference, column.key))
+            for value, column in pairs
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        facts: dict[str, Any] = {
+            "task": self.group.task, "method": self.group.method, "variant": self.group.variant,
+            "touched": self.swept is not None, "value": None if self.swept is None else self.swept.value,
+            "cells": len(self.group.cells), "missing": self.group.absent,
+        }  # fmt: skip
+        numbers = zip(COLUMNS, self.values, strict=True)
+        return facts | {c.key: {"mean": v.mean, "sd": v.sd, "difference": v.delta, "seeds": v.n} for c, v in numbers}
+
+
+def lines(swept: Sequence[Swept]) -> list[Line]:
+    """List a line for each assistant and value, in the order of the spec; one for an assistant that the setting does not touch."""
+    by_value = [{group.assistant: group for group in groups(point.frame)} for point in swept]
+    result = []
+    for assistant in dict.fromkeys(assistant for by_assistant in by_value for assistant in by_assistant):
+        keys = [frozenset(key for identity, key in point.keys.items() if row_of(identity) == assistant) for point in swept]
+        same = len(set(keys)) == 1
+        for point, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
+            if assistant in by_assistant:
+                alone = by_assistant.get((assistant[0], REFERENCE, "full"))
+                reference = alone.cells if alone is not None and assistant[1] != REFERENCE else ()
+                result.append(Line(by_assistant[assistant], None if same else point, reference))
+    # Values of one setting may miss cells, but a task stays together.
+    tasks = list(dict.fromkeys(line.group.task for line in result))
+    return sorted(result, key=lambda line: tasks.index(line.group.task))
+
+
+def combined(key: str, swept: Sequence[Swept]) -> Frame:
+    """Join the cells of all values, each once; a missing cell is named with the value that it belongs to."""
+    cells: dict[str, CellNumbers] = {}
+    missing: dict[str, Missing] = {}
+    order: dict[str, CellIdentity] = {}
+    for point in swept:
+        order |= {point.keys[identity]: identity for identity in point.frame.order}
+        cells |= {point.keys[cell.identity]: cell for cell in point.frame.cells}
+        for gap in point.frame.missing:
+            shared = all(other.keys.get(gap.identity) == point.keys[gap.identity] for other in swept)
+            missing[point.keys[gap.identity]] = gap if shared else replace(gap, label=f"{gap.label} [{key}={point.text}]")
+    return Frame(tuple(cells.values()), tuple(missing.values()), tuple(order.values()))
 
 
 @dataclass(frozen=True)
@@ -26,72 +101,71 @@ class SweepReport:
     name: str
     spec: str
     key: str
-    swept: tuple[by_axis.Swept, ...]
+    swept: tuple[Swept, ...]
     damaged: tuple[str, ...] = ()  # records that do not read
     published: tuple[str, ...] = ()  # what was published and not computed here
 
+    @cached_property
+    def frame(self) -> Frame:
+        return combined(self.key, self.swept)
+
     @property
     def missing(self) -> tuple[Missing, ...]:
-        return by_axis.combined(self.key, self.swept).missing
+        return self.frame.missing
 
     @cached_property
-    def tables(self) -> tuple[Table, Table]:
-        return by_axis.sweep_table(self.key, self.swept), by_axis.sweep_operator_table(self.key, self.swept)
+    def table(self) -> Table:
+        rows_of = lines(self.swept)
+        rows = [Row((*main.labels_of(line.group), line.text), line.values) for line in rows_of]
+        notes = (spread_note(self.frame.cells), *main.missing_notes(self.frame), CHOICE)
+        meanings = (
+            *main.MEANINGS[:1],
+            *[DIFFERENCE] * any(line.reference for line in rows_of),
+            *[UNTOUCHED_NOTE] * any(line.swept is None for line in rows_of),
+        )
+        return Table("sweep", f"Values of {self.key}", ("Task", "Method", self.key), COLUMNS, tuple(rows), notes, meanings)
 
     def terminal(self, console: Console) -> None:
-        for table in self.tables:
-            if table.rows:
-                console.print(terminal(table, console.width))
+        console.print(terminal(self.table, console.width))
         for fact in self.published:
             console.print(Text(fact), soft_wrap=True)
         name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
         make_own(folder)
-        figures = sweep_figures(self.key, self.swept, folder)
-        pages = write_pages(folder, {"report.md": self.markdown([path.name for path in figures])}, self.tables)
-        for path in {*folder.glob("sweep_*.png"), *folder.glob("sweep_*.svg")} - {*figures}:
-            path.unlink(missing_ok=True)  # of a task that an earlier sweep had
-        return [*pages, *figures]
+        return write_pages(folder, {"report.md": self.markdown()}, [self.table])
 
-    def markdown(self, figures: Sequence[str] = ()) -> str:
-        frame = by_axis.combined(self.key, self.swept)
-        values = ", ".join(f"`{each.text}`" for each in self.swept)
+    def markdown(self) -> str:
+        values = ", ".join(f"`{point.text}`" for point in self.swept)
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
-            f"{len(frame.cells)} of {len(frame.order)} different cells, {sum(cell.count for cell in frame.cells)} episodes.",
+            f"{len(self.frame.cells)} of {len(self.frame.order)} different cells, {sum(cell.count for cell in self.frame.cells)} episodes.",
             *self.published,
             *self.damaged,
         ]
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
-        if frame.missing:
-            parts.append("## Missing cells\n\n" + "".join(f"- {cell.label}: {cell.reason}\n" for cell in frame.missing))
-        whole, by_operator = self.tables
-        parts.append(markdown(whole))
-        parts += [f"![{self.key}]({name})\n" for name in figures if name.endswith(".png")]
-        parts.append(markdown(by_operator))
-        return "\n".join(parts)
+        if self.missing:
+            parts.append("## Missing cells\n\n" + "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing))
+        return "\n".join([*parts, markdown(self.table)])
 
     def as_json(self) -> dict[str, Any]:
-        rows = by_axis.lines(self.swept)
         return {
             "name": self.name,
             "spec": self.spec,
             "setting": self.key,
-            "values": [each.value for each in self.swept],
-            "rows": [line.as_json(by_axis.SWEEP_COLUMNS) for line in rows],
-            "operators": [line.as_json(by_axis.SWEEP_OPERATOR_COLUMNS) for line in by_axis.operator_lines(self.swept, rows)],
+            "values": [point.value for point in self.swept],
+            "rows": [line.as_json() for line in lines(self.swept)],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
         }
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
-    swept: list[by_axis.Swept] = []
+    swept: list[Swept] = []
     damaged: list[str] = []
     published: list[str] = []
-    for point, own in zip(sweep.points, cells, strict=True):
-        report = report_run(results, point.loaded.spec, own)
+    for point, asked in zip(sweep.points, cells, strict=True):
+        report = report_run(results, point.loaded.spec, asked)
         damaged += report.damaged
         published += [f"`{sweep.key}` = `{point.text}`: {fact}" for fact in report.published]
-        swept.append(by_axis.Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in own}))
+        swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in asked}))
     return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(published))

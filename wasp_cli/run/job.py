@@ -54,14 +54,9 @@ State = Literal["done", "shared", "failed", "busy", "skipped", "unseen"]
 
 @dataclass(frozen=True)
 class NodeResult:
-    """How a node ended.
-
-    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is
-    to end; `unseen`: its worker does not see the results folder.
-    """
-
     key: str
     state: State
+    """`shared`: another run computed it; `busy`: another one computes it now; `skipped`: the run is to end; `unseen`: no results folder."""
     seconds: float
     summary: Mapping[str, Any] = field(default_factory=dict)
     message: str = ""
@@ -124,7 +119,6 @@ class Heartbeat:
 
 
 def forget(path: Path) -> None:
-    """Remove what a killed node left to say that it runs: its file, and the half-written next one where it died while it wrote."""
     for left in (path, *path.parent.glob(f".{path.name}-*")):
         left.unlink(missing_ok=True)
 
@@ -142,12 +136,10 @@ def _now() -> str:
 
 
 def this_process() -> dict[str, object]:
-    """Name this process, so that others can see whether it lives."""
     return {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()}
 
 
 def boot_id() -> str | None:
-    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
     except (OSError, ValueError):

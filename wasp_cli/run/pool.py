@@ -52,7 +52,6 @@ class Pool(ABC):
         """Begin to compute a node; nobody submits more than `jobs` at a time. It ends with WorkersDied where any worker was killed."""
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node in a process that computes nothing else."""
         return self.submit(job)
 
     @abstractmethod
@@ -61,7 +60,6 @@ class Pool(ABC):
 
 
 def require_backend(backend: str, scheduler: str | None) -> None:
-    """See that a backend can be used, before anything is planned for it."""
     if backend not in BACKENDS:
         raise UnknownName("backend", backend, BACKENDS)
     package = PACKAGES.get(backend)
@@ -89,7 +87,6 @@ def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
 
 
 def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException], BaseException]) -> Future[NodeResult]:
-    """A future that ends as another one does, its errors as the runner knows them."""
     result: Future[NodeResult] = Future()
 
     def told(ended: Future[NodeResult]) -> None:
@@ -104,8 +101,6 @@ def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException]
 
 
 class InlinePool(Pool):
-    """This process, one node after the other: for tests and debuggers."""
-
     name = "inline"
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
@@ -117,8 +112,6 @@ class InlinePool(Pool):
 
 
 class LokyPool(Pool):
-    """joblib's loky workers: started on first use, so that torch is imported once in each."""
-
     name = "loky"
 
     def __init__(self, jobs: int) -> None:
@@ -333,8 +326,6 @@ def require_slurm(text: str | None) -> None:
 
 
 class SlurmPool(Pool):
-    """At most `jobs` Slurm jobs at a time. Their scripts and what they print lie in `runs/RUN/slurm` of the results folder."""
-
     name = "slurm"
 
     def __init__(self, jobs: int, options: str | None) -> None:

@@ -23,8 +23,7 @@ from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.run.job import this_process
-from wasp_cli.spec.derived import Sweep
-from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
 from wasp_cli.stages.registry import STAGES
@@ -50,7 +49,6 @@ class Recorded:
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
-    """Make the folder of a new run and write down what it is asked for; with `reports` a report follows (see `reported`)."""
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
@@ -64,7 +62,6 @@ def reported(layout: Layout, run_id: str) -> None:
 
 
 def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:
-    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells."""
     runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
     with _new_folder(layout, sweep.name, reports) as folder:
         values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
@@ -74,7 +71,6 @@ def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *
 
 @contextmanager
 def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
-    """A folder of a run; refusals of the system become StoreError."""
     folder = layout.run(f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{name[:60]}-{secrets.token_hex(2)}")
     try:
         for part in ("logs", "running"):
@@ -89,7 +85,6 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
 
 
 def read_run(layout: Layout, run_id: str) -> Recorded:
-    """Return what a run was asked for; an ArtifactError where its record is damaged, or of another version."""
     folder = layout.within(layout.run(run_id))
     try:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
@@ -154,7 +149,6 @@ def _first_line(error: Exception) -> str:
 
 
 def results_of(folder: Path) -> Layout:
-    """Return the layout of an existing results folder; a StoreError where there is none, or it cannot be read or has links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     try:
@@ -192,8 +186,6 @@ class Journal:
 
 
 class Tail:
-    """The events that came to a journal since it was last asked."""
-
     def __init__(self, path: Path) -> None:
         self._path, self._position = path, 0
 

@@ -9,8 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.closure import source_hashes
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, source_hashes
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
@@ -250,24 +249,12 @@ class Runner:
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
-    """Return what is to be known of a node to compute it, in one thread and without a limit."""
     return NodeJob(
-        root=str(layout.root),
-        run_id=run_id,
-        kind=node.kind,
-        key=node.key,
-        label=node.label,
-        task=node.task,
-        seed=node.seed,
-        stage=STAGES[node.kind].target,
-        axes=node.axes,
-        config=node.config,
-        settings=node.settings,
-        inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
-        sources=source_hashes(node.modules),
-        attempt=attempts(layout, node.key) + 1,
-        provenance=provenance(),
-    )
+        root=str(layout.root), run_id=run_id, kind=node.kind, key=node.key, label=node.label, task=node.task, seed=node.seed,
+        stage=STAGES[node.kind].target, axes=node.axes, config=node.config, settings=node.settings,
+        inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()}, sources=source_hashes(node.modules),
+        attempt=attempts(layout, node.key) + 1, provenance=provenance(),
+    )  # fmt: skip
 
 
 def _killed(future: Future[NodeResult]) -> bool:

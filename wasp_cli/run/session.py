@@ -23,8 +23,7 @@ from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.show import board
-from wasp_cli.spec.derived import Sweep
-from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import exists, invalidate, read_manifest, sweep
@@ -65,8 +64,6 @@ class Session:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a run is carried out. None of it changes a result."""
-
     jobs: int  # worker processes at most; 0 computes in this process
     limit: float | None = None  # seconds that a node may take
     retries: int = 0
@@ -93,7 +90,6 @@ def run_spec(
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
-    """Return the plan that `run_spec` would carry out; the results folder need not be there."""
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
@@ -160,7 +156,6 @@ def _idle(plan: Plan, shared: int = 0) -> list[str]:
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
-    """Return the plan that `run_sweep` would carry out; the results folder need not be there."""
     return plan_against(together(_grids(sweep, layout, reuse)), layout)
 
 

@@ -142,7 +142,6 @@ class Live(Lines):
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
-    """Return the board that fits where stderr goes; `names` are what people call a node, by its key, where that is not its label."""
     fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
     return fitting(layout, run_id, total, names)
 
@@ -157,18 +156,18 @@ STALE_SECONDS = 30.0  # a node says about every second that it lives; silence fo
 LISTED = 12
 
 
-def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
-    now = now or datetime.now(UTC)
+def show_status(states: list[RunState], console: Console) -> None:
+    now = datetime.now(UTC)
     for index, state in enumerate(states):
         if index:
             console.print()
         console.print(_block(state, now), soft_wrap=True)
 
 
-def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
+def progress_of(state: RunState, names: Mapping[str, str]) -> Group:
     """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
     named = tuple(replace(node, label=names.get(node.key, node.label)) for node in state.active)
-    table = _running_table(replace(state, active=named), now or datetime.now(UTC))
+    table = _running_table(replace(state, active=named), datetime.now(UTC))
     return Group(_progress(state), *(Text(line) for line in (pace(state), state.deserted) if line), table)
 
 
@@ -201,7 +200,6 @@ def _block(state: RunState, now: datetime) -> Group:
 
 
 def life(state: RunState, now: datetime) -> str:
-    """Say whether a run goes on, since when, and how it ended."""
     if state.state == "not started":
         return "planned, or driven by a person: no run has computed anything"
     if state.idle:
@@ -238,7 +236,6 @@ def _progress(state: RunState) -> Text:
 
 
 def pace(state: RunState) -> str:
-    """Say how long a run takes yet; of one that is over, nothing."""
     if state.state != "running" or state.left_seconds is None:
         return ""
     known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
@@ -270,7 +267,6 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
-    """Return the newest log of the node that `text` names, by the beginning of its key or its label, in `runs`, newest first."""
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
     matches = matching(logs, name)

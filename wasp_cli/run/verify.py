@@ -1,10 +1,5 @@
 """Cells computed again from what lies beside them: do the rows follow from the models, to the bit?
 
-    drawn = draw(layout, cells=30, seed=7)
-    for answer in verify(layout, drawn.cells, jobs=2):
-        answer.label, answer.differing     # the columns that are not the same; none where all are
-    answer.means, answer.processor     # what the cell then comes to, and where it was computed
-
 A cell can be computed again where every artifact that it was computed from is whole in the same folder. Nothing of the folder is changed:
 each cell is written to an empty folder elsewhere, by today's code. Wall times are not compared, and steps only of the episodes whose steps
 ship. Processors of several makers round differently, and then an episode may go another way: bits are those of one kind of processor.
@@ -49,7 +44,6 @@ class Answer:
 
 
 def draw(layout: Layout, cells: int, seed: int) -> Drawn:
-    """Draw some of the cells that can be computed again, without replacement; all of them where there are fewer."""
     import numpy as np
 
     keys = sorted(stored_keys(layout, EVALUATE))
@@ -62,7 +56,6 @@ def draw(layout: Layout, cells: int, seed: int) -> Drawn:
 
 
 def why_not(layout: Layout, key: str) -> str | None:
-    """Return why a cell cannot be computed again from its folder; None where it can."""
     try:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
@@ -79,7 +72,6 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
-    """Compute cells again in `jobs` processes, and yield what became of each as it ends."""
     from joblib import Parallel, delayed
 
     yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)

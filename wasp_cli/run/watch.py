@@ -108,33 +108,20 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         seconds, unknown = _left(left, active, workers, now)
     counts = Counter(ends.values())
     return RunState(
-        run_id=run.run_id,
-        spec=run.spec,
-        state=state,
-        started=started,
-        ended=ended,
-        total=total or before,
-        done=before + counts["done"],
-        shared=counts["shared"],
-        failed=tuple(failed.values()),
-        blocked=counts["blocked"],
-        retried=len(by_event.get("retry", ())),
-        draining="draining" in by_event and going,
-        deserted=deserted,
-        active=active,
-        left_seconds=seconds,
-        unknown=unknown,
+        run_id=run.run_id, spec=run.spec, state=state, started=started, ended=ended, total=total or before, done=before + counts["done"],
+        shared=counts["shared"], failed=tuple(failed.values()), blocked=counts["blocked"], retried=len(by_event.get("retry", ())),
+        draining="draining" in by_event and going, deserted=deserted, active=active, left_seconds=seconds, unknown=unknown,
         idle=not total,
-    )
+    )  # fmt: skip
 
 
-def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None = None) -> list[RunState]:
+def shown_runs(layout: Layout, runs: Sequence[PlannedRun]) -> list[RunState]:
     """Return the newest run of each spec that goes on; where none does, the last run of all. `runs` come newest first."""
     going: dict[str, RunState] = {}
     for run in runs:
-        if run.spec not in going and (state := state_of(layout, run, now)).state == "running":
+        if run.spec not in going and (state := state_of(layout, run)).state == "running":
             going[run.spec] = state
-    return list(going.values()) or [state_of(layout, run, now) for run in runs[:1]]
+    return list(going.values()) or [state_of(layout, run) for run in runs[:1]]
 
 
 def is_gone(record: Mapping[str, Any]) -> bool:
@@ -179,7 +166,6 @@ def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[s
 
 
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
-    """The nodes that say they run, longest first; one whose end is in the journal has left its file behind."""
     nodes = []
     try:
         paths = sorted(layout.within(layout.run(run_id) / "running").glob("*.json"))
@@ -217,7 +203,6 @@ def _number(record: Mapping[str, Any], name: str) -> float | None:
 
 
 def desertion(event: Mapping[str, Any]) -> str:
-    """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
     return _line(f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}", "")
 
 

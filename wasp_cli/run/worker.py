@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import platform
@@ -18,11 +19,10 @@ from wasp_cli import seeds
 from wasp_cli.config import Config
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
-from wasp_cli.memory import keep_memory
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
+from wasp_cli.plan.node import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
@@ -56,15 +56,12 @@ def is_seen(layout: Layout, run_id: str) -> bool:
 
 
 def unseen(root: Path | str, run_id: str) -> StoreError:
-    """Return the error of a machine that does not see the results folder of a run."""
     message = f"{platform.node()} does not see the results folder '{root}': runs/{run_id}/journal.jsonl is not there"
     why = "it was moved, or this machine does not share it; every worker needs it under the same path"
     return StoreError(message, f"{why}. Then run again: finished nodes are kept")
 
 
 class Envelope:
-    """What surrounds a node: from the look whether its folder is there to what is told of it."""
-
     def __init__(self, job: NodeJob, own_process: bool) -> None:
         self.job, self.own_process = job, own_process
         self.layout = Layout(Path(job.root))
@@ -167,7 +164,6 @@ class Envelope:
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
-    """The clone that drives in a node, or that continues a person's session in its branches."""
     if OPERATOR_CLONE not in job.inputs:
         return None
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
@@ -215,7 +211,6 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Shared settings as the spec holds them: sections are models again."""
     settings = dict(values)
     for name, value in values.items():
         annotation = Spec.model_fields[name].annotation
@@ -225,7 +220,6 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
-    """Return what is stored of a node beside its files: what it is, what it was computed from, and how."""
     layout, halved = Layout(Path(job.root)), []  # inputs that are in half precision, or computed from such: no key says so
     for name, (kind, key) in sorted(job.inputs.items()):
         with suppress(ArtifactError):  # what a person drove is stored also where an input was damaged since
@@ -274,7 +268,6 @@ def finite(value: Any, name: str = "summary") -> Any:
 
 
 def set_threads(count: int) -> None:
-    """Threads of linear algebra: a constant of the stage, since another number may give other bytes."""
     os.environ.update(OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1")
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(count)
@@ -304,3 +297,21 @@ def _flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
+
+
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt(3)
+LARGEST = 32 * 1024**2  # blocks up to this size, in bytes, come from the heap; glibc allows no more
+KEPT = 1024**3  # free bytes at the end of the heap that are not returned
+
+
+def keep_memory() -> bool:
+    """Let the C library keep what is freed instead of returning it to the system; whether it does.
+
+    A planner allocates and frees the same megabytes hundreds of times per second. By default glibc returns them each time, and the system
+    gives them back zeroed, page by page: up to a third of the time of a decision.
+    """
+    if sys.platform.startswith("linux"):
+        with suppress(OSError, AttributeError):  # another C library than glibc
+            library = ctypes.CDLL(None)
+            return bool(library.mallopt(MMAP_THRESHOLD, LARGEST)) and bool(library.mallopt(TRIM_THRESHOLD, KEPT))
+    return False

@@ -18,7 +18,6 @@ from wasp_cli.spec.read import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
-    """Return the model of a section, a task's own included; that of the whole spec for an empty place."""
     model: type[BaseModel] = spec_type()
     loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
     for part in loc:
@@ -37,7 +36,6 @@ def description(loc: Loc) -> str | None:
 
 @cache
 def settings() -> tuple[str, ...]:
-    """Return every setting as `--set` names it, sections before what is in them: `wasp`, `wasp.candidates`."""
     return tuple(_below(spec_type(), ""))
 
 
@@ -49,7 +47,6 @@ def _below(model: type[BaseModel], prefix: str) -> Iterator[str]:
 
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
-    """The model of a field that is a mapping, or that may be one."""
     members = () if field is None else get_args(field.annotation) or (field.annotation,)
     models = [member for member in members if isinstance(member, type) and issubclass(member, BaseModel)]
     return models[0] if models else None
@@ -112,7 +109,6 @@ class Finding:
 
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
-    """Return what sections have as fields, and specs say at the top."""
     mistakes: list[Finding] = []
     by_task = document.get("by_task")
     tasks = by_task.items() if isinstance(by_task, Mapping) else ()
@@ -126,7 +122,6 @@ def misplaced(document: Mapping[str, Any]) -> list[Finding]:
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
-    """Return, by section: the field that only the top of a spec may set, and how."""
     return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
 
 

@@ -35,8 +35,62 @@ from wasp_cli.spec.names import (
     unknown,
 )
 from wasp_cli.spec.presets import merged, preset_values
-from wasp_cli.spec.study import StudyConfig
 from wasp_cli.stages.registry import STAGES
+
+Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
+Questionnaire = Literal["tlx", "assistance"]
+
+QUESTIONS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
+    "tlx": (
+        ("mental", "How mentally demanding was the task?", "very low", "very high"),
+        ("physical", "How physically demanding was the task?", "very low", "very high"),
+        ("temporal", "How hurried or rushed was the pace of the task?", "very low", "very high"),
+        ("performance", "How successful were you in accomplishing what you were asked to do?", "perfect", "failure"),
+        ("effort", "How hard did you have to work to accomplish your level of performance?", "very low", "very high"),
+        ("frustration", "How insecure, discouraged, irritated, stressed and annoyed were you?", "very low", "very high"),
+    ),
+    "assistance": (
+        ("agency", "The vehicle did what I wanted it to do.", "not at all", "completely"),
+        ("trust", "I could rely on what the vehicle did.", "not at all", "completely"),
+        ("satisfaction", "I was satisfied with how driving went.", "not at all", "completely"),
+    ),
+}
+"""By questionnaire: name, words and the two ends of every scale from 0 to 100. `tlx` is NASA's task load index without weights (raw TLX;
+Hart 2006); the other is ours."""
+
+
+class StudyConfig(Config):
+    """A study: each participant drives every condition (a method, or one of its variants) once, in a balanced order."""
+
+    title: str = Field(default="Driving study", max_length=200, description="heading of the page")
+    consent: str = Field(default="", max_length=20_000, description="what participants are told and agree to; empty: no consent is asked")
+    consent_version: str = Field(default="1", max_length=40, description="recorded with the consent; change it with the text")
+    practice: int = Field(default=1, ge=0, le=100, description="episodes before the first block, without an assistant, that do not count")
+    questionnaires: Annotated[tuple[Questionnaire, ...], NO_REPEATS] = Field(
+        default=("tlx", "assistance"), description="asked after every block: raw NASA-TLX; agency, trust and satisfaction"
+    )
+    shown: Annotated[tuple[Shown, ...], NO_REPEATS] = Field(
+        default=("cameras", "map", "cost", "goals"), description="what participants see; gate and imagined would tell conditions apart"
+    )
+    speed: float = Field(default=1.0, gt=0.0, le=4.0, description="simulated seconds per second")
+
+
+def balanced_order(conditions: int, participant: int) -> list[int]:
+    """Return the order of conditions (0, 1, ...) of a participant: a row of a Williams square.
+
+    Every condition stands in every place, and follows every other one, equally often over `n` participants with consecutive numbers, or
+    over `2 n` where the number of conditions is odd (Williams 1949).
+    """
+    if conditions < 1:
+        return []
+    first = [0]
+    for k in range(1, conditions):
+        first.append((k + 1) // 2 if k % 2 else conditions - k // 2)
+    rows = [[(start + shift) % conditions for start in first] for shift in range(conditions)]
+    if conditions % 2:
+        rows += [row[::-1] for row in rows]
+    return rows[participant % len(rows)]
+
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
@@ -104,11 +158,9 @@ class Spec(Config):
     )
 
     def stage(self, kind: str, task: str | None = None) -> Config:
-        """Return the section of a stage: with a task's own settings, or as the spec has it for all."""
         return _over(getattr(self, kind), self.by_task.get(task or "", {}).get(kind))
 
     def method(self, name: str, variant: str = "full", task: str | None = None) -> Config:
-        """Return the configuration of a method in one of its variants: with a task's own settings, or as the spec has it for all."""
         info = METHODS[name]
         section: Config = info.config_model()()
         if name in method_sections():
@@ -119,12 +171,10 @@ class Spec(Config):
         return section
 
     def variants_of(self, method: str) -> tuple[str, ...]:
-        """Return the ablations of a method that this spec asks for; a method without ablations runs in its only one."""
         known = tuple(METHODS[method].variants)
         return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
 
     def chain_seed(self, seed: int) -> int:
-        """Return the seed whose training chain the evaluation seed `seed` uses."""
         return seed if self.training_seed is None else self.training_seed
 
     def chain_seeds(self) -> tuple[int, ...]:
@@ -138,7 +188,6 @@ class Spec(Config):
 
 
 def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
-    """A section with some other values, validated again."""
     if not values:
         return section
     document = merged(section.model_dump(mode="json"), values)
@@ -150,7 +199,6 @@ EVERYWHERE = ("evaluate", "counterfactual", "expert.checkpoints")
 
 
 def _check_tasks(spec: Spec) -> None:
-    """Refuse what the sections of single tasks have wrong, each mistake at its own place."""
     sections = [name for name in (*STAGES, *method_sections()) if name not in EVERYWHERE]
     errors: list[InitErrorDetails] = []
     for task, changes in spec.by_task.items():
@@ -223,7 +271,6 @@ def _skill_problems(spec: Spec) -> list[Problem]:
 
 
 def method_sections() -> list[str]:
-    """Return the methods that have a section of their own: those whose name is not also a stage's."""
     return [name for name in METHODS if name not in STAGES]
 
 
@@ -235,7 +282,6 @@ def mixing_stages() -> tuple[str, ...]:
 
 @cache
 def spec_type() -> type[Spec]:
-    """Build `Spec` with one section for each registered stage and method."""
     _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}
@@ -265,7 +311,6 @@ def preset_names() -> tuple[str, ...]:
 
 
 def validate(document: Mapping[str, Any]) -> Spec:
-    """Build the spec that a plain document describes, over the preset that it names."""
     preset = document.get("preset", "cpu")
     resolved = merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     resolved = _with_episodes(resolved)

@@ -25,7 +25,6 @@ RECORDED = "recorded"
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
-    """Return the error for a name that no registry has; its context carries the hint."""
     hint = did_you_mean(name, sorted(known))
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
@@ -40,7 +39,6 @@ def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 
 
 def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
-    """The name of what is somebody's own, if it can be used."""
     try:
         if not (info.context or {}).get(RECORDED):
             use()
@@ -50,7 +48,6 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
 
 
 def _task(name: str, info: ValidationInfo) -> str:
-    """A registered task, or a gymnasium id with all that a task needs."""
     with suppress(UnknownName):
         # Specs have one name for a task, since it names random streams and results.
         if name not in TASKS and (registered := task_named(name)) in TASKS:
@@ -64,14 +61,12 @@ def _task(name: str, info: ValidationInfo) -> str:
 
 
 def _method(name: str, info: ValidationInfo) -> str:
-    """A registered method, or a class of one's own that can be imported."""
     if name not in METHODS:
         raise unknown("method", name, METHODS)
     return _usable(name, info, lambda: METHODS.load(name)) if isinstance(METHODS[name], OwnMethod) else name
 
 
 def training_stages() -> list[str]:
-    """Return the stages that a spec can ask for by name, in registry order."""
     return list(stages_of("chain", "cell"))
 
 
@@ -85,7 +80,6 @@ def _stage(name: str) -> str:
 
 
 def assistant_variants() -> list[str]:
-    """Return every ablation of every method, in registry order, without repeats."""
     return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
 
 
@@ -111,7 +105,6 @@ OperatorName = Annotated[str, known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
     taken, clean = set(taken), re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
     ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
     return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)

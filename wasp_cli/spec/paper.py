@@ -1,8 +1,5 @@
 """What a paper prints and states: its tables number by number, and its claims as comparisons that rows can answer.
 
-    paper = load_paper()                the paper that this project reproduces, specs/paper.yaml
-    paper = load_paper(Path("x.yaml"))  another one
-
 The file explains its own words; mistakes in it are told as those of a spec are, with file, line and column.
 """
 
@@ -39,15 +36,11 @@ TOLERANT = ("not_lower", "not_higher")
 
 
 class Printed(NamedTuple):
-    """A number as the paper prints it, in the unit of the page."""
-
     mean: float
     spread: float | None = None  # after ±
 
 
 class Who(NamedTuple):
-    """A row of the tables: a method, or an ablation of it."""
-
     method: str
     variant: str = FULL
 
@@ -110,8 +103,6 @@ class PrintedTable(Config):
 
 @dataclass(frozen=True)
 class Comparison:
-    """One question to the rows: how a number of one row stands to another row's, or to a bound."""
-
     task: str
     column: str
     left: Who
@@ -153,8 +144,6 @@ class Statement(Config):
 
 
 class Claim(Config):
-    """A sentence of the paper, and what has to be so for it to hold."""
-
     id: Name
     section: Text
     says: Text
@@ -162,7 +151,6 @@ class Claim(Config):
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
-        """Return what has to be so; of the comparisons in a tuple one is enough."""
         return [question for statement in self.statements for question in statement.questions()]
 
 
@@ -174,20 +162,16 @@ def _distinct(claims: tuple[Claim, ...]) -> tuple[Claim, ...]:
 
 
 class Paper(Config):
-    """Everything that a paper prints and states."""
-
     title: Text
     tables: tuple[PrintedTable, ...]
     claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
 
     @property
     def tasks(self) -> frozenset[str]:
-        """Return the tasks of which it prints numbers or states something."""
         stated = (task for claim in self.claims for statement in claim.statements for task in statement.tasks)
         return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
-        """Return the printed number of a row, from the first table that has it."""
         for table in self.tables:
             row = table.rows.get(task, {}).get(who)
             if row is not None and column in table.columns:
@@ -196,13 +180,11 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
-    """Read and validate a paper; by default the one that this project reproduces."""
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
     return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 
 
 def is_paper(source: Source) -> bool:
-    """Return whether a file means to be a paper: no spec has these sections."""
     return any(key in source.document for key in ("claims", "tables"))
 
 

@@ -28,8 +28,6 @@ KEY = "[key]"  # how pydantic ends the place of a key (not of its value)
 
 @dataclass(frozen=True)
 class Position:
-    """A place in a text, counted from 1 as editors do."""
-
     line: int
     column: int
 
@@ -39,8 +37,6 @@ START = Position(1, 1)
 
 @dataclass(frozen=True)
 class Problem:
-    """One mistake: its place, what is wrong, how to fix it, and the line it stands in."""
-
     source: str  # the file as the user named it, or the option that brought the value
     position: Position | None
     message: str
@@ -76,8 +72,6 @@ def _printable(text: str) -> str:
 
 
 class InvalidSpec(SpecError):
-    """A spec with all its problems: file by file as they are first named, each in its order, then those of options."""
-
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
 
@@ -105,8 +99,6 @@ class Place:
 
 @dataclass(frozen=True)
 class Source:
-    """The text of a spec and its document."""
-
     name: str
     text: str
     document: dict[str, Any] = field(default_factory=dict)  # as JSON values; null where a value has no such form
@@ -118,7 +110,6 @@ class Source:
         return self._known_part(loc)[1]
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """Return a problem at what pydantic calls a `loc`."""
         return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
@@ -164,7 +155,6 @@ def read(path: Path) -> Source:
 
 
 def parse(text: str, name: str) -> Source:
-    """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text)
     try:
         _refuse_sharing(source)
@@ -260,7 +250,6 @@ class _Reader:
 
 
 def _no_value(scalar: Any) -> str | None:
-    """Why a scalar is no value of a spec."""
     if isinstance(scalar, int) and abs(scalar) >= LARGEST:
         return "is too large a number"
     if isinstance(scalar, float) and not math.isfinite(scalar):
@@ -271,7 +260,6 @@ def _no_value(scalar: Any) -> str | None:
 
 
 def _no_key(key: Any) -> str | None:
-    """What stands where a key should."""
     if isinstance(key, str):
         return None if _whole(key) else "an unpaired surrogate escape"
     if key is None or isinstance(key, bool):
@@ -343,5 +331,4 @@ def kind_of(value: Any) -> str:
 
 
 def dotted(loc: Loc) -> str:
-    """Return a place as `--set` names it."""
     return ".".join(str(part) for part in loc if part != KEY)

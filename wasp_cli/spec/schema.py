@@ -111,7 +111,6 @@ def _cleaned(properties: Schema) -> None:
 
 
 def _without_defaults(properties: Schema, preset: Mapping[str, Any], definitions: Schema) -> None:
-    """What presets change has no one default; nor has a section, whose fields say theirs."""
     for name, value in preset.items():
         if name not in properties:
             continue

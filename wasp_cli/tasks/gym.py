@@ -34,7 +34,6 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {"all": Observation._fields, "vision": 
 
 
 def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
-    """Make a batch of a task that shows the asked observation."""
     if observation not in (known := get_args(ObservationName)):
         raise UsageError(f"task '{task}' has no observation '{observation}'", did_you_mean(str(observation), known))
     for option, value in (("num_envs", batch), ("action_repeat", action_repeat), ("threads", threads)):
@@ -51,7 +50,6 @@ def refuse_other_task(task: str, registered: str | None) -> None:
 
 
 def refuse_unknown(made: str, task: str, options: Iterable[str], known: tuple[str, ...]) -> None:
-    """Refuse an option that the class `made` does not know, and say what was meant."""
     for option in (option for option in options if option not in known):
         words = f"{made}.__init__() got an unexpected keyword argument '{option}'"
         raise UnknownOption(f"{words}: task '{task}' has no option '{option}' ({did_you_mean(option, known)})")
@@ -63,7 +61,6 @@ def drawn_layout(draws: np.random.Generator, seed: int | None) -> int:
 
 
 def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
-    """Return the space of one episode's observation."""
     if observation == "vision":
         image = gymnasium.spaces.Box(0, 255, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
         sensors = {name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64) for name, shape in sensor_shapes(task).items()}
@@ -88,7 +85,6 @@ def shown(task: VectorTask, observation: Observation, row: int, name: str) -> ND
 
 
 def checked_control(action: Any, shape: tuple[int, ...]) -> Floats:
-    """Return an action as float64 of a shape."""
     try:
         given = np.asarray(action)
         # NumPy would drop imaginary parts, and read texts of digits.
@@ -152,19 +148,16 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @property
     def max_episode_steps(self) -> int:
-        """Steps after which every episode has ended: the tasks keep their own time limit."""
         return self._task.max_decisions
 
     @property
     def spec(self) -> EnvSpec | None:  # gymnasium sets it after making the environment
-        """What `gymnasium.make` makes such an environment of, its time limit included; None for one made without it."""
         if self._spec is None:
             return None
         return replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        """Keep what gymnasium sets; the time limit is added when it is read."""
         self._spec = spec
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
@@ -315,10 +308,8 @@ class TaskVectorEnv(SyncVectorEnv):
 def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
     """Make a task that takes actions [A] and gives the reference package's six values: stands for `safety_gymnasium.make(id)`.
 
-    Args:
-        id: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with
-            `observation="vision"`, `...Gymnasium-v0` the same with gymnasium's five values.
-        options: of `TaskEnv`; `width` and `height` among them.
+    `id` is `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`. `...Vision-v0` is the same with
+    `observation="vision"`, `...Gymnasium-v0` the same with gymnasium's five values. `options` are those of `TaskEnv`.
     """
     parts = _UPSTREAM_ID.fullmatch(id)
     if parts is not None and parts["debug"]:

@@ -34,8 +34,6 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 
 class BranchTrace(NamedTuple):
-    """What a branch was; w decisions."""
-
     cost: list[bool]  # [w] c_t
     cost_env: list[int]  # [w]
     reward: list[float]  # [w]
@@ -79,8 +77,6 @@ class _RecordingTask:
 
 
 class BranchPair:
-    """Both branches of one decision."""
-
     def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
         with threads_of_evaluations():
             world = source.world()
@@ -96,7 +92,6 @@ class BranchPair:
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
-        """Write both branches: step after step, or their last states where the ending is that of a still picture."""
         checked(out, STILL)
         last = max(len(trace.cost) for trace in self.traces.values())
         if out.suffix.lower() in STILL:
@@ -105,7 +100,6 @@ class BranchPair:
         write(out, last + 1, lambda step: self._frame(step, title, verdict), [*[MS] * last, LAST_MS], lambda index: None)
 
     def _frame(self, step: int, title: str, verdict: Sequence[str]) -> Image.Image:
-        """After `step` decisions of the branches."""
         width = 2 * MAP + 3 * GAP
         image = Image.new("RGB", (width, HEADER + TITLE + MAP + BARS + 20 * len(verdict) + 8), _PAPER)
         draw = ImageDraw.Draw(image)

@@ -16,7 +16,7 @@ from PIL import Image, ImageColor, ImageDraw
 
 from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
-from wasp_cli.report.explain.episode import LOOKS
+from wasp_cli.report.explain import LOOKS
 from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain.episode import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
+from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
@@ -44,8 +44,6 @@ MOVES = ("forward", "left", "turn")  # what a readout explains
 
 
 class Correction(NamedTuple):
-    """What is imagined beside the command uncorrected."""
-
     residuals: Sequence[NDArray[Any] | None]  # T times [L, A], or None where the command stood
     name: str  # what it is, for people
     hold: bool  # residuals are added to the present command, not to the imagined ones
@@ -57,8 +55,6 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    """Paints the frames of one episode, in any order."""
-
     def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
         self.played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
@@ -165,7 +161,6 @@ class Painter:
 
 
 def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colour: str, kind: str) -> float:
-    """A sample and its name at (x, y); returns where the next one begins."""
     middle = y + 8
     if kind == "dot":
         draw.ellipse((x + 6, middle - 4, x + 14, middle + 4), colour)
@@ -208,12 +203,10 @@ def film_episode(
 
 
 def seconds_of(stored: Episode) -> float:
-    """Return the simulated time of a decision; where nothing says it, something that can be watched."""
     return stored.constants.decision_seconds or 0.1
 
 
 def decisions_shown(stored: Episode, every: int) -> list[int]:
-    """List the decisions that have a frame: each `every`-th, and the last one."""
     return sorted({*range(0, stored.decisions, every), stored.decisions - 1})
 
 
@@ -229,8 +222,6 @@ def frames_of(source: Source, stored: Episode, episode: int, correction: Correct
 
 
 class Timeline:
-    """The timeline of the pages as a picture, with a row of all gates that fired, and where its cursor is."""
-
     def __init__(self, episode: Episode, width: int, height: int) -> None:
         self._decisions, self._width = episode.decisions, width
         looked_at = curves(episode)
@@ -273,7 +264,6 @@ class Timeline:
 
 
 def numbers(episode: Episode, t: int) -> list[str]:
-    """Say what there is to say of decision `t`, a line each."""
     gate, limits = LOOKS.get(int(episode.gate[t])), episode.thresholds
     deviation, alone = float(episode.numbers["deviation"][t]), episode.at("alone_cost", t)
     lines = [

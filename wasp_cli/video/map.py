@@ -79,8 +79,6 @@ class Pose:
 
 
 class MapView:
-    """Draws one episode, scene after scene."""
-
     def __init__(self, appearance: Appearance, size: int) -> None:
         self._appearance, self._size = appearance, size
         self.half = min(appearance.map_half_side, WIDEST)

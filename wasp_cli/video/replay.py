@@ -19,7 +19,7 @@ from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
-from wasp_cli.report.explain.episode import Episode, imagines_expert, number, read_episode
+from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.spec.shipped import published_folder
@@ -61,14 +61,12 @@ def replay(
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
-    """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
     from wasp_cli.video.frame import frames_of
 
     yield from frames_of(*_drawn(layout, cell, read_episode(cell, episode), every))
 
 
 def _drawn(layout: Layout, cell: FoundCell, stored: Episode, every: int | None) -> tuple[Source, Episode, int, Correction, int, int]:
-    """What `frame` draws a stored episode from."""
     episode = int(stored.row["episode"])
     source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
@@ -83,7 +81,6 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
-    """Find the rows of a cell and the models that it was evaluated with; a UsageError where its manifest does not name them."""
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
@@ -121,7 +118,6 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
 
 
 def _model(layout: Layout, kind: str, key: str, *, rounded: bool) -> Path:
-    """Find a model in the results folder; of a published cell also where it is published, since runs copy rows alone."""
     published = published_folder() if rounded and not exists(layout, kind, key) else None
     place = layout if published is None else Layout(published)
     if (wrong := corruption(place, kind, key)) is None:
@@ -134,7 +130,6 @@ def _model(layout: Layout, kind: str, key: str, *, rounded: bool) -> Path:
 
 
 def _alone(cell: FoundCell, episode: int) -> Recorded:
-    """What brings one episode back, of a cell that has the steps of few."""
     from wasp_cli.learning.rerun import Recorded
 
     stored = read_episode(cell, episode)
@@ -143,7 +138,6 @@ def _alone(cell: FoundCell, episode: int) -> Recorded:
 
 
 def correction(stored: Episode) -> Correction:
-    """Return the stored plans, or of a method without plans each changed action as a correction of one step."""
     from wasp_cli.video.frame import Correction
 
     planned = any(plan is not None for plan in stored.plan)
@@ -167,8 +161,6 @@ WINDOW = 15  # W where no artifact says another one
 
 @dataclass(frozen=True)
 class Criterion:
-    """When an intervention counts as necessary: the window of its branches, and the reward that it has to gain."""
-
     window: int  # W
     tau_R: float | None  # None: nothing in the results folder says it
     source: str  # who says it
@@ -176,8 +168,6 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What an intervention was worth; sums over W decisions."""
-
     episode: int
     step: int
     intervened: bool
@@ -196,7 +186,6 @@ class Verdict:
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """Write the decision as lines for people, with the paper's symbols."""
         numbers = f"ρ {self.rho:.3f}   ΔC {self.delta_c:+g}   ΔR {self.delta_r:+.3f}   W {self.window}"
         tau = "τ_R unknown" if self.tau_R is None else f"τ_R {self.tau_R:.3g}"
         if not self.intervened:

@@ -46,8 +46,6 @@ PARTS = 6  # of an episode that is alone: consecutive decisions, so that what is
 
 
 class RolloutStart(NamedTuple):
-    """A decision from which futures are imagined."""
-
     t: int
     latent: Latent  # [1, .] filtered
     a_h: NDArray[np.float32]  # [A]
@@ -192,8 +190,6 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Source:
-    """The episodes of a stored cell that met side by side, and the models that they were evaluated with."""
-
     task: str
     action_repeat: int
     seed: int
@@ -211,7 +207,6 @@ class Source:
     expert_goes_on: bool = False  # the assistant imagines the expert behind every command, not the operator
 
     def world(self) -> VectorTask:
-        """Build the task as the cell was evaluated in."""
         shown = observed(self.task)
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 
@@ -259,8 +254,6 @@ class AsRecorded(Operator):
 
 
 class SaidAgain(PersonOperator):
-    """A person's recorded commands, decision by decision; imagined, the command of now is held."""
-
     def __init__(self, recorded: Recorded, action_size: int) -> None:
         nothing = DrawnNoise(torch.zeros(0, len(recorded.a_h), 0))
         super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))
@@ -292,8 +285,6 @@ class PlayedDecision(NamedTuple):
 
 
 class PlayedEpisode(NamedTuple):
-    """A stored episode played again, ready to be drawn."""
-
     model: SafetyWorldModel
     world: VectorTask
     appearance: Appearance | None

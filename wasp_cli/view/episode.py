@@ -16,11 +16,11 @@ from rich.text import Text
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
-from wasp_cli.report.explain.episode import LOOKS, Episode, read_episode, timeline
+from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import odd_tables_refused
-from wasp_cli.report.tables.table import Column
+from wasp_cli.report.tables import Column
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
@@ -61,7 +61,6 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
 def episode_view(
     site: Site, cell: ListedCell, stored: Episode, step: int | None = None, film: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Gather what the part of a page about one episode shows (`templates/player.html`)."""
     from wasp_cli.video.map import SEEN
 
     number, branches, problem, live, film = int(stored.row["episode"]), None, "", site.links.live, film or {}
@@ -83,7 +82,6 @@ def episode_view(
 
 
 def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Markup:
-    """Return the explanation of a decision, with both branches where they were computed."""
     from markupsafe import Markup
 
     stored.require(step)
@@ -97,7 +95,6 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Marku
 
 
 def load(cell: FoundCell, number: int) -> Episode:
-    """Read an episode, or take it from memory where its file is as it was."""
     try:
         return _load(cell.path, cell.key, number, _stamp(cell.path))
     except FileNotFoundError as error:
@@ -115,13 +112,11 @@ def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> E
 
 
 def stops(stored: Episode) -> list[int]:
-    """Return the decisions at which an intervention or a cost begins."""
     interventions, costs = (marks & ~np.concatenate([[False], marks[:-1]]) for marks in (stored.intervened, stored.costly))
     return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
-    """Read the counterfactual branches of a cell; None where there are none."""
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
@@ -135,7 +130,6 @@ def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
 
 
 def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict | None:
-    """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
     rows = np.flatnonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step)).tolist()
@@ -150,7 +144,6 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
-    """Return lines that were written for a terminal as the content of a `<pre>`, everything escaped."""
     from markupsafe import Markup
 
     console, span = Console(), Markup('<span class="{}">{}</span>')

@@ -1,9 +1,4 @@
-"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room.
-
-films = Films(Layout(Path("results")))
-films.ask(key, 3, FILM)        begins to draw, where nobody has; returns how far it is
-films.frame(key, 3, FILM, 17)  the bytes of a frame, None while it is not there
-"""
+"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room."""
 
 from __future__ import annotations
 
@@ -23,7 +18,7 @@ from typing import Any
 from PIL import Image
 
 from wasp_cli.errors import StoreError, UsageError, WaspError, described
-from wasp_cli.report.explain.episode import Episode, read_episode
+from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import open_plain, parse, read_plain
@@ -42,7 +37,6 @@ NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 class Films:
     def __init__(self, layout: Layout, room: int = ROOM) -> None:
-        """Use a folder within the results, or one of our own where these cannot be written."""
         self._layout, self._room = layout, room
         self._lock = threading.Lock()
         self._drawing: dict[str, subprocess.Popen[bytes]] = {}
@@ -75,16 +69,11 @@ class Films:
             return {**NOTHING, "state": "drawing"}
 
     def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
-        """Return how far a film is.
-
-        `state` is absent, drawing, done, or failed, with `problem`; of a film that is begun `frames`, `ready` of them, decisions between
-        two (`every`) and `legend`.
-        """
+        """Return `state`: absent, drawing, done, or failed, with `problem`; of a film also frames, ready ones, `every` and `legend`."""
         with self._lock:
             return self._state(_name(key, episode, kind, step))
 
     def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
-        """Return a frame as WebP; None where it is not there."""
         try:
             with open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
                 return file.read(LARGEST)
@@ -119,7 +108,6 @@ class Films:
         return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({code})"}
 
     def _make_room(self) -> None:
-        """The films that were written longest ago go first."""
         films = []
         for folder in self.folder.iterdir():
             process = self._drawing.get(folder.name)
@@ -133,7 +121,6 @@ class Films:
 
 
 def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> list[str]:
-    """Return the command that draws a film into a folder (see `main`)."""
     # -P: the working directory may be the results themselves: their modules are not ours.
     return [sys.executable, "-P", "-c", DRAWS, *map(str, (layout.root.absolute(), key, episode, kind, step, folder, every))]
 
@@ -143,7 +130,6 @@ def frame_name(number: int) -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
-    """Return what the drawing process says; None before it has said anything, or where that does not read."""
     try:
         record = parse(read_plain(folder / "film.json"))
     except (OSError, ValueError, RecursionError):
@@ -164,7 +150,6 @@ def _name(key: str, episode: int, kind: str, step: int) -> str:
 
 
 def problem_of(error: WaspError) -> str:
-    """Return an error and what to do about it in one text."""
     return error.message + (f" ({error.hint})" if error.hint else "")
 
 
@@ -175,7 +160,6 @@ Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and 
 
 
 def _require_drawable(stored: Episode) -> int:
-    """Return the env steps of a decision; a UsageError where drawing would import a module that the results name, or last for hours."""
     task, repeat = str(stored.row["task"]), stored.constants.action_repeat
     if task not in TASKS:
         raise UsageError(f"'{task}' is no task of ours: drawing it would run a module that these results name", "wasp replay does so")
@@ -185,7 +169,6 @@ def _require_drawable(stored: Episode) -> int:
 
 
 def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Legend]]:
-    """Draw the map, and beside it what the robot's cameras see; each frame with the legend."""
     from wasp_cli.video.film import film
     from wasp_cli.video.map import legend_of
 
@@ -201,7 +184,6 @@ def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Leg
 
 
 def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> dict[str, Any]:
-    """Draw a film into a folder, frame by frame, and return what `Films.state` says of it then."""
     stored = read_episode(cell, episode)
     state: dict[str, Any] = {**NOTHING, "state": "drawing", "every": every or 1, "legend": []}
     if kind != FILM:
@@ -234,7 +216,6 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
 
 
 def main(results: str, key: str, episode: str, kind: str, step: str, target: str, every: str) -> None:
-    """Draw what the arguments say; where the film cannot be drawn, its state says why."""
     os.nice(5)  # pages go first
     layout, folder = Layout(Path(results)), Path(target)
     try:

@@ -12,18 +12,18 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.compare.runs import MEASURES, paired_episodes
+from wasp_cli.compare import MEASURES, paired_episodes
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs, upstream_first
-from wasp_cli.report.explain.episode import Episode
+from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
+from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
-from wasp_cli.report.tables.table import who_title
 from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds
@@ -44,7 +44,6 @@ NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 
 
 def cells_page(site: Site) -> str:
-    """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
     unread = [""] * (len(COLUMNS) + 2)
@@ -69,7 +68,6 @@ def numbers(site: Site, after: int = 0) -> dict[str, Any]:
 
 
 def cell_page(site: Site, text: str) -> str:
-    """Return a cell: its numbers, its episodes, what is beside it."""
     cell, artifact = site.one(text)
     if not artifact.path.is_file():
         raise StoreError(f"{cell.label} has no rows", "it is not computed yet, failed, or was removed; the page of its run says which")
@@ -144,7 +142,6 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
 
 
 def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
-    """Return two cells beside each other: numbers, the worlds that both met, and one of these in both, from the first difference on."""
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
     pair = site.one(a), site.one(b)
@@ -198,7 +195,6 @@ STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
 def runs_of(site: Site) -> list[PlannedRun]:
-    """Return the runs of a folder, newest first; none where it has none."""
     try:
         return planned_runs(site.layout)
     except StoreError:
@@ -206,7 +202,6 @@ def runs_of(site: Site) -> list[PlannedRun]:
 
 
 def home_page(site: Site) -> str:
-    """Return the first page: the main table of each spec, runs, what the store holds, notes."""
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
     problems, notes = list(site.cells.problems), []
@@ -247,7 +242,6 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
 
 
 def reports(site: Site) -> Iterator[Path]:
-    """List the folders of the reports that the results folder holds."""
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
             yield from (report for report in sorted(site.layout.within(folder).iterdir()) if report.is_dir() and not report.is_symlink())
@@ -261,14 +255,12 @@ def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
 
 
 def run_page(site: Site, run_id: str) -> str:
-    """Return a run: its progress, which the page follows, and its nodes."""
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
     return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id), live=state.state == "running")
 
 
 def run_now(site: Site, run_id: str) -> Any:
-    """Return what changes while a run goes on, as a part of its page."""
     from markupsafe import Markup
 
     run = named_run(runs_of(site), run_id)
@@ -286,7 +278,6 @@ def run_now(site: Site, run_id: str) -> Any:
 
 
 def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter[str]]:
-    """Count the nodes of a run by stage and state; stages in the order of what they need."""
     ends = {
         str(event.get("key")): STATE_OF[str(event["event"])] for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS
     }
@@ -299,7 +290,6 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
 
 
 def log_text(site: Site, run_id: str, key: str) -> str:
-    """Return the log of a node, its end where it is long."""
     log = find_log(site.layout, [named_run(runs_of(site), run_id)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:

@@ -21,8 +21,8 @@ from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, s
 from wasp_cli.report.notes import Note, invalid, notes_of, without_episodes
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
 from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
+from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import who_title
 from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import KIND, FoundCell, find_cell, matching
 from wasp_cli.store.layout import Layout, is_key, slug
@@ -55,7 +55,6 @@ class Shown:
         return [str(self.episodes or ""), *(self.texts or [""] * len(COLUMNS)), "damaged" if self.damaged else self.reason]
 
     def without(self, invalid: Collection[int | None]) -> Shown:
-        """Return the cell without the episodes that are marked as invalid; None stands for the whole cell."""
         if self.numbers is None:
             return self
         if None in invalid:
@@ -89,7 +88,6 @@ class Cells:
             return self._listed
 
     def ref(self, cell: ListedCell) -> str:
-        """Return how a cell is named in addresses: by its label where that is its alone, else by its key."""
         self.listed()
         return cell.label if self._labels[cell.label] == 1 else cell.key
 
@@ -190,7 +188,6 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
 
 
 def words(cell: ListedCell) -> tuple[str, ...]:
-    """Return what the table says of a cell beside its numbers: task, method, operator, severity, seed."""
     severity = "" if cell.value is None else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
     return cell.task, who_title(cell.method, cell.variant), cell.operator, severity, str(cell.seed)
 
@@ -226,7 +223,6 @@ class Links:
         return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells
 
     def episode(self, cell: ListedCell, number: int) -> str:
-        """Return an episode; nothing where it has no page."""
         if self.live:
             return cell_address(self._known.ref(cell), number).replace(" ", "%20")
         return f"episode-{_name(cell)}-{number}.html" if number in self._episodes.get(cell.key, ()) else ""
@@ -259,7 +255,6 @@ class Site:
         return environment.get_template(template).render(site=self, links=self.links, title=title, **values)
 
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
-        """Return the one cell that an address names; a UsageError where it names none or several."""
         listed, artifact = self.cells.find(text)
         if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
@@ -269,7 +264,6 @@ class Site:
         return listed[0], artifact
 
     def notes(self) -> list[Note]:
-        """Return all notes; none where they do not read, which the first page says."""
         try:
             return notes_of(self.layout)
         except StoreError:
@@ -277,7 +271,6 @@ class Site:
 
 
 def site_of(folder: Path, *, films: bool = True) -> Site:
-    """Return a results folder as pages; a StoreError where it has no results, or links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     if not layout.store.is_dir() and not layout.runs.is_dir():

@@ -1,6 +1,5 @@
 """Figures of methods, and of methods along the severities."""
 
-import math
 import os
 import signal
 import subprocess
@@ -9,22 +8,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report import axis_figures as by_axis
 from wasp_cli.report import figures as methods
-from wasp_cli.report.axis_figures import MOST, positions, severity_figure, sweep_curves, sweep_figure, sweep_figures
-from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure
+from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
-from wasp_cli.report.tables.by_axis import Swept
-from wasp_cli.store.tables import CellIdentity
 
 
 def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
@@ -64,10 +57,17 @@ def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> 
                 assert np.isclose(ends.max(), np.mean(met))
 
 
+def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_path: Path) -> None:
+    severity = severity_figure(frame, tmp_path)[1].read_text(encoding="utf-8")
+    for text in ("Noisy 0.2", "Noisy 0.6", "Laggy 0.5", "Laggy 0.85", "Goal1: Return", "Goal1: Cost", "Goal1: Int.", "Human-only", "WASP"):
+        assert text in severity
+    assert "Expert" not in severity  # it has no severity
+
+
 def test_one_condition_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
     one = [cell for cell in grid(seeds=(0,)) if cell.identity.operator == "noisy" and cell.identity.value == 0.2]
     assert severity_figure(read_frame(one), tmp_path) == []
-    assert severity_figure(Frame(()), tmp_path) == cost_return_figure(Frame(()), tmp_path) == profile_figure(Frame(()), tmp_path) == []
+    assert severity_figure(Frame(()), tmp_path) == cost_return_figure(Frame(()), tmp_path) == []
 
 
 # The legend of every figure lies within it, whatever the number of tasks and of methods.
@@ -88,8 +88,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         found.append(figure)
         return []
 
-    for module in (by_axis, methods):
-        monkeypatch.setattr(module, "figure_files", kept)
+    monkeypatch.setattr(methods, "figure_files", kept)
     return found
 
 
@@ -116,104 +115,10 @@ def faults(figure: Figure, entries: int) -> list[str]:
 
 
 @pytest.mark.parametrize(("tasks", "rows"), [(1, 9), (3, 5)])
-@pytest.mark.parametrize("draw", [by_axis.severity_figure, methods.cost_return_figure])
+@pytest.mark.parametrize("draw", [severity_figure, cost_return_figure])
 def test_the_legend_of_the_methods_is_whole(frame: Frame, figures: list[Figure], draw: Drawing, tasks: int, rows: int) -> None:
     draw(of(frame, tasks, rows), Path())
     assert faults(figures[0], rows) == []
-
-
-@pytest.mark.parametrize("conditions", [1, by_axis.MOST])
-def test_the_legend_of_a_sweep_is_whole(tmp_path: Path, conditions: int) -> None:
-    operators = [("limited-skill", 0.1 + 0.1 * number) for number in range(conditions)]
-    figure = by_axis.sweep_figure("diffusion.ratio", invent_sweep(tmp_path, NUMBERS, operators, (0,)), "goal1")
-    figure.draw_without_rendering()
-    assert faults(figure, conditions + 1) == []
-
-
-# The curves of a sweep: what the lines show, and that the same numbers draw the same bytes.
-
-
-KEY = "diffusion.ratio"
-
-
-def panels_of(swept: list[Swept], key: str = KEY) -> list[Any]:
-    figure = sweep_figure(key, swept, "goal1")
-    return list(figure.axes)
-
-
-def drawn(panel: Any) -> dict[str, tuple[list[float], list[float]]]:
-    """By label the x and y of every curve; Human-only begins with an underscore."""
-    found = {bar.get_label(): bar[0].get_data() for bar in panel.containers}
-    found |= {line.get_label(): line.get_data() for line in panel.lines if line.get_label().startswith("_Noisy")}
-    return {label: (list(x), list(y)) for label, (x, y) in found.items()}
-
-
-def test_the_lines_carry_the_numbers_of_the_table(tmp_path: Path) -> None:
-    returns, success, cost, mag = map(drawn, panels_of(invent_sweep(tmp_path)))
-    assert returns == {
-        "Noisy 0.2": ([0, 0.2, 0.6], [7, 8, 9]),
-        "Noisy 0.6": ([0, 0.2, 0.6], [6, 7, 8]),
-        "_Noisy 0.2": ([0, 0.2, 0.6], [7, 7, 7]),
-        "_Noisy 0.6": ([0, 0.2, 0.6], [6, 6, 6]),
-    }
-    assert success["Noisy 0.2"][1] == [100, 100, 100]  # percent
-    assert (cost["Noisy 0.2"][1][0], cost["Noisy 0.2"][1][2], cost["_Noisy 0.2"][1]) == (50, 0, [50, 50, 50])
-    assert mag["Noisy 0.6"][1] == pytest.approx([0.0625, 0.125, 0.1875])
-    assert mag["_Noisy 0.6"][1] == [0, 0, 0]
-
-
-def test_the_bars_are_the_spread_over_seeds(tmp_path: Path) -> None:
-    swept = invent_sweep(tmp_path)
-    _, _, cost, _ = panels_of(swept)
-    ends = next(bar for bar in cost.containers if bar.get_label() == "Noisy 0.2")[1]
-    half = (ends[1].get_ydata() - ends[0].get_ydata()) / 2
-    costs = [
-        [cell.pooled["cost"] for cell in each.frame.cells if cell.identity.method == "diffusion" and cell.identity.value == 0.2]
-        for each in swept
-    ]
-    assert list(half) == pytest.approx([np.std(pair, ddof=1) for pair in costs])
-    assert half[1] > 0
-
-
-def test_numbers_are_to_scale_in_their_order_and_words_are_categories(tmp_path: Path) -> None:
-    mixed = panels_of(invent_sweep(tmp_path / "a", (("0.6", 0.6), ("0", 0), ("0.2", 0.2))))[0]
-    assert drawn(mixed)["Noisy 0.2"] == ([0, 0.2, 0.6], [8, 9, 7])
-    words = panels_of(invent_sweep(tmp_path / "b", (("hold", "hold"), ("per_step", "per_step"))), "wasp.composition")[0]
-    assert drawn(words)["Noisy 0.2"] == ([0, 1], [7, 8])
-    assert [label.get_text() for label in words.get_xticklabels()] == ["hold", "per_step"]
-    assert words.get_xlabel() == "wasp.composition"
-    assert positions([True, False]) == ([0, 1], False)
-    assert positions([None, 2]) == ([0, 1], False)
-
-
-def test_many_operators_become_their_mean(tmp_path: Path) -> None:
-    conditions = [("noisy", number / 10) for number in range(1, MOST + 2)]
-    swept = invent_sweep(tmp_path, conditions=conditions, seeds=(0,))
-    (found,) = sweep_curves(swept, "goal1").values()
-    assert [curve.label for curve in found] == ["mean of 7 operators"]
-    y = panels_of(swept)[0].containers[0][0].get_ydata()
-    expected = [np.mean([cell.pooled["return"] for cell in each.frame.cells if cell.identity.method == "diffusion"]) for each in swept]
-    assert list(y) == pytest.approx(expected)
-    assert expected[1] > expected[0]
-
-
-def test_a_point_with_missing_cells_is_left_out_and_told(tmp_path: Path) -> None:
-    swept = invent_sweep(tmp_path, missing=[CellIdentity("goal1", "diffusion", "full", "noisy", 0.6, 1)])
-    figure = sweep_figure(KEY, swept, "goal1")
-    found = drawn(figure.axes[0])
-    assert math.isnan(found["Noisy 0.6"][1][0])
-    assert found["Noisy 0.6"][1][1:] == [7, 8]
-    assert found["Noisy 0.2"][1] == [7, 8, 9]
-    assert figure.get_suptitle() == "Goal1, Diffusion (cells are missing: 1 point left out)"
-
-
-def test_nothing_to_draw(tmp_path: Path) -> None:
-    conditions = [("noisy", 0.2)]
-    lost = [CellIdentity("goal1", "diffusion", "full", "noisy", 0.2, 0)]
-    (first, _) = invent_sweep(tmp_path, (("1", 1), ("2", 2)), conditions, seeds=(0,), missing=lost)
-    again = Swept("2", 2, first.frame, {identity: f"again{key}" for identity, key in first.keys.items()})
-    assert sweep_figure(KEY, [first, again], "goal1") is None  # Human-only alone is no curve of the setting
-    assert sweep_figures(KEY, [first, again], tmp_path) == []
 
 
 # A figure is there whole or not at all, whenever the process that draws it is killed.

@@ -17,14 +17,14 @@ from PIL import Image
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Trajectory, episode_metrics
 from wasp_cli.report.claims import judge
-from wasp_cli.report.explain.episode import CURVE, Episode, timeline
+from wasp_cli.report.explain import CURVE, Episode, timeline
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.films import SIZE, TaskFilms, film_page, films_of
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame
 from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import detail_table, main_table
-from wasp_cli.report.trained.parts import Trained
+from wasp_cli.report.trained import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout

@@ -15,8 +15,8 @@ from tests.report.invented import write_grid
 from wasp_cli.report.figures import necessity_figure
 from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, groups, read_frame, with_branches
 from wasp_cli.report.summary import over_episodes, paired_difference, summarise
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
-from wasp_cli.report.tables.table import Table
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
 Grid = Callable[..., list[Wanted]]

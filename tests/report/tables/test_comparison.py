@@ -12,21 +12,18 @@ from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
 from wasp_cli.report.summary import Value, same_episodes
-from wasp_cli.report.sweep import SweepReport
-from wasp_cli.report.tables.by_axis import (
-    CHOICE,
-    DIFFERENCE,
-    UNTOUCHED_NOTE,
-    Swept,
-    lines,
+from wasp_cli.report.sweep import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, SweepReport, Swept, lines
+from wasp_cli.report.tables import Row, Table
+from wasp_cli.report.tables.comparison import MEASURES, comparison_table
+from wasp_cli.report.tables.main import (
+    ablation_table,
+    detail_table,
+    latency_table,
+    main_table,
     operator_table,
     severity_table,
-    sweep_operator_table,
-    sweep_table,
+    threshold_table,
 )
-from wasp_cli.report.tables.comparison import MEASURES, comparison_table
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
-from wasp_cli.report.tables.table import Row, Table
 from wasp_cli.store.tables import CellIdentity
 
 Grid = Callable[..., list[Wanted]]
@@ -169,7 +166,7 @@ def printed(table: Table, *columns: str) -> list[tuple[str, ...]]:
 
 
 def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(swept: list[Swept]) -> None:
-    table = sweep_table(KEY, swept)
+    table = SweepReport("s", "spec", KEY, tuple(swept)).table
     assert table.labels == ("Task", "Method", KEY)
     # Two operators and two seeds: a return of 7 and 6, 2 of 2 and 2 of 2 successes, and one goal more with every value.
     assert printed(table, "return", "success", "int_rate", "mag", "mag_int") == [
@@ -182,24 +179,6 @@ def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(swept:
     assert CHOICE in table.notes
 
 
-def test_a_row_for_each_operator_tells_what_a_value_gains_and_costs(tmp_path: Path) -> None:
-    # The fourth operator reaches 1 and 2 goals alone, where three are a success.
-    conditions = (("laggy", 0.5), ("laggy", 0.7), ("noisy", 0.2), ("noisy", 0.6))
-    table = sweep_operator_table(KEY, invent_sweep(tmp_path, conditions=conditions))
-    assert [column.key for column in table.columns] == ["return", "success", "cost"]
-    found = printed(table, "return", "success", "cost")
-    assert len(found) == 4 * 4
-    assert found[0] == ("Goal1", "Laggy 0.5", "Human-only", "-", "7.00", "100.0", "50.00")
-    assert found[1] == ("Goal1", "Laggy 0.5", "Diffusion", "0", "7.00 (+0.00)", "100.0 (+0.0)", "50.00 (+0.00)")
-    assert found[3] == ("Goal1", "Laggy 0.5", "Diffusion", "0.6", "9.00 (+2.00)", "100.0 (+0.0)", "0.00 (-50.00)")
-    assert [row[:6] for row in found[12:]] == [
-        ("Goal1", "Noisy 0.6", "Human-only", "-", "4.00", "0.0"),
-        ("Goal1", "Noisy 0.6", "Diffusion", "0", "4.00 (+0.00)", "0.0 (+0.0)"),
-        ("Goal1", "Noisy 0.6", "Diffusion", "0.20", "5.00 (+1.00)", "50.0 (+50.0)"),
-        ("Goal1", "Noisy 0.6", "Diffusion", "0.6", "6.00 (+2.00)", "100.0 (+100.0)"),
-    ]
-
-
 def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> None:
     first = swept[0]
     identity = next(identity for identity in first.keys if identity.method == "human")
@@ -209,11 +188,8 @@ def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> Non
 
 def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
     swept = invent_sweep(tmp_path, missing=[LOST])
-    table = sweep_table(KEY, swept)
+    report = SweepReport("s", "spec", KEY, tuple(swept))
+    table = report.table
     assert [row.labels[1:] for row in table.rows[1:3]] == [("Diffusion [3 of 4 cells]", "0"), ("Diffusion", "0.20")]
     assert any(note.startswith("INCOMPLETE: 1 of 16 cells are missing (1 not computed).") for note in table.notes)
-    labels = [row.labels[1:] for row in sweep_operator_table(KEY, swept).rows]
-    assert ("Noisy 0.6", "Diffusion [1 of 2 cells]", "0") in labels
-    assert ("Noisy 0.2", "Diffusion", "0") in labels
-    report = SweepReport("s", "spec", KEY, tuple(swept))
     assert [gap.label for gap in report.missing] == ["goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"]

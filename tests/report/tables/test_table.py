@@ -11,7 +11,7 @@ from rich.console import Console
 
 from wasp_cli.report.render import ACCENTS, SPECIAL, escaped, html, latex, markdown_text, rendered, terminal
 from wasp_cli.report.summary import Interval, Value
-from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables import Column, Row, Table
 
 RETURN = Column("return", "Return", "up")
 COST = Column("cost", "Cost", "down", digits=1)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.report.trained.parts import artifact
+from wasp_cli.report.trained import Trained
 from wasp_cli.report.trained.evidence import EVIDENCE, write_evidence
-from wasp_cli.report.trained.parts import Trained
 from wasp_cli.store.layout import Layout
 
 

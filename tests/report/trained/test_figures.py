@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import draw_figures
+from wasp_cli.report.trained import Trained
 from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities
-from wasp_cli.report.trained.parts import Trained
 from wasp_cli.store.layout import Layout
 
 RELIABLE = [

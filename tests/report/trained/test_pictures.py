@@ -9,8 +9,8 @@ from PIL import Image
 
 from tests.learning.recordings import recording
 from tests.report.trained.parts import HORIZON, artifact
+from wasp_cli.report.trained import Trained
 from wasp_cli.report.trained import evidence as pictures
-from wasp_cli.report.trained.parts import Trained
 from wasp_cli.store.layout import Layout
 
 Array = np.ndarray[Any, Any]

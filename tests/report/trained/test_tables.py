@@ -11,10 +11,10 @@ from tests.report.trained.parts import artifact, diagnosed
 from wasp_cli.learning.contents import contents
 from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
-from wasp_cli.report.tables.table import Table
+from wasp_cli.report.tables import Table
+from wasp_cli.report.trained import Trained, dataset_warnings, training_tables, with_warnings
 from wasp_cli.report.trained.evidence import contents_markdown, open_loop_markdown
 from wasp_cli.report.trained.figures import STEPS
-from wasp_cli.report.trained.parts import Trained, dataset_warnings, training_tables, with_warnings
 from wasp_cli.stages.diagnostics import SHOWN
 from wasp_cli.store.layout import Layout
 
@@ -115,13 +115,10 @@ def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined()
     assert "4 episodes (expert 3, noisy 1), imagined 6 steps ahead from 40 moments." in page
     assert "| 2 | 0.100 | 0.100 |" in page
     assert "| 6 | n/a | n/a |" in page
-    assert "Share of the costs of each source that were foreseen" in page
     rows = ("filtered latent | 0.50 | 0.75 | n/a", "embedding of the image | 0.50 | -0.25 | n/a", "imagined, step 5 | 0.50 | 0.75 | n/a")
     assert "\n".join(["| read from | all | motion | things |", "| --- | ---: | ---: | ---: |", *(f"| {row} |" for row in rows)]) in page
-    assert "Episodes that end there by the task's own rule" in page
     assert "discounted by 0.95 a step, were above 0.5" in page
     assert "None" not in page
-    assert "Share of the costs of each source" not in open_loop_markdown(diagnosed(("hazards",)))
     earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
     assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"

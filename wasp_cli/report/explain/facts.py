@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.episode import GATES, PREDICTED, Bools, Episode, Floats, number
+from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, Floats, number
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
@@ -28,8 +28,6 @@ WINDOW = 15  # decisions over which real costs are counted where no horizon H is
 
 @dataclass(frozen=True)
 class Run:
-    """Consecutive decisions under one gate, or, where runs were merged, under several."""
-
     first: int
     last: int
     gates: Mapping[str, int]  # decisions by name of the gate
@@ -112,7 +110,6 @@ class Decision:
 
 
 def runs_of(episode: Episode) -> tuple[Run, ...]:
-    """Return the runs of one gate each; where one gate holds throughout, stretches with and without cost."""
     marks = episode.gate if len(set(episode.gate.tolist())) > 1 else episode.costly.astype(np.int64)
     bounds = [0, *(np.flatnonzero(np.diff(marks)) + 1).tolist(), episode.decisions]
     return tuple(_run(episode, first, end) for first, end in pairwise(bounds))
@@ -121,20 +118,13 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 def _run(episode: Episode, first: int, end: int) -> Run:
     part, numbers = slice(first, end), episode.numbers
     return Run(
-        first=first,
-        last=end - 1,
-        gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
-        command=_tuple(episode.a_h[part].mean(0)),
-        executed=_tuple(episode.a[part].mean(0)),
-        deviation=float(numbers["deviation"][part].mean()),
-        intervened=int(episode.intervened[part].sum()),
-        g_cost=_range(numbers["g_cost"][part]),
-        delta_g=_range(numbers["delta_g"][part]),
-        signal=_range(numbers["signal"][part]),
-        cost=int(numbers["cost_env"][part].sum()),
-        costly=tuple(first + t for t in places_of(episode.costly[part])),
+        first=first, last=end - 1, gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
+        command=_tuple(episode.a_h[part].mean(0)), executed=_tuple(episode.a[part].mean(0)),
+        deviation=float(numbers["deviation"][part].mean()), intervened=int(episode.intervened[part].sum()),
+        g_cost=_range(numbers["g_cost"][part]), delta_g=_range(numbers["delta_g"][part]), signal=_range(numbers["signal"][part]),
+        cost=int(numbers["cost_env"][part].sum()), costly=tuple(first + t for t in places_of(episode.costly[part])),
         missed=tuple(first + t for t in places_of(episode.missed[part])),
-    )
+    )  # fmt: skip
 
 
 def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
@@ -155,22 +145,12 @@ def decision_of(episode: Episode, t: int) -> Decision:
     horizon = episode.constants.horizon
     window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
     return Decision(
-        t=t,
-        gate=GATES[int(episode.gate[t])],
-        command=_tuple(episode.a_h[t]),
-        executed=_tuple(episode.a[t]),
-        deviation=float(episode.numbers["deviation"][t]),
-        intervened=bool(episode.intervened[t]),
-        safety=_safety(episode, t) if episode.gated else None,
-        task=_task(episode, t) if episode.gated else None,
-        g_return=episode.at("g_return", t),
-        signal=episode.at("signal", t),
-        plan=_plan(episode, t),
-        now=_happened(episode, t, 1),
-        ahead=_happened(episode, t, window),
-        window=window,
-        ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
-    )
+        t=t, gate=GATES[int(episode.gate[t])], command=_tuple(episode.a_h[t]), executed=_tuple(episode.a[t]),
+        deviation=float(episode.numbers["deviation"][t]), intervened=bool(episode.intervened[t]),
+        safety=_safety(episode, t) if episode.gated else None, task=_task(episode, t) if episode.gated else None,
+        g_return=episode.at("g_return", t), signal=episode.at("signal", t), plan=_plan(episode, t), now=_happened(episode, t, 1),
+        ahead=_happened(episode, t, window), window=window, ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
+    )  # fmt: skip
 
 
 def _safety(episode: Episode, t: int) -> Gate:
@@ -219,15 +199,10 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
     part, gamma = slice(t, end), episode.constants.gamma_c
     costly = episode.costly[part]
     return Happened(
-        first=t,
-        last=end - 1,
-        reward=float(episode.numbers["reward"][part].sum()),
-        cost=int(episode.numbers["cost_env"][part].sum()),
-        costly=int(costly.sum()),
-        goals=int(episode.numbers["goals"][part].sum()),
-        intervened=int(episode.intervened[part].sum()),
+        first=t, last=end - 1, reward=float(episode.numbers["reward"][part].sum()), cost=int(episode.numbers["cost_env"][part].sum()),
+        costly=int(costly.sum()), goals=int(episode.numbers["goals"][part].sum()), intervened=int(episode.intervened[part].sum()),
         discounted=None if gamma is None else float((gamma ** np.arange(len(costly)))[costly].sum()),
-    )
+    )  # fmt: skip
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:

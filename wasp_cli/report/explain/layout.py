@@ -14,9 +14,9 @@ from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain.episode import Constants, Episode
+from wasp_cli.report.explain import Constants, Episode
 from wasp_cli.report.explain.facts import Range
-from wasp_cli.report.tables.table import who_title
+from wasp_cli.report.tables import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
@@ -50,7 +50,6 @@ def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
 
 
 def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
-    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A column of `-` alone is left out."""
     columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
@@ -119,7 +118,6 @@ def short(value: float | None, digits: int = 3) -> str:
 
 
 def beside(value: float | None, limit: float | None) -> tuple[str, str]:
-    """Return a value and its threshold with as many digits as it takes to tell them apart."""
     digits = 3
     while value is not None and limit is not None and value != limit and short(value, digits) == short(limit, digits) and digits < 8:
         digits += 1
@@ -127,7 +125,6 @@ def beside(value: float | None, limit: float | None) -> tuple[str, str]:
 
 
 def between(bounds: Range | None, limit: float | None) -> str:
-    """Return a range; its upper end is told apart from the threshold."""
     if bounds is None:
         return "-"
     low, high = short(bounds[0]), beside(bounds[1], limit)[0]
@@ -139,7 +136,6 @@ def span(first: int, last: int) -> str:
 
 
 def places(decisions: Sequence[int]) -> str:
-    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
     spans: list[list[int]] = []
     for t in decisions:
         if spans and t == spans[-1][1] + 1:

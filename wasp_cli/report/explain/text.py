@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.episode import LOOKS, Episode, number
+from wasp_cli.report.explain import LOOKS, Episode, number
 from wasp_cli.report.explain.facts import Decision, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,
@@ -63,7 +63,6 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
 
 
 def _counts(episode: Episode) -> tuple[int, int, int, int]:
-    """How many decisions were changed, had cost, had cost without a gate, had cost while the assistant was late."""
     return int(episode.intervened.sum()), int(episode.costly.sum()), int(episode.missed.sum()), int(episode.late.sum())
 
 

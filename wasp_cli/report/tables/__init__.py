@@ -1,1 +1,155 @@
-"""The tables of a report: the type (`table`), the main ones (`main`), comparisons, along an axis, of people."""
+"""The tables of a report. Here one table as a value, apart from how it is printed (`report.render`), and the names that stand in tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.report.stats import Group
+from wasp_cli.report.summary import Value
+from wasp_cli.tasks.registry import TASKS
+
+MISSING = "n/a"  # printed where a number is undefined or its cells are missing
+
+
+@dataclass(frozen=True)
+class Column:
+    key: str  # name in data files
+    title: str
+    better: Literal["up", "down"] | None = None
+    digits: int = 2
+    scale: float = 1.0  # printed number per stored number: 100 for percent
+    spread: bool = True  # whether ± and the interval are printed; data files have them anyway
+    optional: bool = False  # left out where there is no room
+    signed: bool = False  # whether a positive number has a sign: a difference
+    least: bool = False
+    """Whether a positive number that would be printed as zero is printed as less than the smallest one that is not: a time."""
+
+    @property
+    def heading(self) -> str:
+        return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
+
+    def number(self, value: float | None, sign: bool = False) -> str:
+        if value is None or not math.isfinite(value):
+            return MISSING
+        rounded = round(value * self.scale, self.digits) + 0.0
+        if self.least and not rounded and value > 0:
+            return f"<{10.0**-self.digits:.{self.digits}f}"
+        return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
+
+    def cell(self, value: Value, spread: bool = True, delta: bool = True) -> str:
+        """Print `mean ± sd [low, high] (difference)`."""
+        if value.mean is None:
+            return MISSING
+        text = self.number(value.mean, self.signed)
+        if value.sd is not None and self.spread and spread:
+            text += f" ± {self.number(value.sd)}"
+        if value.interval is not None and self.spread and spread:
+            text += f" [{self.number(value.interval.low, self.signed)}, {self.number(value.interval.high, self.signed)}]"
+        if value.delta is not None and delta:
+            text += f" ({self.number(value.delta, sign=True)})"
+        return text
+
+
+@dataclass(frozen=True)
+class Row:
+    labels: tuple[str, ...]
+    values: tuple[Value, ...]
+    columns: tuple[Column, ...] = ()
+    """How its numbers are printed and ranked, where rows have different units; otherwise as the table's columns say."""
+    names: tuple[str, ...] = ()  # its labels in data files, where they are others: numbers have no unit there
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of values. Rows with the same first labels form a group, in which the best value of each column is marked."""
+
+    name: str  # name of the files
+    title: str
+    labels: tuple[str, ...]  # headings of the label columns
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()  # what a reader must know before believing a number; printed everywhere
+    meanings: tuple[str, ...] = ()  # what the columns mean; printed where there is room
+    grouped: bool = True  # whether labels form groups; otherwise all rows are one
+    grouping: int = 1  # how many labels form a group
+    ranked: bool = True
+    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)  # (row, column) of the best values
+    seconds: frozenset[tuple[int, int]] = field(init=False, compare=False)
+    """(row, column) of the second best ones, where something is behind them."""
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row.labels) != len(self.labels) or {len(row.values), len(row.columns or self.columns)} != {len(self.columns)}:
+                raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
+        placed = list(self._places()) if self.ranked else []
+        object.__setattr__(self, "marks", frozenset(where for where, place, last in placed if place == 0 and last > 0))
+        object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
+
+    def group(self, row: int) -> tuple[str, ...]:
+        return self.rows[row].labels[: self.grouping] if self.grouped else ()
+
+    def starts_group(self, row: int) -> bool:
+        return row == 0 or self.group(row) != self.group(row - 1)
+
+    def text(self, row: int, column: int, spread: bool = True, delta: bool = True) -> str:
+        return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
+
+    def shown_labels(self, row: int) -> list[str]:
+        labels = list(self.rows[row].labels)
+        if self.grouped and not self.starts_group(row):
+            labels[: self.grouping] = [""] * self.grouping
+        return labels
+
+    def _places(self) -> Iterator[tuple[tuple[int, int], int, int]]:
+        """(row, column) of every ranked value, its place in its group from 0, and the last place there.
+
+        As printed: rows that print the same number share a place, so that nobody is best where all print the same.
+        """
+        for c in range(len(self.columns)):
+            groups: dict[tuple[str, ...], dict[int, float]] = {}
+            for r, row in enumerate(self.rows):
+                value, column = row.values[c], self._column(r, c)
+                if column.better is not None and value.ranked and value.mean is not None and math.isfinite(value.mean):
+                    groups.setdefault(self.group(r), {})[r] = float(column.number(value.mean))
+            for printed in groups.values():
+                order = sorted(set(printed.values()), reverse=self._column(min(printed), c).better == "up")
+                yield from (((r, c), order.index(number), len(order) - 1) for r, number in printed.items())
+
+    def _column(self, row: int, column: int) -> Column:
+        return (self.rows[row].columns or self.columns)[column]
+
+
+def task_title(task: str) -> str:
+    return TASKS[task].title
+
+
+def operator_title(variant: str) -> str:
+    return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
+
+
+def assistant_title(group: Group, *, name_full: bool = False) -> str:
+    """Return the label of a row, with its ablation where it is one; an incomplete row says of how many cells it is the mean."""
+    title = METHODS[group.method].title
+    if name_full or group.variant != "full":
+        title += f", {variant_title(group.method, group.variant)}"
+    if not group.complete:
+        title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
+    return title
+
+
+def who_title(method: str, variant: str) -> str:
+    """Return the title of a method, with that of its ablation unless it is the whole method.
+
+    What no registry knows, of a plugin that is gone or of another version, keeps its name.
+    """
+    title = METHODS[method].title if method in METHODS else method
+    return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
+
+
+def variant_title(method: str, variant: str) -> str:
+    return METHODS[method].variants.get(variant, variant) if method in METHODS else variant

@@ -12,8 +12,8 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups, row_of
 from wasp_cli.report.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
-from wasp_cli.report.tables.table import Column, Row, Table, task_title
 
 REFERENCE = "human"
 MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol"))
@@ -69,7 +69,6 @@ def _value(estimate: Estimate | None, like: Value) -> Value:
 
 
 def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield what [low, high] are, what they resample and how coarse that is."""
     intervals = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
     for words, interval in sorted(intervals.items()):
         if interval.unit == "world":

@@ -1,5 +1,5 @@
-"""The main table of a report, a row for each task and method: the mean over operator variants and severities. Also its ablations, and what
-it leaves out.
+"""The main table of a report, a row for each task and method: the mean over operator variants and severities. Also its ablations, what it
+leaves out, and the same by operator and by severity.
 
 A column is named here and computed in `metrics.episode`.
 """
@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, same_episodes, spread_note, summarise
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
+from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),
@@ -51,7 +52,6 @@ UNATTENDED_NOTE = "{} drives with nobody at the controls, for reference: it read
 
 
 def main_table(frame: Frame) -> Table:
-    """Make Table 1: per task and method the mean over all operator variants and severities."""
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
@@ -213,6 +213,54 @@ def threshold_table(frame: Frame) -> Table:
         "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",
     )
     return Table("thresholds", "Thresholds in force", ("Task", "Method"), THRESHOLD_COLUMNS, tuple(rows), meanings=meanings)
+
+
+SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
+
+
+def operator_table(frame: Frame) -> Table:
+    impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
+    variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
+    columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
+    rows = []
+    for group in impaired:
+        numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
+        rows.append(Row(labels_of(group), tuple(numbers)))
+    headings = [
+        Column(f"{variant}.{column.key}", f"{operator_title(variant)}: {column.title}", column.better, column.digits)
+        for variant, column in columns
+    ]
+    return Table(
+        "operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=("Mean over the severities of a variant.",)
+    )
+
+
+def severity_table(frame: Frame) -> Table | None:
+    impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
+    cells = [cell for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED]
+    levels = list(dict.fromkeys(level(cell) for cell in cells))
+    of_variant: dict[str, set[str]] = {}
+    for cell in cells:
+        of_variant.setdefault(cell.identity.operator, set()).add(level(cell))
+    if all(len(severities) < 2 for severities in of_variant.values()):
+        return None
+    rows = []
+    for task in dict.fromkeys(group.task for group in impaired):
+        for variant in of_variant:
+            for group in (group for group in impaired if group.task == task):
+                by_level = {name: [cell for cell in group.of_variant(variant) if level(cell) == name] for name in levels}
+                numbers = (part_of(group, by_level[name], measure) for measure in SEVERITY_MEASURES for name in levels)
+                rows.append(Row((task_title(task), operator_title(variant), assistant_title(group)), tuple(numbers)))
+    columns = tuple(
+        replace(measure, key=f"{measure.key}.{name}", title=f"{measure.title} {name}") for measure in SEVERITY_MEASURES for name in levels
+    )
+    notes = (spread_note(cells), *missing_notes(frame))
+    meanings = ("An assistant that helps where it is needed intervenes more when the operator gets worse.",)
+    return Table("severity", "Against severity", ("Task", "Operator", "Method"), columns, tuple(rows), notes, meanings, grouping=2)
+
+
+def level(cell: CellNumbers) -> str:
+    return cell.severity or f"{cell.identity.value:g}"
 
 
 def in_words(frame: Frame) -> list[str]:

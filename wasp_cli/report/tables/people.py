@@ -20,9 +20,9 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.summary import UNDEFINED, Interval, Value
+from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
-from wasp_cli.spec.study import QUESTIONS
+from wasp_cli.spec.model import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 
@@ -40,9 +40,6 @@ class Sitting:
     answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
     beats: pa.Table  # a row per decision (`store.people.BEAT`)
     simulated: bool  # a script drove
-    cut: int  # episodes that were given up
-    pauses: int
-    lost: int  # lost connections
 
     @property
     def participant(self) -> int:
@@ -74,23 +71,18 @@ def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
     place = session.get("block")
     return Sitting(
         cell, None if place is None else int(place), _answers(session.get("answers", {})), read_timing(folder / TIMING_FILE),
-        bool(session.get("simulated", False)), len(session["cut"]), sum(int(each.get("pauses", 0)) for each in session["sittings"]),
-        int(session.get("lost_connection", 0)),
+        bool(session.get("simulated", False)),
     )  # fmt: skip
 
 
 def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """By scale, with the mean of the six of the task load index where all of them were answered."""
     answers = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
     tlx = [float(value) for value in given.get(TLX, {}).values()]
     return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | answers
 
 
 def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
-    """Return the mean over participants of their means, its standard deviation over them, and an interval.
-
-    The interval is one of percentiles: of bootstrap means over participants (`stats.bootstrap`).
-    """
+    """Return the mean over participants of their means, its standard deviation over them, and percentiles of bootstrap means."""
     own: dict[int, list[float]] = {}
     for participant, number in numbers:
         if not math.isnan(number):
@@ -111,14 +103,12 @@ def measured(sitting: Sitting, key: str) -> float:
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
-    """Return the mean over participants of their differences to a reference condition on the same task and seed."""
     other = {(each.participant, each.cell.identity.seed): measured(each, key) for each in reference}
     pairs = [(each.participant, measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan)) for each in own]
     return over_participants(pairs)
 
 
 def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, float]]:
-    """Return each cell's difference to the mean of its condition on its task, so that places can be compared: NaN where undefined."""
     conditions: dict[Condition, list[float]] = {}
     for each in sittings:
         number = measured(each, key)
@@ -142,11 +132,6 @@ TIMES = (
     Column("decision_p99_ms", "p99", digits=1, spread=False),
     Column("input_age_p50_ms", "key to action (ms)", digits=0, spread=False),
     Column("input_age_p99_ms", "p99", digits=0, spread=False),
-    Column("round_trip_p50_ms", "round trip (ms)", digits=1, spread=False),
-    Column("round_trip_p99_ms", "p99", digits=1, spread=False),
-    Column("pauses", "pauses", digits=0, spread=False),
-    Column("cut", "cut", digits=0, spread=False),
-    Column("lost", "lost", digits=0, spread=False),
 )
 SCALES = {WORKLOAD: "Raw TLX", **{name: name.capitalize() for scales in QUESTIONS.values() for name, *_ in scales}}
 
@@ -172,7 +157,6 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
-    """Say of every condition in which the assistant was late how often it was: there the driver was alone."""
     late_counts: Counter[Condition] = Counter()
     decisions: Counter[Condition] = Counter()
     for each in sittings:
@@ -231,7 +215,6 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
 
 
 def _order(sittings: Sequence[Sitting]) -> Table:
-    """By place in the order: differences to the mean of the condition, so that conditions cancel out."""
     columns = [Column(column.key, column.title, digits=column.digits, scale=column.scale, signed=True) for column in MEASURES]
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
@@ -265,15 +248,13 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
             where = each.beats.schema.get_field_index("episode")
             tables.append(each.beats.set_column(where, each.beats.schema.field("episode"), episodes))
         summary = timing_summary(pa.concat_tables(tables))
-        summary |= {name: sum(getattr(each, name) for each in own) for name in ("pauses", "cut", "lost")}
         numbers = [summary[column.key] for column in TIMES]
         people = len({each.participant for each in own})
         values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)
         rows.append(Row(_labels(condition), values))
     meanings = (
         "late: the assistant had not answered in time, and the command was executed as it is. Key to action: from the "
-        "arrival of a new key to the execution of the action that knows of it. Round trip: from a frame to its acknowledgement. "
-        "cut: episodes that were given up; lost: connections that broke.",
+        "arrival of a new key to the execution of the action that knows of it.",
     )
     title, notes = "People: were decisions in time?", (people_fact(sittings),)
     return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)

@@ -17,9 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 from wasp_cli.report.figures import save
 from wasp_cli.report.render import markdown
 from wasp_cli.report.summary import Value
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.parts import (
+from wasp_cli.report.tables import Column, Row, Table
+from wasp_cli.report.trained import (
     ALL,
     PIXELS,
     UNREADABLE,
@@ -31,6 +30,7 @@ from wasp_cli.report.trained.parts import (
     read_json,
     read_table,
 )
+from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
@@ -59,8 +59,6 @@ def _enlarged(image: Images, side: int) -> Image.Image:
 
 
 class Window(NamedTuple):
-    """K frames beside each other. Of an imagined window the first one is the start, seen and not imagined."""
-
     title: str
     true: Images  # [K, 6, 64, 64]
     model: Images  # [K, 6, 64, 64] decoded or imagined
@@ -86,7 +84,6 @@ def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list
 
 
 def _strip(window: Window, word: str) -> Image.Image:
-    """True front, the model's front, true rear, the model's rear, one below the other; a red edge marks a real cost."""
     strip = Image.new("RGB", (LABEL + len(window.cost) * PITCH + GAP, GAP + 4 * PITCH), PAPER)
     draw, font = ImageDraw.Draw(strip), ImageFont.load_default(11)
     rows = [
@@ -223,11 +220,6 @@ WINDOW = tuple(
         ("persistence", "Persistence, AUPRC"), ("cost_correlation", "Summed cost, correlation with the real sum"),
     )
 )  # fmt: skip
-FILTERED = (
-    Column("auprc", "AUPRC", digits=3), Column("base", "Base rate", digits=3), Column("predicted_over_base", "Predicted / base"),
-    Column("image_error", "Image error", digits=4), Column("image_variance", "of the mean image", digits=4),
-)  # fmt: skip
-ENDS = (Column("ends_base", "Base rate", digits=3), Column("ends_auprc", "AUPRC", digits=3), Column("ends_over_base", "Predicted / base"))
 
 
 def contents_markdown(contents: Document) -> str:
@@ -261,28 +253,18 @@ def open_loop_markdown(sets: Document) -> str:
 
 def _foreseen(table: Document) -> Iterator[str]:
     steps, window = table["steps"], table["window"]
-    by_step = [((str(row["k"]),), row) for row in steps]
-    yield _table("Step by step", ("k",), FORESEEN, by_step)
+    yield _table("Step by step", ("k",), FORESEEN, [((str(row["k"]),), row) for row in steps])
     starts = [
         ((title,), {column.key: window.get(f"{prefix}{column.key}") for column in WINDOW})
         for title, prefix in (("all", ""), ("onset", "onset_"))
     ]
     yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
-    yield _table("The filtered state itself (k = 0)", ("Cost",), FILTERED, [(("all",), table["filter"])])
     told = table.get("readout")
     if told:  # older diagnostics have none
         places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
         note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
         columns = [Column(group, group) for group in told["filtered"]]
         yield _table("What is read from the latent", ("read from",), columns, [((title,), told[key]) for title, key in places], [note])
-    sources = list(steps[0]["foreseen_by_source"]) if steps else []
-    if len(sources) > 1:
-        rows = [((str(row["k"]),), row["foreseen_by_source"]) for row in steps]
-        yield _table(
-            "Share of the costs of each source that were foreseen", ("k",), [Column(kind, kind, digits=3) for kind in sources], rows
-        )
-    if any((row["ends_base"] or 0) > 0 for row in steps):
-        yield _table("Episodes that end there by the task's own rule", ("k",), ENDS, by_step)
 
 
 def quality_markdown(quality: Document) -> str:
@@ -338,7 +320,6 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write what there is to see of trained parts in place of what an earlier report drew; of a damaged artifact a file is left out."""
     root = report / FOLDER
     if root.is_symlink() or root.is_file():  # it would lead elsewhere
         root.unlink()

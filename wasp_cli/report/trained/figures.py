@@ -1,26 +1,36 @@
-"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes true.
+"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes true; and the
+same curves, with the numbers of the main table, for TensorBoard and Trackio.
 
-Files of artifacts that have no valid form are left out.
+There a trained part is a run such as `goal1/s1/Expert`, with its curves over decision steps or updates. An assistant is a run such as
+`goal1/table/WASP`, with one point a column of the main table. Files of artifacts that have no valid form are left out.
 """
 
 from __future__ import annotations
 
+import io
+import math
+import os
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
-from wasp_cli.report.tables.table import task_title
-from wasp_cli.report.trained.parts import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.report.stats import Frame
+from wasp_cli.report.tables import task_title
+from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
@@ -61,8 +71,6 @@ class Curve:
 
 
 class Reliability(NamedTuple):
-    """How often what the world model predicts with some probability comes true, of one seed at one imagined step."""
-
     task: str
     seed: int
     episodes: str  # `held_out` or `unseen`
@@ -114,7 +122,6 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw how often an imagined cost came true, by its predicted probability; a row for each task, a column for each set of episodes."""
     diagrams = list(reliabilities(layout, trained))
     tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:
@@ -135,7 +142,6 @@ def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | Non
 
 
 def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
-    """The lines of a panel: marks grow with their rows, and all seeds of a step look the same."""
     for i, step in enumerate(STEPS):
         own = [each for each in diagrams if each.step == step]
         errors = [each.error for each in own if np.isfinite(each.error)]
@@ -254,3 +260,74 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
             ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
             draw_lines(panel, lines, diagonal=ends, xlabel=f"{name}, predicted", ylabel="discounted sum that followed")
         return figure
+
+
+class Series(NamedTuple):
+    name: str
+    points: Mapping[int, Mapping[str, float]]
+
+
+def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Iterator[Series]:
+    runs: dict[str, dict[int, dict[str, float]]] = {}
+    for curve in driving_curves(layout, trained):
+        _add(runs.setdefault(f"{curve.task}/s{curve.seed}/{curve.name}", {}), curve.x, curve.y)
+    for curve in loss_curves(layout, trained):  # a curve a term of the loss, over its first value
+        _add(runs.setdefault(f"{curve.task}/s{curve.seed}/World model", {}), curve.x, {f"loss, {curve.name}": curve.y["loss"]})
+    table = main_table(frame)
+    for row in table.rows:
+        pairs = zip(table.columns, row.values, strict=True)
+        numbers = {column.key: value.mean * column.scale for column, value in pairs if value.mean is not None}
+        runs["/".join([row.labels[0].lower(), "table", row.labels[1]])] = {0: numbers}
+    for name, points in runs.items():
+        yield Series(name, points)
+
+
+def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]) -> None:
+    for name, values in y.items():
+        for step, value in zip(x, values, strict=False):
+            if math.isfinite(value):
+                points.setdefault(int(step), {})[name] = float(value)
+
+
+def to_tensorboard(name: str, runs: Iterable[Series], folder: Path) -> int:
+    try:
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.event_file_writer import EventFileWriter
+    except ImportError as error:
+        raise UsageError("--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'") from error
+    target = _new(folder / name)
+    count = 0
+    for series in runs:
+        writer = EventFileWriter(str(target / series.name))
+        for step, numbers in series.points.items():
+            values = [Summary.Value(tag=tag, simple_value=value) for tag, value in numbers.items()]
+            writer.add_event(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+        writer.close()
+        count += 1
+    return count
+
+
+def to_trackio(name: str, runs: Iterable[Series], folder: Path) -> int:
+    _new(folder / f"{name}.db")
+    os.environ["TRACKIO_DIR"] = str(folder.resolve())  # read when the package is imported
+    try:
+        import trackio
+    except ImportError as error:
+        raise UsageError("--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'") from error
+    count = 0
+    with redirect_stdout(io.StringIO()):  # it tells three lines a run
+        for series in runs:
+            run = trackio.init(project=name, name=series.name, resume="never", embed=False, auto_log_gpu=False, auto_log_cpu=False)
+            for step, numbers in series.points.items():
+                run.log(dict(numbers), step=step)
+            run.finish()  # type: ignore[no-untyped-call]
+            count += 1
+    return count
+
+
+def _new(path: Path) -> Path:
+    """Return a path that is not there yet: a second export would stand beside the first under the same names. Raises UsageError."""
+    if path.exists():
+        raise UsageError(f"'{path}' is there already", "remove it, or export to another folder")
+    return path

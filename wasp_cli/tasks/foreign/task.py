@@ -15,23 +15,15 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
 from wasp_cli.tasks.batch import Totals, check_begun, check_options, checked_action, chosen_rows, running_rows
-from wasp_cli.tasks.foreign import calls
-from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
-from wasp_cli.tasks.foreign.examine import examine, make_env
+from wasp_cli.tasks.foreign.examine import EnvStep, GymEnv, calling, examine, make_env, of_environment
+from wasp_cli.tasks.foreign.examine import reset as reset_env
+from wasp_cli.tasks.foreign.examine import step as step_env
 
 Ints = NDArray[np.int64]
 
 
 class GymTask:
-    """B environments of the gymnasium id `name` as a `VectorTask`; see there for the meaning of every member.
-
-    Args:
-        name: `module:Id-v0`, or an id that is registered already.
-        batch: B.
-        action_repeat: env steps per decision step.
-        observe: fields of `Observation` to fill.
-        threads: has no effect; the environments are stepped one after the other.
-    """
+    """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect, they are stepped one after the other."""
 
     def __init__(
         self,
@@ -69,7 +61,7 @@ class GymTask:
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
         for row, seed in chosen_rows(self.batch, seeds, rows):
             with of_environment(self._name):
-                seen = calls.reset(self._envs[row], seed)
+                seen = reset_env(self._envs[row], seed)
                 for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
                     zeroed[row] = 0
                 self._begun[row] = True
@@ -96,7 +88,7 @@ class GymTask:
         space = env.action_space
         assert space.shape is not None
         for _ in range(self.action_repeat):
-            done = calls.step(env, control.reshape(space.shape).astype(space.dtype))
+            done = step_env(env, control.reshape(space.shape).astype(space.dtype))
             self._env_steps[row] += 1
             totals.env_steps[row] += 1
             totals.reward[row] += done.reward
@@ -120,7 +112,6 @@ class GymTask:
     # -- observation ------------------------------------------------------------------------------------------------------------
 
     def _observe_row(self, row: int, seen: Any, *, first: bool) -> None:
-        """Keep what a row's environment shows, as far as it is asked for."""
         views = self._facts.views
         from_images = views.privileged is None  # then state and privileged are made of images
         if "pixels" in self.observe or from_images:
@@ -145,17 +136,11 @@ class GymTask:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {
-            "env_steps": self._env_steps,
-            "goals": self._goals,
-            "ended": self._ended,
-            "terminated": self._terminated,
-            "pixels": self._pixels,
-            "state": self._state,
-            "privileged": self._privileged,
-        }
+            "env_steps": self._env_steps, "goals": self._goals, "ended": self._ended, "terminated": self._terminated,
+            "pixels": self._pixels, "state": self._state, "privileged": self._privileged,
+        }  # fmt: skip
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`."""
         check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
@@ -164,7 +149,6 @@ class GymTask:
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
-        """Return to a snapshot; see `VectorTask`."""
         for name, array in self._arrays().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")

@@ -34,7 +34,6 @@ class _Camera:
     shape: tuple[int, ...]  # of the image as the observation holds it
 
     def image(self, observation: Any) -> Pixels:
-        """Return the image as it is, checked: uint8, of the shape of its space."""
         image = np.asarray(observation if self.entry is None else _entry(observation, self.entry))
         if image.shape != self.shape or image.dtype != np.uint8:
             which = "its observation" if self.entry is None else f"its observation '{self.entry}'"
@@ -51,8 +50,6 @@ class _Camera:
 
 @dataclass(frozen=True)
 class Views:
-    """How to read the observations of one environment."""
-
     front: _Camera
     rear: _Camera | None
     privileged: str | None  # entry of the privileged vector; None: a coarse image and its change stand in for it
@@ -74,7 +71,6 @@ class Views:
         return out
 
     def check(self, observation: Any) -> None:
-        """Read all that is ever read of an observation."""
         for camera in (self.front, self.rear):
             if camera is not None:
                 camera.image(observation)
@@ -105,7 +101,6 @@ class Views:
 
 
 def views_of(space: gymnasium.Space[Any]) -> Views:
-    """Find how to read observations of a space."""
     spaces: Mapping[Any, gymnasium.Space[Any]] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
     front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
     if front is None:
@@ -133,7 +128,6 @@ def _entry(observation: Any, entry: str) -> Any:
 
 
 def _camera(spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]) -> _Camera | None:
-    """The first of these entries, where it is an image."""
     entry = next((entry for entry in entries if entry in spaces), "")
     space = spaces.get(entry)
     if not isinstance(space, gymnasium.spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or 0 in space.shape:
