@@ -16,7 +16,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")]
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 
 
 @pytest.fixture(scope="module")
