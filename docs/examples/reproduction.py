@@ -17,9 +17,9 @@ from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
 from wasp_cli.report.stats import Frame, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.report.tables.main import ablation_table, main_table
-from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
@@ -64,7 +64,7 @@ def word(judged: Judged | None) -> str:
 def decides(judged: Judged) -> str:
     """Put the first comparison with the claim's outcome into words, and count those that share it."""
     deciding = [answers for answers in judged.answers if any_of(answers) == judged.outcome]
-    if not deciding:
+    if not deciding or judged.outcome == "untested":
         return ""
     first: Answer = next(answer for answer in deciding[0] if answer.outcome == judged.outcome)
     either = "one is enough: " if len(deciding[0]) > 1 else ""
