@@ -265,6 +265,11 @@ def _foreseen(table: Document) -> Iterator[str]:
         note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
         columns = [Column(group, group) for group in told["filtered"]]
         yield _table("What is read from the latent", ("read from",), columns, [((title,), told[key]) for title, key in places], [note])
+    sources = list(steps[0]["foreseen_by_source"]) if steps else []
+    if len(sources) > 1:
+        rows = [((str(row["k"]),), row["foreseen_by_source"]) for row in steps]
+        shown = [Column(kind, kind, digits=3) for kind in sources]
+        yield _table("Share of the costs of each source that were foreseen", ("k",), shown, rows)
 
 
 def quality_markdown(quality: Document) -> str:
