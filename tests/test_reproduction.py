@@ -99,7 +99,7 @@ def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path):
 
 
 def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_path):
-    spec, only = ROOT / "specs" / "table2.yaml", ("--select", "method=human")
+    spec, only = ROOT / "specs" / "table2.yaml", ("--task", "formula1", "--select", "method=human")
     done = run_here("run", spec, "--results", tmp_path / "r", "--limit", "10", *only, columns=200, code=0)
     assert re.search(r"(?m)^0 computed, ", done.stderr), done.stderr
     run_here("run", spec, "--results", tmp_path / "r", *only, columns=200)

@@ -29,7 +29,7 @@ PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1,)
 
 
-LEFT_OUT = ("ms", "Mag.\\|int ↓", "Mag. eff. ↓")
+LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
