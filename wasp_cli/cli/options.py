@@ -171,6 +171,7 @@ SPECS = "specs/"
 
 
 def spec_names(incomplete: str) -> list[str]:
+    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
     files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
@@ -213,6 +214,7 @@ def require_extra(extra: str, *packages: str) -> None:
 
 
 def parse_folder(value: str | Path) -> Path:
+    """Return a folder as it was typed; refuse an empty name."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
     return Path(value)
@@ -322,6 +324,7 @@ class SelectedSpec(SizedSpec):
     reuse: ReuseOption = None
 
     def load(self) -> Loaded:
+        """Load the spec that is meant; `select` and `failed` say which of its cells."""
         from wasp_cli.spec.load import limited, restricted
 
         return limited(restricted(super().load(), None, self.method), self.limit)

@@ -142,6 +142,7 @@ def sweep(
 
 
 def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
+    """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
     from wasp_cli.plan.plan import show
 
     if json:

@@ -78,6 +78,8 @@ SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 
 @dataclass(frozen=True)
 class How:
+    """How a session is shown and paced; none of it is in a key."""
+
     speed: float = 1.0  # simulated seconds per second
     shown: frozenset[str] = frozenset(SHOWN)
     simulated: bool = False

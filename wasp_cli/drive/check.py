@@ -257,6 +257,7 @@ def recommended(seconds: list[float], fired: list[float], driven: Driven, period
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:
+    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
     table = count_table("", "median", "99th percentile")
     for timing in timings:
         table.add_row(timing.label, style="bold")

@@ -61,6 +61,7 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).exists()
 
     def prepared(self, *, recorded: bool = True) -> Session:
+        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -72,11 +73,13 @@ class Wanted:
         return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
 
     def everyone(self) -> list[Wanted]:
+        """Return one for each participant of a spec; where a task or a participant is meant, this one."""
         if self._is_task or self.participant is not None:
             return [self]
         return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))]
 
     def orders(self) -> Table:
+        """Return who drives what in which order, without computing anything."""
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
         orders = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}

@@ -36,6 +36,8 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Held:
+    """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
+
     keys: frozenset[str] = frozenset()
     axes: tuple[float, float] = (0.0, 0.0)  # of a gamepad or a finger: forward, left in [-1, 1]
     number: int = 0  # of the message that said so; 0: none did
@@ -111,6 +113,7 @@ class Desk:
                     return str(request)
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Show a form and wait for its answers; None where the driver ends instead."""
         with self._lock:
             # Before the page knows of the form: a quick answer must not be taken for one to an earlier form.
             self._answers = None
@@ -126,6 +129,7 @@ class Desk:
     # The socket's side.
 
     def come(self) -> bool:
+        """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
         with self._lock:
             if self._drivers:
                 return False
@@ -155,6 +159,7 @@ class Desk:
             self._lock.notify_all()
 
     def focus(self, there: bool) -> None:
+        """Note whether the window has the focus; without it nothing is held."""
         with self._lock:
             self.blurred += self.focused and not there and self._state.get("phase") == "driving"
             self.focused = there
@@ -162,6 +167,7 @@ class Desk:
             self._release()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
+        """Take a new state of the controls; keys that mean nothing here are left out."""
         self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
 
     def _release(self) -> None:

@@ -69,6 +69,7 @@ class Session:
         return str(self.blocks[0][0].severity)
 
     def run(self, desk: Desk) -> None:
+        """Lead the driver through everything; returns when all is driven, or the driver ends."""
         if not self._consent(desk):
             desk.state("over", text="Nothing was recorded.", blocks=[])
             return
@@ -285,6 +286,7 @@ def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, An
 
 
 def driven_tasks(results: Path, participant: int) -> list[str]:
+    """Return the tasks of which a participant has driven anything; a UsageError where there is none."""
     tasks = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
     if not tasks:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")

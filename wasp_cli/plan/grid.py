@@ -47,6 +47,7 @@ class Grid:
 
     @property
     def targets(self) -> frozenset[str]:
+        """The keys of what the spec asks for; the other nodes are there for these."""
         return frozenset(node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched))))
 
     @property
@@ -94,6 +95,8 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
 
 
 class Section(NamedTuple):
+    """Settings as a stage reads them, and as a key has them: without those that move no result or are at their defaults."""
+
     values: dict[str, Any]
     identity: dict[str, Any]
 
@@ -244,6 +247,7 @@ class Condition(NamedTuple):
     excluding: bool
 
     def holds(self, facts: Mapping[str, str]) -> bool:
+        """Return whether a node with these facts is meant; one that has no such field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
 
 

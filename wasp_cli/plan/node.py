@@ -183,6 +183,7 @@ def source_hashes(roots: Iterable[str]) -> dict[str, str]:
 
 @cache
 def source_hash(module: str) -> str:
+    """Return the hash of one module's syntax without docstrings, as it was when it was first read here."""
     return _hash(module, _stamp(module))
 
 

@@ -57,6 +57,7 @@ class Plan:
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
+        """Return the number of nodes by kind and state; kinds in the order in which they first run."""
         counts: dict[str, Counter[State]] = {}
         levels: dict[str, int] = {}
         for step in self.steps:  # needed ones first
@@ -66,6 +67,7 @@ class Plan:
         return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
+        """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         total, _ = simulated(nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers)
         return total, sum(node.sort not in self.seconds for node in nodes)

@@ -69,6 +69,7 @@ def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
+    """Return the identity of a node without its configuration: who assists whom, where, with which seed."""
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
     return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} {axes.get('value')!r}"
@@ -102,6 +103,7 @@ class Reasons:
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
+        """Return what changed since the nearest version; None where there is none."""
         compared = [self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]]
         differences = [difference for difference in compared if difference is not None]
         return min(differences, key=lambda difference: difference[0])[1] if differences else None

@@ -58,6 +58,7 @@ def run_ids(layout: Layout) -> list[str]:
 
 
 def order_of(layout: Layout, run_id: str) -> int:
+    """Return which of all runs one is, from 1 on; 0 where it does not say so."""
     try:
         return int(read_plain(layout.order(run_id)))
     except (OSError, ValueError):
@@ -65,6 +66,7 @@ def order_of(layout: Layout, run_id: str) -> int:
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
+    """Return a run as it was planned; None of a folder whose plan does not read."""
     try:
         sweep = _record(layout, run_id, "sweep.json")
         if sweep is not None:
@@ -81,12 +83,14 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep."""
     runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
     of_sweeps = {part for run in runs for part in run.parts}
     return [run for run in runs if run.run_id not in of_sweeps]
 
 
 def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
+    """Return what the last run of a spec was to do; empty where none is recorded."""
     try:
         ids = run_ids(layout)
     except StoreError:
@@ -106,6 +110,7 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 
 
 def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
+    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
     return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
 
 

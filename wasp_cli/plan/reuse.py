@@ -40,6 +40,7 @@ HELDOUT = "heldout"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
+    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
@@ -53,6 +54,7 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
+    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)

@@ -70,6 +70,7 @@ class Schedule:
                 self.put(dependent)
 
     def failed(self, node: Node) -> list[Node]:
+        """Give up a node, ready or taken, and return what can never begin without it, needed ones first."""
         self._left.discard(node.key)
         self._ready = [entry for entry in self._ready if entry[1].key != node.key]
         heapq.heapify(self._ready)
@@ -85,6 +86,7 @@ class Schedule:
 
 
 def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:
+    """Return how long the nodes take on so many workers (None: on any number), and how many run at once at most."""
     schedule = Schedule(nodes, lasting)
     running: list[tuple[float, str, Node]] = []
     now, most = 0.0, 0

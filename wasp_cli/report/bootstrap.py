@@ -44,6 +44,8 @@ TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on eit
 
 @dataclass(frozen=True)
 class Estimate:
+    """A number with its interval; None where there is a single cluster."""
+
     value: float
     interval: Interval | None
 
@@ -253,6 +255,8 @@ def _middle_mean(numbers: Floats, times: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Contrast:
+    """A contrast over trainings; limits are None where they are undefined."""
+
     value: float
     trainings: tuple[float, ...]  # the contrast of each training, in the order of their seeds
     bootstrap: Limits | None

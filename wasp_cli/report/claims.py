@@ -58,6 +58,7 @@ class Judged:
 
     @property
     def part(self) -> Outcome:
+        """The outcome of those questions that could be asked; `untested` where none could."""
         return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
 
     @property

@@ -132,6 +132,7 @@ def beyond_print(judged: Judged) -> str:
 
 
 def verdict_terminal(verdict: VerdictReport) -> Text:
+    """Count the claims in one line; the written report has each of them, with the comparisons that decide it."""
     line = " ".join((headline(verdict), *second_headlines(verdict)))
     return Text.assemble((f"{TITLE}: ", "bold"), f"{line[0].lower()}{line[1:-1]}; report.html lists them.")
 
@@ -197,6 +198,7 @@ MEANINGS = (
 
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
+    """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
     keys = list(dict.fromkeys(key for row in verdict.rows for key in row.columns))
     if not verdict.rows:
         return None

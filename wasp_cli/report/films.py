@@ -78,6 +78,7 @@ class TaskFilms:
 
 
 def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
+    """Yield the films of every task of which a map can be drawn; `tell` is told what is being drawn."""
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
         if task in TASKS and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:

@@ -109,6 +109,7 @@ def _note(record: dict[str, Any]) -> Note | None:
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
+    """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
     marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
         if note.mark == "invalid":
@@ -154,6 +155,7 @@ def without_invalid(
 
 
 def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | None:
+    """Return a cell pooled over its other episodes; None where none is left."""
     if not out:
         return cell
     rest = np.array([episode not in out for episode in range(cell.count)])

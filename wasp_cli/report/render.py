@@ -258,6 +258,7 @@ TEMPLATES = ("wasp_cli.report", "page/templates")
 
 
 def rendered(template: str, /, **values: Any) -> Markup:
+    """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
     return Markup(templates(TEMPLATES).get_template(template).render(values))  # every value in it has been escaped
@@ -301,6 +302,7 @@ def make_own(folder: Path) -> None:
 
 
 def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table]) -> list[Path]:
+    """Write pages (name: text) and every table in every format; returns the files, the pages first."""
     texts = dict(pages)
     texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
     for name, text in texts.items():

@@ -59,6 +59,7 @@ class Wanted:
 
     @classmethod
     def stored(cls, layout: Layout, kind: str, key: str, identity: CellIdentity, label: str, **known: Any) -> Wanted:
+        """Return what a results folder has under a key, a cell or its branches; what leads out of the folder is not read."""
         folder, refused = layout.artifact(kind, key), None
         path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
         try:
@@ -70,6 +71,8 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Missing:
+    """A wanted cell without readable rows."""
+
     identity: CellIdentity
     label: str
     reason: str
@@ -148,6 +151,7 @@ class Group:
 
 
 def groups(frame: Frame) -> list[Group]:
+    """List the rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
     rows: dict[tuple[str, str, str], list[CellNumbers]] = {row_of(identity): [] for identity in frame.order}
     for cell in frame.cells:
         rows.setdefault(row_of(cell.identity), []).append(cell)
@@ -163,6 +167,7 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
 
 
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
+    """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
     results = [_read(cell) for cell in wanted]
     read = [(cell, numbers) for cell, numbers in zip(wanted, results, strict=True) if not isinstance(numbers, Missing)]

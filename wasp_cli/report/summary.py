@@ -40,6 +40,8 @@ FEW = 3  # clusters up to which 95 % of the resamples reach from the least to th
 
 @dataclass(frozen=True)
 class Value:
+    """A number of a table. None is undefined."""
+
     mean: float | None
     sd: float | None = None  # spread over seed-level means; None with fewer than two seeds
     n: int = 0  # seeds behind the mean
@@ -52,6 +54,7 @@ UNDEFINED = Value(None, ranked=False)
 
 
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
+    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
     by_seed: dict[int, list[float]] = {}
     for cell in cells:
         number = cell.pooled.get(key, math.nan)

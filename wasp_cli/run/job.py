@@ -54,6 +54,12 @@ State = Literal["done", "shared", "failed", "busy", "skipped", "unseen"]
 
 @dataclass(frozen=True)
 class NodeResult:
+    """How a node ended.
+
+    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is
+    to end; `unseen`: its worker does not see the results folder.
+    """
+
     key: str
     state: State
     """`shared`: another run computed it; `busy`: another one computes it now; `skipped`: the run is to end; `unseen`: no results folder."""
@@ -136,10 +142,12 @@ def _now() -> str:
 
 
 def this_process() -> dict[str, object]:
+    """Name this process, so that others can see whether it lives."""
     return {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()}
 
 
 def boot_id() -> str | None:
+    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
     except (OSError, ValueError):

@@ -112,6 +112,8 @@ class InlinePool(Pool):
 
 
 class LokyPool(Pool):
+    """joblib's loky workers: started on first use, so that torch is imported once in each."""
+
     name = "loky"
 
     def __init__(self, jobs: int) -> None:

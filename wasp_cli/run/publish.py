@@ -245,6 +245,7 @@ Unpack it, and name the folder to compute further cells with these models, or to
 
 
 def write_archive(target: Layout, name: str, file: Path) -> int:
+    """Write a `.tar.gz` of a published folder; returns the number of files in it."""
     if not file.name.endswith(".tar.gz"):
         raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
     if file.exists():

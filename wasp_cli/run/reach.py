@@ -170,6 +170,7 @@ def _rubbish(what: str, path: Path, key: str | None) -> Rubbish:
 
 
 def size_of(path: Path) -> int:
+    """Return the bytes of a file or of everything in a folder; links are not followed."""
     try:
         if path.is_symlink() or not path.is_dir():
             return path.lstat().st_size
@@ -198,6 +199,7 @@ def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *
 
 
 def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
+    """Remove what can go, each thing in one step, unless a process has taken its lock meanwhile; how many went, and their bytes."""
     count = freed = 0
     for item in sorted(items, key=lambda item: item.what == LOCKS):  # locks last: to take one makes its file
         if item.what == LOCKS:

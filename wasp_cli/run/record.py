@@ -49,6 +49,7 @@ class Recorded:
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
+    """Make the folder of a new run and write down what it is asked for; with `reports` a report follows (see `reported`)."""
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
@@ -62,6 +63,7 @@ def reported(layout: Layout, run_id: str) -> None:
 
 
 def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:
+    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells."""
     runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
     with _new_folder(layout, sweep.name, reports) as folder:
         values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
@@ -85,6 +87,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
 
 
 def read_run(layout: Layout, run_id: str) -> Recorded:
+    """Return what a run was asked for; an ArtifactError where its record is damaged, or of another version."""
     folder = layout.within(layout.run(run_id))
     try:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
@@ -149,6 +152,7 @@ def _first_line(error: Exception) -> str:
 
 
 def results_of(folder: Path) -> Layout:
+    """Return the layout of an existing results folder; a StoreError where there is none, or it cannot be read or has links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     try:

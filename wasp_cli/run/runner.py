@@ -249,6 +249,7 @@ class Runner:
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
+    """Return what is to be known of a node to compute it, in one thread and without a limit."""
     return NodeJob(
         root=str(layout.root), run_id=run_id, kind=node.kind, key=node.key, label=node.label, task=node.task, seed=node.seed,
         stage=STAGES[node.kind].target, axes=node.axes, config=node.config, settings=node.settings,

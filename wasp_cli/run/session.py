@@ -64,6 +64,8 @@ class Session:
 
 @dataclass(frozen=True)
 class RunOptions:
+    """How a run is carried out. None of it changes a result."""
+
     jobs: int  # worker processes at most; 0 computes in this process
     limit: float | None = None  # seconds that a node may take
     retries: int = 0
@@ -90,6 +92,7 @@ def run_spec(
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
+    """Return the plan that `run_spec` would carry out; the results folder need not be there."""
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
@@ -156,6 +159,7 @@ def _idle(plan: Plan, shared: int = 0) -> list[str]:
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
+    """Return the plan that `run_sweep` would carry out; the results folder need not be there."""
     return plan_against(together(_grids(sweep, layout, reuse)), layout)
 
 

@@ -142,6 +142,7 @@ class Live(Lines):
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
+    """Return the board that fits where stderr goes; `names` are what people call a node, by its key, where that is not its label."""
     fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
     return fitting(layout, run_id, total, names)
 
@@ -236,6 +237,7 @@ def _progress(state: RunState) -> Text:
 
 
 def pace(state: RunState) -> str:
+    """Say how long a run takes yet; of one that is over, nothing."""
     if state.state != "running" or state.left_seconds is None:
         return ""
     known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""

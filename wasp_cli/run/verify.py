@@ -56,6 +56,7 @@ def draw(layout: Layout, cells: int, seed: int) -> Drawn:
 
 
 def why_not(layout: Layout, key: str) -> str | None:
+    """Return why a cell cannot be computed again from its folder; None where it can."""
     try:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):

@@ -18,6 +18,7 @@ from wasp_cli.spec.read import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
+    """Return the model of a section, a task's own included; that of the whole spec for an empty place."""
     model: type[BaseModel] = spec_type()
     loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
     for part in loc:
@@ -122,6 +123,7 @@ def misplaced(document: Mapping[str, Any]) -> list[Finding]:
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
+    """Return, by section: the field that only the top of a spec may set, and how."""
     return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
 
 

@@ -35,6 +35,7 @@ class Loaded:
     overrides: tuple[Override, ...] = ()
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
+        """Return a refusal that points at a place of this spec, for what only later steps can know."""
         return InvalidSpec([_placed(self.chain, self.overrides, Finding(loc, message, hint))])
 
 
@@ -92,6 +93,7 @@ class Chain:
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
+        """Return the values of all files, nearer ones over farther ones, and what in them is none; `named`: an option brings the name."""
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
@@ -114,6 +116,7 @@ class Chain:
         return source.problem(loc, message, hint, at_key=at_key)
 
     def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
+        """Return the problems file by file, nearest first; those of no file (options) last."""
         names = [source.name for source in self.sources]
         return sorted(problems, key=lambda problem: names.index(problem.source) if problem.source in names else len(names))
 
@@ -168,6 +171,7 @@ class Override:
 
 
 def override(number: int, text: str) -> Override:
+    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types."""
     place = f"--set #{number}"
     key, equals, value = text.partition("=")
     path = path_of(key)
@@ -181,6 +185,7 @@ def override(number: int, text: str) -> Override:
 
 
 def path_of(key: str) -> tuple[str, ...]:
+    """Return `a.b` as the names on the way to a value; one of them is empty where the key is none."""
     return tuple(part.strip() for part in key.split("."))
 
 
@@ -217,6 +222,7 @@ def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str
 
 
 def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
+    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them."""
     update: dict[str, tuple[str, ...]] = {}
     for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
         for name in chosen or ():

@@ -171,6 +171,7 @@ class Spec(Config):
         return section
 
     def variants_of(self, method: str) -> tuple[str, ...]:
+        """Return the ablations of a method that this spec asks for; a method without ablations runs in its only one."""
         known = tuple(METHODS[method].variants)
         return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
 

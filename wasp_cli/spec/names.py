@@ -25,6 +25,7 @@ RECORDED = "recorded"
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
+    """Return the error for a name that no registry has; its context carries the hint."""
     hint = did_you_mean(name, sorted(known))
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
@@ -80,6 +81,7 @@ def _stage(name: str) -> str:
 
 
 def assistant_variants() -> list[str]:
+    """Return every ablation of every method, in registry order, without repeats."""
     return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
 
 

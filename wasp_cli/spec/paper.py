@@ -151,6 +151,7 @@ class Claim(Config):
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
+        """Return what has to be so; of the comparisons in a tuple one is enough."""
         return [question for statement in self.statements for question in statement.questions()]
 
 
@@ -180,6 +181,7 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
+    """Read and validate a paper; by default the one that this project reproduces."""
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
     return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 

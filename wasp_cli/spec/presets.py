@@ -118,6 +118,7 @@ PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU
 
 
 def preset_values(name: str) -> dict[str, Any]:
+    """Return what a preset says, sections of plugins' stages included; nothing for a name that is no preset."""
     sections = {kind: values for kind, info in STAGES.items() if (values := info.presets.get(name)) is not None}
     return merged(PRESETS[name], sections) if name in PRESETS else {}
 

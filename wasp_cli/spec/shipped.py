@@ -19,11 +19,13 @@ PAPER = "paper"  # lies beside the specs and is none
 
 
 def specs_folder() -> Path:
+    """Return where the specs are; pyproject.toml puts them into a wheel."""
     packaged = _PACKAGE / FOLDER
     return packaged if packaged.is_dir() else _PACKAGE.parent / FOLDER
 
 
 def published_folder() -> Path | None:
+    """Return where the published parts are, laid out as a results folder; None where the package came without them."""
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
     return next((folder for folder in folders if (folder / "store").is_dir()), None)
 
@@ -47,6 +49,7 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays."""
     source = specs_folder()
     if not source.is_dir():
         raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")

@@ -34,6 +34,8 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 
 class BranchTrace(NamedTuple):
+    """What a branch was; w decisions."""
+
     cost: list[bool]  # [w] c_t
     cost_env: list[int]  # [w]
     reward: list[float]  # [w]

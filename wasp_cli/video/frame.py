@@ -203,6 +203,7 @@ def film_episode(
 
 
 def seconds_of(stored: Episode) -> float:
+    """Return the simulated time of a decision; where nothing says it, something that can be watched."""
     return stored.constants.decision_seconds or 0.1
 
 

@@ -61,6 +61,7 @@ def replay(
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
+    """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
     from wasp_cli.video.frame import frames_of
 
     yield from frames_of(*_drawn(layout, cell, read_episode(cell, episode), every))
@@ -81,6 +82,7 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
+    """Find the rows of a cell and the models that it was evaluated with; a UsageError where its manifest does not name them."""
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
@@ -138,6 +140,7 @@ def _alone(cell: FoundCell, episode: int) -> Recorded:
 
 
 def correction(stored: Episode) -> Correction:
+    """Return the stored plans, or of a method without plans each changed action as a correction of one step."""
     from wasp_cli.video.frame import Correction
 
     planned = any(plan is not None for plan in stored.plan)

@@ -254,6 +254,8 @@ class AsRecorded(Operator):
 
 
 class SaidAgain(PersonOperator):
+    """A person's recorded commands, decision by decision; imagined, the command of now is held."""
+
     def __init__(self, recorded: Recorded, action_size: int) -> None:
         nothing = DrawnNoise(torch.zeros(0, len(recorded.a_h), 0))
         super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))

@@ -130,6 +130,7 @@ def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
 
 
 def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict | None:
+    """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
     rows = np.flatnonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step)).tolist()

@@ -74,6 +74,7 @@ class Films:
             return self._state(_name(key, episode, kind, step))
 
     def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
+        """Return a frame as WebP; None where it is not there."""
         try:
             with open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
                 return file.read(LARGEST)
@@ -130,6 +131,7 @@ def frame_name(number: int) -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
+    """Return what the drawing process says; None before it has said anything, or where that does not read."""
     try:
         record = parse(read_plain(folder / "film.json"))
     except (OSError, ValueError, RecursionError):

@@ -44,6 +44,7 @@ NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 
 
 def cells_page(site: Site) -> str:
+    """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
     unread = [""] * (len(COLUMNS) + 2)

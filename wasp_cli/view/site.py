@@ -55,6 +55,7 @@ class Shown:
         return [str(self.episodes or ""), *(self.texts or [""] * len(COLUMNS)), "damaged" if self.damaged else self.reason]
 
     def without(self, invalid: Collection[int | None]) -> Shown:
+        """Return the cell without the episodes that are marked as invalid; None stands for the whole cell."""
         if self.numbers is None:
             return self
         if None in invalid:
@@ -223,6 +224,7 @@ class Links:
         return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells
 
     def episode(self, cell: ListedCell, number: int) -> str:
+        """Return an episode; nothing where it has no page."""
         if self.live:
             return cell_address(self._known.ref(cell), number).replace(" ", "%20")
         return f"episode-{_name(cell)}-{number}.html" if number in self._episodes.get(cell.key, ()) else ""
@@ -255,6 +257,7 @@ class Site:
         return environment.get_template(template).render(site=self, links=self.links, title=title, **values)
 
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
+        """Return the one cell that an address names; a UsageError where it names none or several."""
         listed, artifact = self.cells.find(text)
         if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
@@ -264,6 +267,7 @@ class Site:
         return listed[0], artifact
 
     def notes(self) -> list[Note]:
+        """Return all notes; none where they do not read, which the first page says."""
         try:
             return notes_of(self.layout)
         except StoreError:
@@ -271,6 +275,7 @@ class Site:
 
 
 def site_of(folder: Path, *, films: bool = True) -> Site:
+    """Return a results folder as pages; a StoreError where it has no results, or links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
     if not layout.store.is_dir() and not layout.runs.is_dir():

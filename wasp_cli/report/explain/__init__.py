@@ -142,6 +142,7 @@ class Episode:
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
+    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError where the table does not read."""
     with odd_tables_refused(cell.path):
         return _read(cell, episode)
 
@@ -250,6 +251,8 @@ BASE = (("base", STRIP),)
 
 
 class Lane(NamedTuple):
+    """A row of a timeline, `height` px high; x counts decisions."""
+
     name: str
     height: int
     levels: Sequence[tuple[str, float | str]]  # horizontal lines: their class and height from above in px
@@ -275,6 +278,7 @@ class Curve(NamedTuple):
 
 
 def curves(episode: Episode) -> list[Curve]:
+    """Return what the method looks at; a method without a signal of its own shows its deviation."""
     numbers, limits = episode.numbers, episode.thresholds
     if episode.gated:
         return [Curve("Ḡᶜ", numbers["g_cost"], limits.tau_c, "τ_c"), Curve("ΔG", numbers["delta_g"], limits.tau_r, "τ_r")]
@@ -284,6 +288,7 @@ def curves(episode: Episode) -> list[Curve]:
 
 
 def spans(kinds: Iterable[str]) -> list[Span]:
+    """Return the stretches of one kind; an empty kind is none."""
     stretches: list[Span] = []
     at = 0
     for kind, group in groupby(kinds):

@@ -50,6 +50,7 @@ def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
 
 
 def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
+    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A column of `-` alone is left out."""
     columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
@@ -125,6 +126,7 @@ def beside(value: float | None, limit: float | None) -> tuple[str, str]:
 
 
 def between(bounds: Range | None, limit: float | None) -> str:
+    """Return a range; its upper end is told apart from the threshold."""
     if bounds is None:
         return "-"
     low, high = short(bounds[0]), beside(bounds[1], limit)[0]
@@ -136,6 +138,7 @@ def span(first: int, last: int) -> str:
 
 
 def places(decisions: Sequence[int]) -> str:
+    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
     spans: list[list[int]] = []
     for t in decisions:
         if spans and t == spans[-1][1] + 1:

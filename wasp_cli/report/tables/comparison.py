@@ -69,6 +69,7 @@ def _value(estimate: Estimate | None, like: Value) -> Value:
 
 
 def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield what [low, high] are, what they resample and how coarse that is."""
     intervals = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
     for words, interval in sorted(intervals.items()):
         if interval.unit == "world":

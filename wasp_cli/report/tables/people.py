@@ -109,6 +109,7 @@ def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> 
 
 
 def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, float]]:
+    """Return each cell's difference to the mean of its condition on its task, so that places can be compared: NaN where undefined."""
     conditions: dict[Condition, list[float]] = {}
     for each in sittings:
         number = measured(each, key)

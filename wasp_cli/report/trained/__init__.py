@@ -152,6 +152,7 @@ def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[s
 
 
 def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
+    """Return a number of every row: [n], NaN where there is none."""
     return np.array([row.get(name) for row in rows], np.float64)
 
 

@@ -325,6 +325,7 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
+    """Write what there is to see of trained parts in place of what an earlier report drew; of a damaged artifact a file is left out."""
     root = report / FOLDER
     if root.is_symlink() or root.is_file():  # it would lead elsewhere
         root.unlink()

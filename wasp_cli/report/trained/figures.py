@@ -122,6 +122,7 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw how often an imagined cost came true, by its predicted probability; a row for each task, a column for each set of episodes."""
     diagrams = list(reliabilities(layout, trained))
     tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:

@@ -59,6 +59,7 @@ def of_environment(name: str) -> Iterator[None]:
 
 @contextmanager
 def calling(part: str) -> Iterator[None]:
+    """Call code of another in the block, which must neither end this process nor print its traceback."""
     try:
         yield
     except TaskError:

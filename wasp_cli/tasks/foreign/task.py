@@ -141,6 +141,7 @@ class GymTask:
         }  # fmt: skip
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`."""
         check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
@@ -149,6 +150,7 @@ class GymTask:
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
+        """Return to a snapshot; see `VectorTask`."""
         for name, array in self._arrays().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")
