@@ -139,7 +139,7 @@ def test_two_results_folders_are_refused_and_one_may_be_said_twice(results: Path
 
 
 def test_tasks_methods_and_preset_restrict_a_spec() -> None:
-    loaded = load(Path("specs/assistants.yaml"), sized("smoke", ["episodes=3"]))
+    loaded = load(Path("specs/field.yaml"), sized("smoke", ["episodes=3"]))
     assert (loaded.spec.preset, loaded.spec.episodes) == ("smoke", 3)
     some = restricted(loaded, ["race1", "goal1"], ["wasp", "human"]).spec
     assert (some.tasks, some.methods) == (("race1", "goal1"), ("human", "wasp"))

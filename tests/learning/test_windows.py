@@ -26,7 +26,6 @@ from wasp_cli.models.weights import load_weights, save_weights
 from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.stages.latents import LatentsStage
 from wasp_cli.stages.world_model import WorldModelStage
-from wasp_cli.store.slim import Slimming, slim
 
 
 def test_sampled_sequences_begin_without_a_past_and_hold_costs():
@@ -193,7 +192,6 @@ def test_what_is_stored_what_is_measured_and_what_ships_are_the_same_numbers(tmp
         if value.is_floating_point():
             assert torch.equal(value, before[name].half().float())
     assert not torch.equal(again.state_dict()["0.weight"], before["0.weight"])
-    assert slim(tmp_path, "critics", Slimming(half=True)) == {}  # publishing leaves nothing out
 
 
 @pytest.mark.parametrize("value", [1e6, float("nan")])

@@ -36,6 +36,16 @@ def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):
     assert not [step for step in plan(small_spec, here).steps if step.runs]
 
 
+def test_weights_that_were_rounded_after_their_cells_are_not_used(here, small_spec):
+    """As before weights were rounded at the end of training: cells computed with them would have other rows under the same keys."""
+    path = published_manifest(here, "goal1 s0 world_model")
+    rewrite(path, lambda manifest: manifest.update(slim={"data.bin": {"left_out": "weights in half precision"}}))
+    before = plan(small_spec, here)
+    (note,) = before.grid.notes
+    assert "has other weights than its cells were computed with" in note
+    assert not [step for step in before.steps if step.node.key == path.parent.name and step.state == "published"]
+
+
 def test_what_breaks_in_the_store_is_brought_in_again(here, fakes, small_spec, moved):
     moved(COMMON)
     run(small_spec, here)

@@ -5,13 +5,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import torch
-from safetensors.torch import load_file, save_file
 
 import wasp_cli
 from tests.report.invented import invent, write_rows
 from wasp_cli.errors import StoreError
-from wasp_cli.models.weights import load_weights
 from wasp_cli.store.artifact import (
     commit,
     damage,
@@ -190,23 +187,6 @@ def cell(folder: Path, episodes: int = 4) -> Path:
     return write_rows(
         folder, CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 0), [invent(e, 5, 0.2, 0.05, steps=7) for e in range(episodes)]
     )
-
-
-def test_weights_of_half_size_load_into_the_same_module_and_say_what_was_left_out(tmp_path):
-    module = torch.nn.Linear(40, 30)
-    path = tmp_path / "m.safetensors"
-    save_file({**module.state_dict(), "count": torch.arange(3)}, path)
-    whole, size = file_digest(path), path.stat().st_size
-    assert slim(tmp_path, "critics", Slimming(half=True)) == {"m.safetensors": {"left_out": "weights in half precision", "sha256": whole}}
-    assert path.stat().st_size < 0.6 * size
-    stored = load_file(path)
-    assert torch.equal(stored.pop("count"), torch.arange(3))
-    save_file(stored, path)
-    other = torch.nn.Linear(40, 30)
-    load_weights(other, path)
-    assert other.weight.dtype == torch.float32
-    assert torch.equal(other.weight, module.weight.half().float())
-    assert slim(tmp_path, "critics", Slimming(half=True)) == {}
 
 
 def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touched(tmp_path):

@@ -55,14 +55,14 @@ def intervened(results: Path) -> tuple[int, int]:
 
 @pytest.fixture
 def published(results: Path, tmp_path: Path) -> Path:
-    """The same in a folder of what `wasp publish --half --steps 1` leaves."""
+    """The same in a folder of what `wasp publish --steps 1` leaves."""
     whole, part = Layout(results), Layout(tmp_path / "published")
     part.prepare()
     for kind, key in (KEYS | {"evaluate": CELL}).items():
         staging = staging_folder(part, key)
         shutil.copytree(whole.artifact(kind, key), staging, dirs_exist_ok=True)
         manifest = read_manifest(whole, kind, key)
-        commit(part, kind, key, staging, {**manifest, "slim": slim(staging, kind, Slimming(half=True, steps=1))})
+        commit(part, kind, key, staging, {**manifest, "slim": slim(staging, kind, Slimming(steps=1))})
     return part.root
 
 
@@ -112,19 +112,20 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
 
 
-def test_the_first_episode_of_a_cell_published_in_part_plays_with_models_of_half_precision(published: Path, tmp_path: Path) -> None:
+def test_the_first_episode_of_a_cell_published_in_part_plays_alone(published: Path, tmp_path: Path) -> None:
     done = replayed(published, CELL, "--episode", "0", "--every", "20", "--out", tmp_path / "a.webp")
     assert done.exit_code == 0, done.stderr
-    assert "models in half precision" in done.stderr + done.stdout
+    assert "the episode is played alone" in done.stderr + done.stdout
     assert (tmp_path / "a.webp").stat().st_size > 1000
 
 
-def test_only_the_operators_commands_are_taken_as_recorded_where_models_are_rounded(published: Path) -> None:
-    """With the operator that the models in half precision have, the commands are others; with other actions the world is another."""
+def test_of_an_episode_that_is_played_alone_only_the_commands_are_taken_as_recorded(published: Path) -> None:
     source = source_of(Layout(published), find_cell(Layout(published), CELL), 0)
-    assert source.rounded
+    assert source.alone
+    said = source.recorded._replace(a_h=[-source.recorded.a_h[0]])
+    play_episode(replace(source, recorded=said), 0, [None] * 999, [], 3, lambda share, doing: None)
     with pytest.raises(ArtifactError, match="command of the operator"):
-        play_episode(replace(source, rounded=False), 0, [None] * 999, [], 3, lambda share, doing: None)
+        play_episode(replace(source, recorded=said, alone=False), 0, [None] * 999, [], 3, lambda share, doing: None)
     other = source.recorded._replace(a=[-source.recorded.a[0]])
     with pytest.raises(ArtifactError):
         play_episode(replace(source, recorded=other), 0, [None] * 999, [], 3, lambda share, doing: None)

@@ -150,8 +150,8 @@ def replay(
 
     With map, cameras, imagined futures and gates. The cell is replayed with its own models, bit for bit; a replay that differs from the
     recording is an error. With --step, the task goes on twice from one decision: once with the executed action, once with the command.
-    Then both follow the operator. The first episode of a published cell is played with the published models, in half precision: what
-    happens is the same, what is imagined nearly.
+    Then both follow the operator. The first episode of a published cell is played alone: what happens is the same, and what is imagined
+    to rounding.
 
     This runs the task. For a gymnasium environment it imports the module that the cell names: only do so if you trust it.
     """
@@ -175,7 +175,7 @@ def replay(
     if step is None:
         say(f"{path}: {made.frames} frames")
         if without_steps(stored.manifest):
-            say("what happens is as recorded; what is imagined comes from models in half precision, nearly those of the cell")
+            say("what happens is as recorded; the episode is played alone, so that what is imagined may round differently")
     elif json:
         print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:

@@ -277,7 +277,6 @@ def publish(
     select: SelectOption = None,
     largest: Annotated[float, option("MB", "Leave out larger artifacts.", min=0)] = 8.0,
     reuse: Annotated[str, option("none|published|DIR", "none: only what this code computed; otherwise as for wasp run.")] = "none",
-    half: Annotated[bool, flag("--half", "Weights in half precision: half the size.")] = False,
     steps: Annotated[int | None, option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0)] = None,
     no_images: Annotated[bool, flag("--no-images", "Leave out the images of diagnostics.")] = False,
     archive: Annotated[Path | None, option("FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card.")] = None,
@@ -300,7 +299,7 @@ def publish(
         show_publication(planned, largest * 1e6, console())
         if dry_run:
             return
-        carry_publication(planned, spec, layout, target, Slimming(half, steps, images=not no_images))
+        carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
     say(f"published in {target.root}")
     if archive is not None:
         from wasp_cli.run.publish import write_archive
@@ -325,7 +324,7 @@ def verify(
 
     layout = Layout(results.path.absolute())
     drawn = draw(layout, cells, seed)
-    others = f"{drawn.others} others cannot be: their models are not in the folder, or in half precision"
+    others = f"{drawn.others} others cannot be: their models are not in the folder"
     say(f"{len(drawn.cells)} of {drawn.of} cells are computed again; {others}")
     answers = []
     for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):

@@ -36,7 +36,6 @@ from wasp_cli.run.record import read_run, results_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity, same_rows
 
 MEASURES = ("return", "cost", "viol", "int_rate", "success")
@@ -279,15 +278,13 @@ class Causes:
             yield f"another {kind}, whose record is damaged"
             return
         yield from own
-        precision = list(_precision(old, new))
-        yield from precision
         upstream = list(_differing(old, new))
         for _, other, needed, needed_too in upstream:
             yield from self._follow(other, needed, needed_too)
         reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
         if reads:
             yield f"{kind}: reads other artifacts: {few(reads)}"
-        if not own and not precision and not upstream and not reads:
+        if not own and not upstream and not reads:
             yield f"{kind}: another cell of the grid, or a key of another version"
 
     def _machine(self, kind: str, key: str) -> Iterator[str]:
@@ -295,19 +292,12 @@ class Causes:
             manifests = [read_manifest(layout, kind, key) for layout in self._layouts]
         except (ArtifactError, StoreError):
             return
-        yield from _precision(*manifests)
         old, new = (mapping(each.get("provenance")) for each in manifests)
         versions = [mapping(each.get("versions")) for each in (old, new)]
         pairs = [(name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in MACHINE]
         libraries = dict.fromkeys((*versions[0], *versions[1]))
         pairs += [(name, str(versions[0].get(name) or "unknown"), str(versions[1].get(name) or "unknown")) for name in libraries]
         yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(pairs) if one != two)
-
-
-def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
-    if before != after:
-        yield f"inputs in half precision {before} -> {after}"
 
 
 def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:

@@ -14,11 +14,10 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node, Part
-from wasp_cli.plan.reasons import Reasons, Stored, look_at, measured
+from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.slim import precision_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -180,27 +179,8 @@ def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = 
     # Cells that are to run, and of which another version is there.
     again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
     begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
-    plan = _with_precision(plan, stored)
     guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
     return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
-
-
-def _with_precision(plan: Plan, stored: Stored) -> Plan:
-    """Say what is in half precision, or would be computed from such: keys do not tell it apart."""
-    words = {key: facts.precision for artifacts in stored.whole.values() for key, facts in artifacts.items()}
-    words |= {key: precision_of(reused.offer.manifest) for key, reused in plan.grid.reused.items() if not words.get(key)}
-    steps, halved = [], 0
-    for step in plan.steps:  # needed ones first
-        if step.runs and any(words.get(needed.key) for needed in step.node.needs.values()):
-            words[step.node.key] = "computed from parts in half precision"
-            halved += 1
-        elif step.state == "cached" and words.get(step.node.key) and step.node.key not in plan.grid.reused:
-            step = replace(step, reason=f"{step.reason}, {words[step.node.key]}")
-        steps.append(step)
-    plural = "s are" if halved > 1 else " is"
-    note = f"{halved} node{plural} computed from parts in half precision: other numbers than those of the whole parts, under the same keys"
-    notes = (*plan.grid.notes, note) if halved else plan.grid.notes
-    return replace(plan, steps=tuple(steps), grid=replace(plan.grid, notes=notes) if halved else plan.grid)
 
 
 def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:

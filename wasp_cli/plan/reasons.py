@@ -15,7 +15,6 @@ from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_o
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER
-from wasp_cli.store.slim import precision_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,6 @@ class Facts:
     signature: str = ""  # the same for versions that differ from a node in the same way
     seconds: float | None = None  # what it took; None of what took rows over, which says nothing of how long its like takes
     at: str = ""
-    precision: str = ""  # what of it is not in full precision
     episodes: int = 0
 
 
@@ -41,7 +39,6 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
             digest([*differing, axes.get("method_config"), provenance.get("versions")]),
             None if EARLIER in provenance else float(provenance["seconds"]),
             str(provenance.get("started_at", "")),
-            precision_of(manifest),
             int(config.get("episodes", 0)),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):

@@ -32,7 +32,7 @@ from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used, offers, why_unusable
 from wasp_cli.store.reached import reached
-from wasp_cli.store.slim import STEPS_FILE, precision_of, without_steps
+from wasp_cli.store.slim import STEPS_FILE, without_steps
 
 NONE, PUBLISHED = "none", "published"  # what may be reused; or the published folder of someone else
 HELDOUT = "heldout"
@@ -204,11 +204,10 @@ def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
 
 
 def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:
-    """Which code computed a published result and in which precision it is, and what has changed since."""
+    """Which code computed a published result, and what has changed since."""
     first = "" if offer.episodes is None else f"the first {offer.episodes} episodes, "
     changes = moved_on(node, offer.manifest)
-    precision = f", {words}" if (words := precision_of(offer.manifest)) else ""
     if not changes and current:
-        return f"{first}published with this code{precision}", ""
+        return f"{first}published with this code", ""
     details = f"changed since: {few(changes)}" if changes else "its inputs were computed by another version"
-    return f"{first}published by another version of this code{commit_of(offer.manifest)}{precision}", details
+    return f"{first}published by another version of this code{commit_of(offer.manifest)}", details

@@ -28,7 +28,6 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
-from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # published cells that a report names
@@ -64,15 +63,12 @@ class Origins:
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)
     """By what it is, the number of cells that were computed with each version of it."""
-    halved: list[str] = field(default_factory=list)  # labels of the cells that were computed from parts in half precision
 
     def add(self, manifest: Mapping[str, Any]) -> None:
         self.total += 1
         if manifest.get("kind") == KIND:
             for name, version in _versions(manifest):
                 self.versions.setdefault(name, Counter())[version] += 1
-            if half_inputs(manifest):
-                self.halved.append(printable(str(manifest.get("label"))))
         if is_from_published(manifest):
             self.published.append(manifest)
 
@@ -102,9 +98,6 @@ class Origins:
                 for name, counts in mixed.items()
             ]
             yield f"The cells were not computed with the same versions: {'; '.join(said)}."
-        if self.halved:
-            cells = "1 cell was" if len(self.halved) == 1 else f"{len(self.halved)} cells were"
-            yield f"{cells} computed from parts in half precision; whole parts give other numbers: {few(self.halved, NAMED)}."
 
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

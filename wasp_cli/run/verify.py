@@ -21,7 +21,6 @@ from wasp_cli.plan.reasons import library_changes
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
-from wasp_cli.store.slim import precision_of
 
 EVALUATE = "evaluate"
 
@@ -30,7 +29,7 @@ EVALUATE = "evaluate"
 class Drawn:
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
-    others: int  # cells of the folder that cannot: something that they were computed from is not there, or in half precision
+    others: int  # cells of the folder that cannot: something that they were computed from is not there
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,6 @@ def why_not(layout: Layout, key: str) -> str | None:
             kind = manifest["upstream_kinds"][name]
             if (why := corruption(layout, kind, upstream)) is not None:
                 return why
-            if inexact := precision_of(read_manifest(layout, kind, upstream)):
-                return f"{kind} {upstream} is {inexact}"
     except (ArtifactError, LookupError, TypeError, AttributeError) as error:
         return str(error)
     return None

@@ -34,7 +34,7 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
 from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
+from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
@@ -220,11 +220,7 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
-    layout, halved = Layout(Path(job.root)), []  # inputs that are in half precision, or computed from such: no key says so
-    for name, (kind, key) in sorted(job.inputs.items()):
-        with suppress(ArtifactError):  # what a person drove is stored also where an input was damaged since
-            halved += [name] if precision_of(artifact.read_manifest(layout, kind, key)) else []
-    further = {"cuda": cuda_devices(), EARLIER: job.earlier, HALF_INPUTS: halved}
+    further = {"cuda": cuda_devices(), EARLIER: job.earlier}
     return {
         **{name: getattr(job, name) for name in ("kind", "key", "label", "task", "seed", "axes", "config", "settings")},
         "upstream": {name: key for name, (_, key) in job.inputs.items()},

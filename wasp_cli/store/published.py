@@ -18,7 +18,7 @@ from wasp_cli.store import artifact
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
-from wasp_cli.store.slim import first_episodes
+from wasp_cli.store.slim import SLIM, first_episodes
 
 RECIPE, BEHIND = "recipe", "behind"  # what a published manifest has besides that of the store
 EARLIER = "earlier"  # in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like.
@@ -96,6 +96,8 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
         raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
     if not isinstance(manifest.get("provenance"), dict) or not isinstance(manifest.get("sources"), dict):
         raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
+    if "half precision" in str(manifest.get(SLIM)):  # published before weights were rounded at the end of training
+        raise ArtifactError(f"'{path}' has other weights than its cells were computed with")
     return Offer(source, kind, key, str(recipe), dict(behind or {}), manifest)
 
 

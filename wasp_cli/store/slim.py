@@ -1,4 +1,4 @@
-"""Smaller copies of what is published: weights in half precision, of a cell the steps of its first episodes alone, no pictures of models.
+"""Smaller copies of what is published: of a cell the steps of its first episodes alone, of diagnostics no images.
 
 The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows of episodes are never touched, so that
 tables are the same. Nothing is computed from the steps of a slim cell: it is computed again instead.
@@ -16,14 +16,9 @@ from wasp_cli.store.artifact import file_digest
 STEPS_FILE = "_steps.pq"  # as in `store.tables`, which needs pyarrow
 SLIM = "slim"  # in a published manifest: by file, what was left out of it, and the digest of the whole
 IMAGES_FILE = "images.parquet"  # of `diagnostics`: frames for pictures in reports; nothing is computed from them
-HALF = "weights in half precision"  # what was left out of a file with such weights
-HALF_INPUTS = "half_precision"
-"""In the provenance of what was computed: the names of its inputs that were in half precision, or computed from such."""
-DATA = frozenset({"dataset", "latents", "heldout"})  # kinds whose tensors are recorded data, not weights
 
 
 class Slimming(NamedTuple):
-    half: bool = False  # weights as 16 bits a number instead of 32
     steps: int | None = None  # episodes of a cell whose steps stay; None for all
     images: bool = True  # whether the images of diagnostics stay
 
@@ -37,9 +32,7 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
     changed: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
         whole = file_digest(path) if path.is_file() else ""
-        if wanted.half and path.suffix == ".safetensors" and kind not in DATA and _halve(path):
-            left_out = HALF
-        elif wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
+        if wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
             left_out = f"steps of all episodes but the first {wanted.steps}" if wanted.steps > 1 else "steps of all episodes but the first"
         elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
             path.unlink()
@@ -54,37 +47,6 @@ def without_steps(manifest: Mapping[str, Any]) -> bool:
     """Return whether steps of a published cell were left out, so that nothing may be computed from it."""
     changed = manifest.get(SLIM)
     return manifest.get("kind") == "evaluate" and isinstance(changed, Mapping) and bool(changed)
-
-
-def half_inputs(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the names of the inputs in half precision that an artifact was computed from; empty also where it was not recorded."""
-    provenance = manifest.get("provenance")
-    names = provenance.get(HALF_INPUTS) if isinstance(provenance, Mapping) else None
-    return [str(name) for name in names] if isinstance(names, list) else []
-
-
-def precision_of(manifest: Mapping[str, Any]) -> str:
-    """Return what is not in full precision about an artifact, for people; empty where everything is, as far as its manifest says."""
-    changed = manifest.get(SLIM)
-    files = changed.values() if isinstance(changed, Mapping) else ()
-    if any(isinstance(file, Mapping) and file.get("left_out") == HALF for file in files):
-        return "in half precision"
-    return "computed from parts in half precision" if half_inputs(manifest) else ""
-
-
-def _halve(path: Path) -> bool:
-    """Write the 32-bit tensors of a file as 16 bits; whether there were any."""
-    import numpy as np
-    from safetensors.numpy import load_file, save_file
-
-    tensors = load_file(path)
-    with np.errstate(over="ignore"):  # told below, by name
-        smaller = {name: value.astype(np.float16) if value.dtype == np.float32 else value for name, value in tensors.items()}
-    for name, value in smaller.items():
-        if value.dtype == np.float16 and not np.isfinite(value).all():
-            raise ArtifactError(f"'{path.name}': half precision cannot hold '{name}'", "publish it without --half")
-    save_file(smaller, path)
-    return any(value.dtype == np.float32 for value in tensors.values())
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:

@@ -97,36 +97,36 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
             "name the cell by its key or its label, and its results folder with --results",
         )
     # Of a cell that is published in part, the episode is played alone.
-    rounded = without_steps(cell.manifest)
-    world_model, policies = (_model(layout, kind, upstream[kind], rounded=rounded) for kind in MODELS)
-    expert = _model(layout, EXPERT, upstream[EXPERT], rounded=rounded) if EXPERT in upstream else None
-    recorded = _alone(cell, episode) if rounded else Recorded(**read_recorded(cell.path))
+    alone = without_steps(cell.manifest)
+    world_model, policies = (_model(layout, kind, upstream[kind], alone=alone) for kind in MODELS)
+    expert = _model(layout, EXPERT, upstream[EXPERT], alone=alone) if EXPERT in upstream else None
+    recorded = _alone(cell, episode) if alone else Recorded(**read_recorded(cell.path))
     # Cells of earlier versions were evaluated as one batch.
     size = cell.setting("settings", "side_by_side")
     size = size if isinstance(size, int) and size > 0 else len(recorded.a)
-    first = episode if rounded else episode // size * size
+    first = episode if alone else episode // size * size
     threads = cell.setting("provenance", "threads")
     clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
-        **known, recorded=recorded if rounded else recorded.of(range(first, first + size)), first=first,
+        **known, recorded=recorded if alone else recorded.of(range(first, first + size)), first=first,
         world_model=world_model,
         policies=policies,
         expert=expert,
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
-        rounded=rounded,
+        alone=alone,
         expert_goes_on=imagines_expert(cell),
     )  # fmt: skip
 
 
-def _model(layout: Layout, kind: str, key: str, *, rounded: bool) -> Path:
-    published = published_folder() if rounded and not exists(layout, kind, key) else None
+def _model(layout: Layout, kind: str, key: str, *, alone: bool) -> Path:
+    published = published_folder() if alone and not exists(layout, kind, key) else None
     place = layout if published is None else Layout(published)
     if (wrong := corruption(place, kind, key)) is None:
         return place.artifact(kind, key)
     raise ArtifactError(
         f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}",
-        "models of one training are published; wasp run SPEC --reuse none computes them all" if rounded else
+        "models of one training are published; wasp run SPEC --reuse none computes them all" if alone else
         "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
     )  # fmt: skip
 

@@ -202,8 +202,9 @@ class Source:
     first: int = 0  # number of the first of the episodes within their cell
     expert: Path | None = None  # whose privileged policies operators follow who know more than assistants perceive; None: they do not
     clone: Path | None = None  # of the person in whose place an operator drove
-    rounded: bool = False
-    """the models are published in half precision: the operator says what was recorded, and imagines from nearly the same memory"""
+    alone: bool = False
+    """The episode is played without the others of its cell: matrix products round by the number of rows, so that the operator says what was
+    recorded, and imagines from nearly the same memory."""
     expert_goes_on: bool = False  # the assistant imagines the expert behind every command, not the operator
 
     def world(self) -> VectorTask:
@@ -219,7 +220,7 @@ class Source:
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds, informed)
         with placed(None if self.clone is None else PlacedClone(self.clone)):
             operator = build_operator(self.operator, self.value, context, EpisodeNoise(mistakes), batch)
-        return AsRecorded(operator, self.recorded) if self.rounded else operator
+        return AsRecorded(operator, self.recorded) if self.alone else operator
 
 
 class AsRecorded(Operator):
