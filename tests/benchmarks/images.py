@@ -19,8 +19,8 @@ def camera(name: str, batch: int) -> Iterator[dict[str, Any]]:
     import numpy as np
 
     from tests.benchmarks.task_speed import made
+    from tests.driver import drive
     from wasp_cli.tasks.camera.camera import Camera
-    from wasp_cli.tasks.driver import drive
 
     task = made(name, batch, (), 4)
     scenes = []

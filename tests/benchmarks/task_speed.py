@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from tests.driver import drive
 from wasp_cli.errors import WaspError
 from wasp_cli.tasks.camera.camera import Camera
-from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.navigation import Navigation
 from wasp_cli.tasks.registry import task_named

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from wasp_cli.tasks.driver import drive
+from tests.driver import drive
 from wasp_cli.tasks.formula.track import SIDES as BARRIERS
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.navigation import Navigation

@@ -16,7 +16,7 @@ from tests.run.fake_stages import Fake
 from tests.run.harness import prepared, run
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.recorded import planned_runs, upstream_first
+from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run import runner
 from wasp_cli.run.job import NodeJob, NodeResult, boot_id
 from wasp_cli.run.pool import InlinePool
@@ -132,14 +132,6 @@ def test_what_is_odd_in_a_folder_is_left_out(layout):
     state = only(layout)
     assert sorted(planned_runs(layout)[0].nodes) == [key(2), key(3)]
     assert [(node.label, node.share, node.started) for node in state.active] == [(key(2), 0.0, None)]
-
-
-def test_a_circle_ends(layout):
-    nodes = [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)]
-    write_run(layout, RUN, nodes, [started()])
-    assert only(layout).left_seconds is not None
-    (run,) = planned_runs(layout)
-    assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
 
 
 def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):

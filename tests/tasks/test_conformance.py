@@ -182,5 +182,5 @@ def test_upstream_says_what_it_does_not_have():
 def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path, monkeypatch):
     monkeypatch.setattr(sheet, "make_task", lambda *_, **__: pytest.fail("driven"))
     with pytest.raises(UsageError) as caught:
-        draw_sheet("goal1", 0, 3, tmp_path / "missing" / "x.png")
+        draw_sheet("goal1", 0, tmp_path / "missing" / "x.png")
     assert caught.value.hint == f"create the folder '{tmp_path / 'missing'}'"

@@ -158,7 +158,7 @@ from wasp_cli.errors import WaspError
 for attempt in (
     lambda: gymnasium.make('{ID}'),
     lambda: gymnasium.make_vec('{ID}', num_envs=2),
-    lambda: wasp_cli.tasks.sheet.draw_sheet('goal1', 0, 0, pathlib.Path('never.png')),
+    lambda: wasp_cli.tasks.sheet.draw_sheet('goal1', 0, pathlib.Path('never.png')),
 ):
     try:
         attempt()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
+from tests.driver import drive
 from wasp_cli.errors import ArtifactError
 from wasp_cli.tasks.camera.appearance import HasScene
-from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video import film as films
 from wasp_cli.video.film import film, sprite_of

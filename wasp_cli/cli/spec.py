@@ -225,9 +225,8 @@ def draw(
     task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names)],
     seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
     out: Annotated[Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")] = None,
-    steps: Annotated[int, option("N", "Also show the first N decision steps, up to the end of the episode.", min=0)] = 0,
 ) -> None:
     """Draw a layout of a task: its map and camera images."""
     from wasp_cli.tasks.sheet import draw_sheet
 
-    say(str(draw_sheet(task, seed, steps, out)))
+    say(str(draw_sheet(task, seed, out)))

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
-REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
 ROUND_TRIPS = 20  # frames whose acknowledgement may be outstanding before their times are forgotten
 
 FORWARD, LEFT = 0, 1
@@ -147,7 +146,7 @@ class Desk:
         self._release()
 
     def ask(self, request: str) -> None:
-        """Ask for one of REQUESTS; a later one takes the place of an earlier one that nobody heard, but never that of the end."""
+        """Ask for GO, PAUSE, RESTART, NEXT or END. A later one takes the place of an earlier one that nobody heard, but not that of END."""
         with self._lock:
             if self._request != END:
                 self._request = request

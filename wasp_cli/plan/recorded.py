@@ -6,7 +6,7 @@ The folder may be half written or untrusted: a run whose plan has another form t
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -42,7 +42,7 @@ NODES = TypeAdapter(list[PlannedNode])
 class PlannedRun:
     run_id: str
     spec: str  # name of the spec; of a sweep with the setting that varies
-    nodes: Mapping[str, PlannedNode]
+    nodes: Mapping[str, PlannedNode]  # needed ones first, as the plan lists them
     parts: tuple[str, ...] = ()  # the runs of a sweep's values, whose cells it computes
 
 
@@ -112,21 +112,6 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
     """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
     return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
-
-
-def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:
-    """Yield the nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
-    visited: set[str] = set()
-    for key in nodes:
-        pending = [(key, False)]
-        while pending:
-            current, expanded = pending.pop()
-            if expanded:
-                yield nodes[current]
-            elif current not in visited and current in nodes:
-                visited.add(current)
-                pending.append((current, True))
-                pending.extend((needed, False) for needed in nodes[current].needs)
 
 
 def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:

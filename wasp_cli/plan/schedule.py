@@ -58,9 +58,6 @@ class Schedule:
     def put(self, node: Node) -> None:
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
-    def waits(self, node: Node) -> bool:
-        return node.key in self._left
-
     def ended(self, node: Node) -> None:
         self._left.discard(node.key)
         for dependent in self._dependents[node.key]:

@@ -14,7 +14,7 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
-from wasp_cli.plan.recorded import last_plan, upstream_first
+from wasp_cli.plan.recorded import last_plan
 from wasp_cli.report import provenance
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
@@ -304,7 +304,7 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
     """
     nodes = last_plan(layout, spec.name) if failed else {}
     causes: dict[str, str] = {}
-    for node in upstream_first(nodes):
+    for node in nodes.values():
         upstream = [needed for needed in node.needs if needed in nodes and (needed in failed or needed in causes)]
         if upstream:
             first = nodes[upstream[0]]

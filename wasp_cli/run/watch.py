@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, upstream_first
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
@@ -216,7 +216,7 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
     alone: dict[str, float] = {}
     chain: dict[str, float] = {}
     unknown = 0
-    for node in upstream_first(members):
+    for node in members.values():
         if node.seconds is None:
             unknown += 1
         else:

@@ -101,7 +101,6 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     world_model, policies = (_model(layout, kind, upstream[kind], alone=alone) for kind in MODELS)
     expert = _model(layout, EXPERT, upstream[EXPERT], alone=alone) if EXPERT in upstream else None
     recorded = _alone(cell, episode) if alone else Recorded(**read_recorded(cell.path))
-    # Cells of earlier versions were evaluated as one batch.
     size = cell.setting("settings", "side_by_side")
     size = size if isinstance(size, int) and size > 0 else len(recorded.a)
     first = episode if alone else episode // size * size

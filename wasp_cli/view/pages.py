@@ -17,7 +17,7 @@ from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook.cells import ListedCell
-from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs, upstream_first
+from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
@@ -284,7 +284,7 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
     }
     active = {node.key for node in state.active if not node.gone} if state.state == "running" else set()
     stages: dict[str, Counter[str]] = {}
-    for node in upstream_first(run.nodes):
+    for node in run.nodes.values():
         before = UNNEEDED if node.state == "unneeded" else "waiting" if node.runs else "cached"
         stages.setdefault(node.kind, Counter())["running" if node.key in active else ends.get(node.key) or before] += 1
     return stages

@@ -33,7 +33,6 @@ class LocalServer:
     def __init__(self, routes: Sequence[BaseRoute], port: int, command: str, **options: Any) -> None:
         """Take a port, 0 for any free one. `command` printed the address, for whoever comes without its token; `options` are uvicorn's."""
         self.token = secrets.token_urlsafe(16)
-        self.refused = 0  # requests, connections and messages that were turned away
         self._command = command
         self._socket = _listening(port)
         self.port: int = self._socket.getsockname()[1]
@@ -67,7 +66,6 @@ class LocalServer:
         return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
 
     def forbidden(self) -> Response:
-        self.refused += 1
         return PlainTextResponse(f"not allowed: open the address that wasp {self._command} printed, with its token", 403)
 
 

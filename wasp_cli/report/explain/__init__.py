@@ -208,11 +208,7 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     if row["variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
-    if of("probe_with", str) not in (None, "random"):  # of an earlier version, which judged others too
-        counts["probe"] = None
-    # With one gamma for both (recipe of the paper) costs may be discounted as rewards are.
-    gamma = "gamma_r" if of("discounts", str) == "reward" else "gamma_c"
-    gamma_c, repeat = cell.setting("settings", "returns", gamma), cell.setting("settings", "action_repeat")
+    gamma_c, repeat = cell.setting("settings", "returns", "gamma_c"), cell.setting("settings", "action_repeat")
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(

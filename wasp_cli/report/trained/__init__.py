@@ -68,9 +68,8 @@ def trained_artifacts(
             damaged.append(error.message)
             return
         try:
-            kinds = manifest.get("upstream_kinds", {})  # older manifests name artifacts by kind
             for name, needed in manifest["upstream"].items():
-                visit(kinds.get(name, name), needed)
+                visit(manifest["upstream_kinds"][name], needed)
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
             stage += ", published" if is_from_published(manifest) else ""
@@ -140,14 +139,9 @@ def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
     return None
 
 
-@contextmanager
-def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
-    with open_plain(layout.within(path)) as plain, pq.ParquetFile(plain) as file:
-        yield file
-
-
 def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str]) -> pa.Table:
-    with open_parquet(layout, layout.artifact(artifact.kind, artifact.key) / name) as file:
+    path = layout.within(layout.artifact(artifact.kind, artifact.key) / name)
+    with open_plain(path) as plain, pq.ParquetFile(plain) as file:
         return file.read(columns=list(columns), use_threads=False)
 
 

@@ -1,8 +1,7 @@
-"""Pictures and pages of trained parts, a folder for each: frames of a dataset, costly ones marked; what a world model sees and imagines."""
+"""Pictures and pages of trained parts, a folder for each: what a dataset holds, what a world model sees and imagines."""
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -26,7 +24,6 @@ from wasp_cli.report.trained import (
     Floats,
     Trained,
     dataset_warnings,
-    open_parquet,
     read_json,
     read_table,
 )
@@ -39,16 +36,11 @@ if TYPE_CHECKING:
 
 
 INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)  # red is what cost, blue what was predicted to
-GAP, EDGE, TEXT = 6, 3, 18  # between frames, of a coloured edge, and of a line of text, in px
+GAP, TEXT = 6, 18  # between frames, and of a line of text, in px
 SIDE, LABEL, BAR = 96, 92, 26  # of a frame of a world model, the names of its rows, and the bars of costs, in px
 PITCH = SIDE + GAP
 COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
 WINDOWS = 16  # imagined windows that are drawn at most
-FRAMES, BEHAVIOURS = 4, 40
-"""Frames of a behaviour, and as many costly ones; behaviours that are drawn at most."""
-FRAME = 128  # of a frame of a dataset in px: a camera image at twice its size
-_BATCH = 256  # rows whose images are in memory together
-_SOURCES = b"wasp.cost_sources"  # key of a shard's schema metadata: the names of the columns of `sources`, as JSON
 
 Images = NDArray[np.uint8]
 
@@ -132,63 +124,6 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
                 draw.rectangle((x + SIDE // 2 + 4, base - BAR + 2, x + SIDE - 4, base), RED)
             draw.text((x + 4, base + 1), f"{column}:  {predicted:.2f}", BLUE, font)
     sheet.save(path, format="PNG")
-
-
-def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw a row per behaviour of a dataset, front over rear: any frames, then costly ones, which have a red edge and name the source.
-
-    Images are read batch after batch and only the chosen ones are kept, so that memory does not grow with the dataset.
-    """
-    shards = sorted(layout.artifact(artifact.kind, artifact.key).glob("shard-*.parquet"))
-    if not shards:
-        return
-    sources, costs, episode, behaviour = _steps(layout, shards)
-    draws, lines = np.random.default_rng(0), []
-    for name in sorted(set(behaviour.tolist()))[:BEHAVIOURS]:
-        rows = np.flatnonzero(behaviour == name)
-        costly = rows[costs[rows].any(1)]
-        lines.append((name, [np.sort(draws.choice(some, min(FRAMES, len(some)), replace=False)).tolist() for some in (rows, costly)]))
-    images = _images(layout, shards, {row for _, both in lines for some in both for row in some})
-    block = 2 * TEXT + 2 * (FRAME + EDGE) + EDGE + GAP
-    sheet = Image.new("RGB", (GAP + 2 * FRAMES * (FRAME + 2 * EDGE + GAP), GAP + len(lines) * block), PAPER)
-    draw, font, small = ImageDraw.Draw(sheet), ImageFont.load_default(15), ImageFont.load_default(11)
-    for line, (name, both) in enumerate(lines):
-        top = GAP + line * block
-        draw.text((GAP, top + 3), f"{name}: front over rear", INK, font)
-        for column, row in enumerate([*both[0], *both[1]]):
-            x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TEXT
-            by = " + ".join(kind for kind, costly in zip(sources, costs[row], strict=True) if costly)
-            draw.rectangle((x, y, x + FRAME + 2 * EDGE - 1, y + 2 * FRAME + 3 * EDGE - 1), RED if by else PAPER)
-            for camera in range(2):
-                image = _enlarged(images[row][3 * camera : 3 * camera + 3], FRAME)
-                sheet.paste(image, (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
-            draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), by or f"episode {episode[row]}", RED if by else INK, small)
-    sheet.save(path, format="PNG")
-
-
-def _steps(layout: Layout, shards: list[Path]) -> tuple[list[str], NDArray[np.bool_], NDArray[np.int64], NDArray[Any]]:
-    """The names of S cost sources; of N rows which of them cost [N, S], episode and behaviour [N]; see `learning.shards`."""
-    names: list[str] = []
-    tables = []
-    for shard in shards:
-        with open_parquet(layout, shard) as file:
-            names = list(map(str, json.loads((file.schema_arrow.metadata or {})[_SOURCES])))
-            tables.append(file.read(columns=["sources", "episode", "behaviour"], use_threads=False))
-    table = pa.concat_tables(tables).combine_chunks()
-    costs = np.asarray(table["sources"].combine_chunks().flatten(), np.int64).reshape(len(table), len(names)) > 0
-    return names, costs, np.asarray(table["episode"], np.int64), np.asarray(table["behaviour"].to_pylist(), str)
-
-
-def _images(layout: Layout, shards: list[Path], rows: set[int]) -> dict[int, Images]:
-    images: dict[int, Images] = {}
-    begin = 0
-    for shard in shards:
-        with open_parquet(layout, shard) as file:
-            for batch in file.iter_batches(_BATCH, columns=["pixels"], use_threads=False):
-                for row in rows.intersection(range(begin, begin + len(batch))):
-                    images[row] = np.frombuffer(batch.column(0)[row - begin].as_py(), np.uint8).reshape(PIXELS)
-                begin += len(batch)
-    return images
 
 
 SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
@@ -308,7 +243,7 @@ def _page(render: Callable[[Any], str], source: str) -> Draw:
 
 EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the artifact: the files and what writes each
     "expert": (("curve.png", _figure(draw_learning)),),
-    "dataset": (("contents.md", _page(contents_markdown, "contents.json")), ("contact_sheet.png", draw_contact_sheet)),
+    "dataset": (("contents.md", _page(contents_markdown, "contents.json")),),
     "diagnostics": (
         ("open_loop.md", _page(open_loop_markdown, "diagnostics.json")),
         ("horizon.png", _figure(draw_horizon)),

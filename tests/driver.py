@@ -1,4 +1,4 @@
-"""A scripted driver: it follows the task's own route and heeds no hazard. For pictures, benchmarks and tests; not an expert."""
+"""A scripted driver: it follows the task's own route and heeds no hazard."""
 
 from __future__ import annotations
 
