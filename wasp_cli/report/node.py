@@ -106,7 +106,7 @@ def mapping(value: Any) -> Mapping[str, Any]:
 def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Return kind and key of what an artifact was computed from, by the name under which it was read; the valid ones."""
     kinds = mapping(manifest.get("upstream_kinds"))
-    read = {name: (kinds.get(name), key) for name, key in mapping(manifest.get("upstream")).items()}
+    read = {name: (kinds.get(name, ""), key) for name, key in mapping(manifest.get("upstream")).items()}
     return {name: one for name, one in read.items() if all(isinstance(text, str) for text in one) and is_name(one[0]) and is_key(one[1])}
 
 
