@@ -1,19 +1,15 @@
 """What an untrusted results folder may hold."""
 
 import json
-import math
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-import pyarrow.parquet as pq
-
 from tests.run.recorded import key
-from tests.store.untrusted import LABEL, RUN, UntrustedStore, manifest_of
+from tests.store.untrusted import LABEL, RUN, UntrustedStore
 from wasp_cli.store.artifact import write_record
-from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, STEPS_FILE
+from wasp_cli.store.tables import EPISODES_FILE
 
 SCRIPT = "<script>alert(1)</script>"
 ESCAPE = "\x1b]0;owned\x07"
@@ -78,28 +74,12 @@ def deep_nesting(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def a_long_chain(it: UntrustedStore, outside: Path) -> None:
-    for number in range(1200):
-        write_record(
-            it.layout.manifest("expert", key(number)), manifest_of("expert", key(number), "x", {"expert": ("expert", key(number + 1))})
-        )
-    it.manifest(upstream={"expert": key(0)}, upstream_kinds={"expert": "expert"})
-
-
-@attack
 def linked_records(it: UntrustedStore, outside: Path) -> None:
     for path in (it.layout.failure(it.key), it.layout.running(RUN, it.key), it.layout.run(RUN) / "journal.jsonl"):
         link(path, outside / "secret.json")
     link(it.layout.lock(it.key), outside / "secret.json")
     link(it.layout.work(it.key), outside / "inner")
     link(it.layout.tmp / f"{it.key}-left", outside / "inner")
-
-
-@attack
-def a_linked_page(it: UntrustedStore, outside: Path) -> None:
-    it.layout.reports("tiny").mkdir(parents=True)
-    for name in ("report.md", "table1.csv", "cost_return.png"):
-        link(it.layout.reports("tiny") / name, outside / "report.md")
 
 
 @attack
@@ -110,34 +90,6 @@ def pipes(it: UntrustedStore, outside: Path) -> None:
         os.mkfifo(path)
 
 
-@attack
-def steps_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    count = pq.read_metadata(it.artifact / STEPS_FILE).num_rows
-    it.rows(STEPS_FILE, cost=["x"] * count, safe=[7] * count, a=[{"b": 1}] * count, episode=["y"] * count)
-
-
-@attack
-def a_table_of_other_objects(it: UntrustedStore, outside: Path) -> None:
-    """Pandas would unpickle what Parquet never does."""
-    metadata = {**(SCHEMA.metadata or {}), b"pandas": b'{"columns": [{"pandas_type": "object", "numpy_type": "object"}]}'}
-    np.save(it.artifact / "data.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    pq.write_table(pq.read_table(it.artifact / EPISODES_FILE).replace_schema_metadata(metadata), it.artifact / EPISODES_FILE)
-
-
-@attack
-def a_sweep_of_paths(it: UntrustedStore, outside: Path) -> None:
-    values = [{"value": 1, "run": run} for run in ("../../outside", RUN, 7, None)]
-    write_record(it.layout.run("20260501-130000-sweep-0000") / "sweep.json", {"spec": [ESCAPE], "setting": {}, "values": [*values, 5]})
-
-
-@attack
-def names_of_runs_and_kinds(it: UntrustedStore, outside: Path) -> None:
-    for name in (f"9{ESCAPE.replace('/', '')}", "9 9", "..."):
-        (it.layout.runs / name).mkdir()
-        (it.layout.store / name / key(1)).mkdir(parents=True)
-        write_record(it.layout.runs / name / "plan.json", {"spec": "x", "nodes": [], "cells": []})
-
-
 def link(path: Path, target: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -146,23 +98,6 @@ def link(path: Path, target: Path) -> None:
 
 
 # Against who draws it: films, maps, the page of a report, episodes played again.
-
-
-@attack
-def a_decision_without_end(it: UntrustedStore, outside: Path) -> None:
-    it.played(10**12)
-
-
-@attack
-def actions_of_no_robot(it: UntrustedStore, outside: Path) -> None:
-    it.played(4)
-    it.steps(a=[], a_h=[])
-
-
-@attack
-def commands_that_no_map_can_show(it: UntrustedStore, outside: Path) -> None:
-    it.played(4)
-    it.steps(a=[math.nan, math.inf], a_h=[3e38, -3e38])
 
 
 @attack

@@ -15,7 +15,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity
+from wasp_cli.store.tables import EPISODES_FILE, CellIdentity
 
 RUN = "20260501-120000-tiny-0000"
 LABEL = "goal1 s0 human noisy=0.2"
@@ -86,11 +86,6 @@ class UntrustedStore:
     def played(self, action_repeat: int) -> None:
         """The manifest says what is needed to play the cell again."""
         self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "operator": "noisy", "value": 0.2})
-
-    def steps(self, **numbers: Any) -> None:
-        table = pq.read_table(self.artifact / STEPS_FILE)
-        columns = {name: pa.array([value] * table.num_rows, table.schema.field(name).type) for name, value in numbers.items()}
-        self.rows(STEPS_FILE, **columns)
 
 
 def upstream_of(node: Node) -> dict[str, tuple[str, str]]:
