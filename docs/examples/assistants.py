@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ Sums = NDArray[np.float64]
 """[operators, worlds, measures]: return, success and cost of an episode, then SUMS."""
 
 
+@cache
 def published(spec: str) -> pa.Table:
     """Return a row for each published episode of a spec: of cells, with what their branches say, or of the file that has rows alone."""
     file = PUBLISHED / f"{spec}.parquet"

@@ -81,7 +81,8 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return results, said
 
 
-@pytest.mark.parametrize("kind", [pytest.param("policies", marks=pytest.mark.slow), "evaluate"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["policies", "evaluate"])
 def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)
@@ -98,6 +99,7 @@ def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, di
     assert exists(layout, kind, key) == (kind == "evaluate"), "a model is computed again; what a person drove stays"
 
 
+@pytest.mark.slow
 def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dict[str, Any]]) -> None:
     results, said = cloned
     assert said["label"] == "goal1 s1 clone person=7"

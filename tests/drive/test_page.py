@@ -36,7 +36,7 @@ def eventually(true: Callable[[], bool], seconds: float = 300.0) -> None:
 def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(imported, results)
-    session = wanted(results, "wasp", 2.0).prepared()
+    session = wanted(results, "wasp", 4.0).prepared()
     with served(session) as (desk, server, clock):
         tab = browser.tab()
         tab.size(1280, 800)

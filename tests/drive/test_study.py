@@ -21,6 +21,8 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.goal.task import Goal
 
+pytestmark = pytest.mark.slow  # whole sessions
+
 SPEC = """\
 extends: table1
 name: trial

@@ -167,6 +167,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     text = small_spec.read_text().replace("[human, ida, wasp, expert]", "[human, expert]").replace("  laggy: {moderate: 0.7}\n", "")
     small_spec.write_text(text)

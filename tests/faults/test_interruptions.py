@@ -106,16 +106,11 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
         pool.close(kill=True)
 
 
-@pytest.mark.parametrize(
-    "pool",
-    [
-        pytest.param(lambda: LokyPool(1), id="one worker", marks=pytest.mark.slow),
-        pytest.param(lambda: LokyPool(2), id="two workers"),
-    ],
-)
-def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(pool, fakes, small_spec, tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={NODE: "sleep"})
-    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=8.0)
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
     ((node, result),) = summary.failed
     assert node.label == LABEL
     assert result.message == "it took longer than the limit of 8.0 s"

@@ -18,8 +18,8 @@ from wasp_cli.tasks.make import make_task
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-QUICK = "2725de41"
-"""The quickstart's: the page and the example name it by the beginning of its key."""
+QUICK = "f6cb21a6"
+"""That of the quickstart."""
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,8 @@ def parts(spec: Spec) -> list[tuple[Part, str]]:
 
 
 def manifest(layout: Layout, kind: str, name: str, seed: int, upstream: dict[str, str], axes: Any = (), summary: Any = ()) -> None:
-    record = {"task": "goal1", "seed": seed, "upstream": upstream, "axes": dict(axes), "summary": dict(summary)}
+    kinds = {part: part for part in upstream}
+    record = {"task": "goal1", "seed": seed, "upstream": upstream, "upstream_kinds": kinds, "axes": dict(axes), "summary": dict(summary)}
     write_record(layout.manifest(kind, name), {**record, "provenance": {"seconds": 65.2}})
 
 

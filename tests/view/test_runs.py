@@ -71,7 +71,7 @@ def test_nodes_are_counted_by_stage_and_what_was_not_needed_is_not_said_to_be_th
     layout.prepare()
     states = ("unneeded", "cached", "missing", "missing")
     nodes = [planned(number, f"goal1 s{number} expert", state) for number, state in enumerate(states)]
-    nodes.insert(0, {**planned(4, "goal1 s3 cell", needs=[3]), "kind": "a-cell"})
+    nodes.append({**planned(4, "goal1 s3 cell", needs=[3]), "kind": "a-cell"})
     write_run(layout, RUN, nodes, [], {})
     with viewed(layout.root) as server:
         page = ask(server, f"/run/{RUN}")[2]
