@@ -36,6 +36,7 @@ KNOWS = "knows-operator"
 OPPONENTS = ("ida", "ida-guarded", "diffusion", "csa", "saferl", "reach", "mpmi", "printed", KNOWS)
 SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped", "ms")
 RESAMPLES = 1000
+COLUMNS_READ = ("episode", "return", "success", "cost", "decisions", "intervened", "int_eff", "mag", "decision_p50_ms")
 
 Cells = Mapping[tuple[str, str, str], Mapping[tuple[int, int], list[float]]]
 """Of every task, method and operator what each world (seed, episode) came to."""
@@ -56,13 +57,13 @@ def rows_of(spec: str) -> Iterator[dict[str, Any]]:
     cells = {node.key for _, node in lay_out_over(asked, Layout(Path("nowhere")), str(PUBLISHED)).cells}
     run = wasp_cli.results(PUBLISHED)
     chosen = {cell.key: cell for cell in run.cells if cell.key in cells}
-    axes = {"seed": sorted({cell.seed for cell in chosen.values()})}
+    axes = {name: sorted({getattr(cell, name) for cell in chosen.values()}) for name in ("task", "method", "seed")}
     branches: dict[tuple[Any, ...], list[tuple[bool, bool]]] = {}
-    for row in run.branches(**axes).to_pylist():
+    for row in run.branches(**axes, columns=["episode", "unnecessary", "unnecessary_swapped"]).to_pylist():
         branches.setdefault((row["key"], row["episode"]), []).append((row["unnecessary"], row["unnecessary_swapped"]))
     judged = {key for key, _ in branches}
     order = {name: i for i, name in enumerate(asked.methods)}
-    for row in sorted(run.episodes(**axes).to_pylist(), key=lambda row: order.get(row["method"], 0)):
+    for row in sorted(run.episodes(**axes, columns=COLUMNS_READ).to_pylist(), key=lambda row: order.get(row["method"], 0)):
         if row["key"] not in chosen:
             continue
         tested = branches.get((row["key"], row["episode"]), []) if row["key"] in judged else None
@@ -99,21 +100,23 @@ def cube(cells: Cells, task: str, method: str, group: tuple[str, ...], beside: s
     return np.array([[cells[task, method, name][world] for world in worlds] for name in operators])
 
 
-def measures(sums: Sums) -> dict[str, float]:
-    """Pool the worlds [operators, worlds, measures] of each operator, and average over operators."""
-    mean, total = sums.mean(1), sums.sum(1)
-    share = {name: (total[:, 3 + SUMS.index(name)] / total[:, 3]).mean() for name in ("intervened", "effective", "deviation")}
+def measures(sums: Sums) -> dict[str, Any]:
+    """Pool the worlds of each operator, and average over operators: [operators, worlds, measures], or [operators, R, worlds, measures]."""
+    mean, total = sums.mean(-2), sums.sum(-2)
+    share = {name: (total[..., 3 + SUMS.index(name)] / total[..., 3]).mean(0) for name in ("intervened", "effective", "deviation")}
     with np.errstate(invalid="ignore"):  # of worlds that were branched, if any
-        judged, unnecessary, swapped = (np.nansum(sums[..., 3 + SUMS.index(name)]) for name in ("branched", "unnecessary", "swapped"))
+        judged, unnecessary, swapped = (
+            np.nansum(sums[..., 3 + SUMS.index(name)], axis=(0, -1)) for name in ("branched", "unnecessary", "swapped")
+        )
         uir, mirror = unnecessary / judged, swapped / judged
     return {
-        "return": mean[:, 0].mean(),
-        "success": 100 * mean[:, 1].mean(),
-        "cost": mean[:, 2].mean(),
+        "return": mean[..., 0].mean(0),
+        "success": 100 * mean[..., 1].mean(0),
+        "cost": mean[..., 2].mean(0),
         **share,
         "uir": uir,
         "mirror": mirror,
-        "ms": mean[:, 3 + SUMS.index("ms")].mean(),
+        "ms": mean[..., 3 + SUMS.index("ms")].mean(0),
     }
 
 
@@ -196,12 +199,12 @@ def differences(rows: pa.Table, group: str) -> str:
             drawn = random.integers(ours.shape[1], size=(RESAMPLES, ours.shape[1]))
             texts = []
             here, there = measures(ours), measures(other)
-            resampled = [(measures(ours[:, worlds]), measures(other[:, worlds])) for worlds in drawn]
+            left, right = measures(ours[:, drawn]), measures(other[:, drawn])
             for key in shown:
                 if np.isnan(here[key] - there[key]):
                     texts.append("")
                     continue
-                low, high = np.nanpercentile([left[key] - right[key] for left, right in resampled], [2.5, 97.5])
+                low, high = np.nanpercentile(left[key] - right[key], [2.5, 97.5])
                 digits = 1 if key in ("return", "cost") else 2
                 texts.append(f"{here[key] - there[key]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]")
             lines.append(f"| {first} | {title(method)} | {' | '.join(texts)} |")

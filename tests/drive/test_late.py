@@ -78,6 +78,7 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     assert "The assistant had not answered in time: the command was executed." in decision
 
 
+@pytest.mark.slow
 def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, str]) -> None:
     def there() -> tuple[set[Path], list[Any]]:
         layout = Layout(late[0])

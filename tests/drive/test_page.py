@@ -15,6 +15,7 @@ from tests.drive.conftest import served, wanted
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
+from wasp_cli.tasks.goal.task import Goal
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 
@@ -33,7 +34,8 @@ def eventually(true: Callable[[], bool], seconds: float = 300.0) -> None:
         time.sleep(0.01)
 
 
-def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path) -> None:
+def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Goal, "num_steps", 600)  # 150 decisions
     results = tmp_path / "results"
     shutil.copytree(imported, results)
     session = wanted(results, "wasp", 4.0).prepared()
@@ -108,12 +110,12 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.value("player.begun = null; byId('scrub').value = 0")
         tab.until("player.at === 0")
         first = tab.value("byId('map').toDataURL()")
-        tab.value("byId('scrub').value = 200")
-        tab.until("player.at === 200")
+        tab.value("byId('scrub').value = 100")
+        tab.until("player.at === 100")
         assert tab.value("byId('map').toDataURL()") != first
         assert tab.value("byId('progress').textContent") == "replay of the last episode"
         tab.click("Play")
-        tab.until("player.at > 210 && byId('on').textContent === 'Stop'")
+        tab.until("player.at > 110 && byId('on').textContent === 'Stop'")
         tab.click("Stop")
         tab.until("player.begun === null && byId('on').textContent === 'Play'")
         tab.click("Back")

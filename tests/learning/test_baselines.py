@@ -119,6 +119,7 @@ def pushes(parts: Parts, config: ResidualConfig, expert_return: float = math.nan
     return float(mean[0]), float(mean[1]), curve
 
 
+@pytest.mark.slow
 def test_the_lagrangian_residual_learns_what_pays(parts):
     first, second, curve = pushes(parts, SMALL.model_copy(update={"cost_limit": 1e6}))
     assert first > 0.3
