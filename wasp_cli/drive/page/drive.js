@@ -77,7 +77,7 @@ function begin(message) {
   legend.replaceChildren();
   const entry = (name, colour, kind) => {
     const span = document.createElement("span"), mark = document.createElement("i");
-    mark.className = kind; mark.style.background = colour; span.append(mark, name); legend.append(span);
+    mark.className = kind; mark.style.setProperty("--mark", colour); span.append(mark, name); legend.append(span);
     if (kind === "line") span.className = "imagined"; // a replay draws none
   };
   if (world) {
