@@ -150,11 +150,13 @@ def test_made_again_it_has_the_same_bytes(cloned: tuple[Path, dict[str, Any]], t
     assert weights.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_who_has_driven_nothing_cannot_be_cloned(cloned: tuple[Path, dict[str, Any]]) -> None:
     found = wasp("clone", cloned[0], "--participant", 3)
     assert (found.exit_code, "participant 3 has driven nothing" in found.output) == (2, True)
 
 
+@pytest.mark.slow
 def test_of_too_few_episodes_nothing_is_learnt(cloned: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "FEWEST", 3)
     found = wasp("clone", cloned[0], "--participant", 7, "--set", "clone.updates=299")
@@ -177,6 +179,7 @@ def test_elsewhere_no_clone_is_known() -> None:
         build_operator("cloned", 7.0, context, EpisodeNoise([1]), 1)
 
 
+@pytest.mark.slow
 def test_a_session_is_played_as_it_was_and_its_branches_by_the_clone(cloned: tuple[Path, dict[str, Any]]) -> None:
     folder = Layout(cloned[0]).artifact("clone", cloned[1]["key"])
     width = json.loads((folder / "clone.json").read_text())["features"]

@@ -20,6 +20,7 @@ def through(cluster: Cluster) -> tuple[str, ...]:
     return "--backend", "dask", "--scheduler", cluster.address
 
 
+@pytest.mark.slow
 def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse", "goal1 s0 evaluate human {} noisy": "kill"})

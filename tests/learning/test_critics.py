@@ -112,6 +112,7 @@ class Blind(Plain):
     cost = reward
 
 
+@pytest.mark.slow
 def test_what_was_recorded_mends_what_imagination_cannot_know():
     data = steady(1.0, 0.5)
     filtered, ahead = still(1).at(torch.zeros(1, dtype=torch.long)), Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]]))

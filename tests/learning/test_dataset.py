@@ -75,6 +75,7 @@ with short_episodes():
 """
 
 
+@pytest.mark.slow
 def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_bytes(root):
     done = subprocess.run([sys.executable, "-c", KILLED, str(root)], timeout=600, check=False)
     assert done.returncode == -signal.SIGKILL

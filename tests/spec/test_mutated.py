@@ -150,7 +150,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.filterwarnings("error")  # Python would print them behind the message
-@examples(max_examples=200, deadline=None)
+@examples(max_examples=80, deadline=None)
 @given(text=ANYTHING)
 def test_mutated_specs_are_specs_or_refusals_with_places(folder, text):
     assert misplaced(written(folder, text)) == []

@@ -27,7 +27,7 @@ def compared(name):
     return tuple(check(recording))
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * ("Formula" in name)) for name in RECORDINGS])
 def test_every_quantity_of_a_recording_is_within_tolerance(name):
     assert [each for each in compared(name) if not each.ok] == []
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.drive.browser import Browser
 from tests.store.attacks import ATTACKS
-from tests.store.test_untrusted import SECRET, outside
+from tests.store.test_untrusted import ON_EVERY_FORM, SECRET, outside
 from tests.store.untrusted import LABEL, RUN, UntrustedStore
 from tests.view.conftest import viewed
 from tests.view.test_server import ask
@@ -38,7 +38,7 @@ def walked(server: ViewServer, key: str) -> str:
     return "\n".join(texts)
 
 
-@pytest.mark.parametrize("name", ATTACKS)
+@pytest.mark.parametrize("name", [name if name in ON_EVERY_FORM else pytest.param(name, marks=pytest.mark.slow) for name in ATTACKS])
 def test_it_shows_what_is_wrong_and_goes_on(name: str, tmp_path: Path, outside: Path) -> None:
     it = UntrustedStore(tmp_path)
     ATTACKS[name](it, outside)
