@@ -28,6 +28,7 @@ with torch.inference_mode():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="mallopt is glibc's")
 def test_a_decision_gets_almost_no_new_pages():
     done = subprocess.run([sys.executable, "-c", COUNT], capture_output=True, text=True, timeout=600, check=True, cwd=ROOT)

@@ -44,6 +44,7 @@ TARGETS: dict[str, Callable[[Navigation], np.ndarray]] = {
 CASES = [(name, source) for name in TASKS for source in make_task(name, 1, observe=()).cost_sources]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "source"), CASES)
 def test_a_cost_source_can_be_reached(name, source):
     task = make_task(name, BATCH, observe=())

@@ -120,6 +120,7 @@ def headers(imported: Path, method: str) -> list[Any]:
     return [frame.header["gate"] for frame in frames[1:]]
 
 
+@pytest.mark.slow
 def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     assert "late" in headers(imported, "wasp")
@@ -142,6 +143,7 @@ def test_a_check_judges_the_decisions_at_which_a_gate_fires() -> None:
     assert "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late" in timing().where_gates_fired
 
 
+@pytest.mark.slow
 def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     monkeypatch.setattr("wasp_cli.drive.check.BRIEF", 5)

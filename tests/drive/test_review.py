@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.drive.conftest import wanted
 from wasp_cli.drive.block import Driven
 from wasp_cli.drive.desk import GO, Desk, Held
 
 
+@pytest.mark.slow
 def test_the_second_drive_has_the_same_world_and_the_commands_alone(imported: Path) -> None:
     session = wanted(imported, "wasp", 40.0).prepared()
     desk = Desk()

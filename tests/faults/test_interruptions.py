@@ -206,6 +206,7 @@ def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monke
     assert (refused.exit_code, "invalid duration 'soon'" in refused.stderr) == (2, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)

@@ -128,6 +128,7 @@ def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report =
     return Job("world_model", "goal1", 0, config, {"action_repeat": 4}, {}, inputs, out, work, progress)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", ["teaching the encoder, update 21/40", "update 8/8"])
 def test_an_interrupted_stage_ends_with_the_same_bytes(tmp_path, at):
     """Interrupted while the encoder is taught, which begins anew, or behind a checkpoint of Eq. 6, which keeps what was taught."""

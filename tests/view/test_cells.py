@@ -149,6 +149,7 @@ def shown(image: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(image)).convert("RGB"), float)
 
 
+@pytest.mark.slow
 def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: Layout) -> None:
     films, stored = Films(layout), read_episode(find_cell(layout, CELL), EPISODE)
     end = time.monotonic() + 600
@@ -172,6 +173,7 @@ def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: 
     films.close()
 
 
+@pytest.mark.slow
 def test_imagined_futures_and_both_branches_are_those_of_replay(layout: Layout, tmp_path: Path) -> None:
     cell = find_cell(layout, CELL)
     stored = read_episode(cell, EPISODE)
