@@ -242,12 +242,12 @@ class Timeline:
             for kind, level in lane.levels:
                 y = 2 * (top + scale * float(level))
                 draw.line((2 * self._x(0), y, 2 * self._x(self._decisions), y), colours[kind], 2)
-                if kind == "limit":
-                    label = f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
-                    draw.text((2 * self._x(self._decisions) - 4, y - 2), label, "#8f3f74", font(20), anchor="rb")
             for points in lane.curves:
                 places = [tuple(map(float, point.split(","))) for point in points.split()]
                 draw.line([(2 * self._x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
+            for y in (2 * (top + scale * float(level)) for kind, level in lane.levels if kind == "limit"):
+                at, label = (2 * self._x(self._decisions) - 4, y - 2), f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
+                draw.text(at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER)  # readable on a curve too
             top = below + ROWS_APART
         for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
             draw.text((2 * self._x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
