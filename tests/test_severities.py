@@ -1,12 +1,12 @@
 """docs/examples/severities.py judges the published operators without assistance."""
 
+import severities
+
 from tests.test_docs import ROOT
 
 
 def test_severer_operators_do_worse_but_for_limited_skill_on_race1() -> None:
-    names: dict[str, object] = {"__name__": "severities", "__file__": str(ROOT / "docs" / "examples" / "severities.py")}
-    exec((ROOT / "docs" / "examples" / "severities.py").read_text(encoding="utf-8"), names)
-    checked = list(names["check"](ROOT / "specs" / "severity.yaml", ROOT / "results" / "published"))  # type: ignore[operator]
+    checked = list(severities.check(ROOT / "specs" / "severity.yaml", ROOT / "results" / "published"))
     assert len(checked) == 8
     assert [(task, operator) for task, operator, verdict, _ in checked if verdict != "accepted"] == [("race1", "limited-skill")]
-    assert [names["against"](*numbers) for numbers in ((-1.0, 9.0), (1.0, 0.9), (1.0, 0.5))] == ["accepted", "undecided", "not accepted"]  # type: ignore[operator]
+    assert [severities.against(*numbers) for numbers in ((-1.0, 9.0), (1.0, 0.9), (1.0, 0.5))] == ["accepted", "undecided", "not accepted"]

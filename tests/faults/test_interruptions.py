@@ -200,14 +200,14 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
 def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monkeypatch):
     fakes.set(behave={NODE: "sleep"})
     monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
-    done = run_here("run", small_spec, "--results", tmp_path / "results", "-j", "0", "--timeout", "8s", columns=200, code=1)
-    assert f"{LABEL}: it took longer than the limit of 8.0 s\n      allow more time with --timeout" in done.stderr
+    done = run_here("run", small_spec, "--results", tmp_path / "results", "-j", "0", "--timeout", "4s", columns=200, code=1)
+    assert f"{LABEL}: it took longer than the limit of 4.0 s\n      allow more time with --timeout" in done.stderr
     refused = run_here("run", small_spec, "--timeout", "soon", columns=80)
     assert (refused.exit_code, "invalid duration 'soon'" in refused.stderr) == (2, True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(jobs, fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)
     pool = LokyPool(jobs)

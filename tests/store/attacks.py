@@ -48,12 +48,6 @@ def a_cell_of_a_task_that_would_be_imported(it: UntrustedStore, outside: Path) -
 
 
 @attack
-def needs_that_are_paths(it: UntrustedStore, outside: Path) -> None:
-    it.plan(nodes=[{**node, "needs": {"a": "../../outside", "b": 7, "c": node["key"]}, "seconds": "x"} for node in it.nodes()])
-    it.fails()
-
-
-@attack
 def labels_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
     it.plan(nodes=[{**node, "label": ESCAPE + node["label"]} for node in it.nodes()], spec=f"tiny{ESCAPE}\ud800")
     it.manifest(label=ESCAPE, summary={ESCAPE: ESCAPE}, provenance={ESCAPE: ESCAPE, "started_at": ESCAPE})
@@ -97,25 +91,12 @@ def link(path: Path, target: Path) -> None:
     path.symlink_to(target)
 
 
-# Against who draws it: films, maps, the page of a report, episodes played again.
-
-
 @attack
 def cells_that_are_markup(it: UntrustedStore, outside: Path) -> None:
     """The page of a report runs its own script and no other."""
     it.plan(cells=[{**it.cell, "severity": SCRIPT, "operator": SCRIPT}])
     it.manifest(label=SCRIPT, summary={SCRIPT: 1})
     it.fails(message=SCRIPT, label=SCRIPT)
-
-
-@attack
-def upstream_of_a_replay_elsewhere(it: UntrustedStore, outside: Path) -> None:
-    kinds = ("world_model", "policies", "calibration")
-    it.played(4)
-    it.manifest(upstream_kinds={kind: kind for kind in kinds}, upstream=dict.fromkeys(kinds, "../../../outside"))
-    it.layout.kind("counterfactual").mkdir(exist_ok=True)
-    link(it.layout.artifact("counterfactual", key(3)), outside)
-    write_record(it.layout.manifest("counterfactual", key(4)), {"kind": "counterfactual", "upstream": [it.key], "config": 7})
 
 
 ATTACKS |= {
@@ -126,14 +107,11 @@ ATTACKS |= {
         upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
     ),
     "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
-    "cells_that_are_paths": lambda it, outside: it.plan(cells=[{**it.cell, "key": "../../../outside"}]),
     "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
     "rows_that_command_the_terminal": lambda it, outside: it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]),
     "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
     "a_linked_table": lambda it, outside: link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE),
     "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
-    "linked_logs": lambda it, outside: link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json"),
-    "a_linked_spec": lambda it, outside: link(it.layout.run(RUN) / "spec.json", outside / "secret.json"),
     "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
     "a_linked_store": lambda it, outside: link(it.layout.store, outside),
     "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),

@@ -28,8 +28,6 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
 )  # fmt: skip
 ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal")
 """Attacks on what is printed: every form prints in its own way."""
-OF_TABLES = ("a_table_of_wrong_types", "cells_of_no_form")
-"""Attacks that could at most end a command with a traceback: the others could reach the reader."""
 
 
 @pytest.fixture
@@ -52,10 +50,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in OF_TABLES else name for name in ATTACKS if name not in ON_EVERY_FORM],
-)
+@pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
 def test_nothing_is_obeyed(name, outside, tmp_path, monkeypatch):
     # The pictures of a report are made and written, but not painted.
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: file.write(b"a picture"))

@@ -1,7 +1,10 @@
+import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,21 +28,29 @@ def viewed(folder: Path) -> Iterator[ViewServer]:
 
 def brought(folder: Path, *labels: str) -> Path:
     """A results folder with published cells, by their labels, and their branches."""
-    import json
-
-    manifests = [json.loads(path.read_text(encoding="utf-8")) for path in (PUBLISHED / "store" / "evaluate").glob("*/_manifest.json")]
-    keys = {}
-    # Of several editions the oldest, since its later episodes have their steps.
-    for manifest in sorted(manifests, key=lambda manifest: manifest["provenance"]["started_at"], reverse=True):
-        if manifest["label"] in labels:
-            keys[manifest["label"]] = manifest["key"]
+    keys = {label: published_cells()[label] for label in labels}
     for key in keys.values():
         shutil.copytree(PUBLISHED / "store" / "evaluate" / key, folder / "store" / "evaluate" / key)
-    for path in sorted((PUBLISHED / "store" / "counterfactual").glob("*/_manifest.json")):
-        if json.loads(path.read_text(encoding="utf-8"))["upstream"]["evaluate"] in keys.values():
-            shutil.copytree(path.parent, folder / "store" / "counterfactual" / path.parent.name)
-    assert set(keys) == set(labels)
+    for key in filter(None, map(published_branches().get, keys.values())):
+        shutil.copytree(PUBLISHED / "store" / "counterfactual" / key, folder / "store" / "counterfactual" / key)
     return folder
+
+
+def published(kind: str) -> list[dict[str, Any]]:
+    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((PUBLISHED / "store" / kind).glob("*/_manifest.json"))]
+
+
+@cache
+def published_cells() -> dict[str, str]:
+    """Keys of cells by label; of several editions the oldest, since its later episodes have their steps."""
+    newest_first = sorted(published("evaluate"), key=lambda manifest: manifest["provenance"]["started_at"], reverse=True)
+    return {manifest["label"]: manifest["key"] for manifest in newest_first}
+
+
+@cache
+def published_branches() -> dict[str, str]:
+    """Keys of branches by the key of their cell."""
+    return {manifest["upstream"]["evaluate"]: manifest["key"] for manifest in published("counterfactual")}
 
 
 @pytest.fixture(scope="session")

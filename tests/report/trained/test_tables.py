@@ -119,6 +119,4 @@ def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined()
     assert "\n".join(["| read from | all | motion | things |", "| --- | ---: | ---: | ---: |", *(f"| {row} |" for row in rows)]) in page
     assert "discounted by 0.95 a step, were above 0.5" in page
     assert "None" not in page
-    earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
-    assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"

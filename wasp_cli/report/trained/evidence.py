@@ -195,7 +195,7 @@ def _foreseen(table: Document) -> Iterator[str]:
     ]
     yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
     told = table.get("readout")
-    if told:  # older diagnostics have none
+    if told:
         places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
         note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
         columns = [Column(group, group) for group in told["filtered"]]
