@@ -29,6 +29,8 @@ from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
 from wasp_cli.tasks.goal.task import Goal
 
+pytestmark = pytest.mark.slow  # sessions in real time
+
 
 @pytest.fixture(scope="module", autouse=True)
 def short() -> Iterator[None]:
@@ -78,7 +80,6 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     assert "The assistant had not answered in time: the command was executed." in decision
 
 
-@pytest.mark.slow
 def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, str]) -> None:
     def there() -> tuple[set[Path], list[Any]]:
         layout = Layout(late[0])
@@ -120,7 +121,6 @@ def headers(imported: Path, method: str) -> list[Any]:
     return [frame.header["gate"] for frame in frames[1:]]
 
 
-@pytest.mark.slow
 def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     assert "late" in headers(imported, "wasp")
@@ -143,7 +143,6 @@ def test_a_check_judges_the_decisions_at_which_a_gate_fires() -> None:
     assert "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late" in timing().where_gates_fired
 
 
-@pytest.mark.slow
 def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     monkeypatch.setattr("wasp_cli.drive.check.BRIEF", 5)

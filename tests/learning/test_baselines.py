@@ -247,6 +247,7 @@ def test_the_flow_of_a_normal_action_ends_where_it_should():
     torch.testing.assert_close(heun(teacher, torch.zeros(3, 1), x, sigma, below), 0.3 + shrunk * (x - 0.3), atol=2e-3, rtol=0)
 
 
+@pytest.mark.slow
 def test_one_step_of_the_student_lands_on_the_modes_where_one_of_the_teacher_falls_between(trained):
     teacher, student, _ = trained
     features, x, sigma = noisy(1.0)

@@ -108,11 +108,9 @@ ATTACKS |= {
     ),
     "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
     "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
-    "rows_that_command_the_terminal": lambda it, outside: it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]),
     "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
     "a_linked_table": lambda it, outside: link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE),
     "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
-    "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
     "a_linked_store": lambda it, outside: link(it.layout.store, outside),
     "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
 }

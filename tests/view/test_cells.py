@@ -109,6 +109,7 @@ def test_the_page_says_where_two_cells_differ(results: Path) -> None:
             assert ask(server, f"/compare/cells{wrong}")[0] == 404
 
 
+@pytest.mark.slow
 def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
     layout = Layout(results)
     wasp, human = (read_episode(find_cell(layout, label), 0) for label in (WASP, HUMAN))
