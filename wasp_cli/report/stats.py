@@ -236,9 +236,7 @@ def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         return []
     rows = pa.concat_tables([numbers.table for _, numbers in stored])
     sizes = np.array([numbers.table.num_rows for _, numbers in stored])
-    columns: dict[str, Floats] = {
-        name: np.asarray(rows[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64) for name in COLUMNS
-    }
+    columns = {name: _floats(rows[name].combine_chunks().cast(pa.float64())) for name in COLUMNS}
     columns |= {"jumps": columns["decisions"] - 1.0, "world": columns.pop("episode_seed")}
     pooled = pool(columns, np.repeat(np.arange(len(stored)), sizes))
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -250,6 +248,15 @@ def pool_cells(stored: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         of_cell |= {name: median_of(episodes[name]) for name in TIMES}
         cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds, cell.chain_seed))
     return cells
+
+
+def _floats(array: pa.Array) -> Floats:
+    """[N] the numbers of a column, NaN where there is none. `to_numpy` would import pandas where that is installed: a third of a second."""
+    known, numbers = array.buffers()
+    values = np.frombuffer(numbers, np.float64, len(array), 8 * array.offset)
+    if not array.null_count:
+        return values
+    return np.where(np.unpackbits(np.frombuffer(known, np.uint8), bitorder="little")[array.offset :][: len(array)], values, np.nan)
 
 
 def median_of(values: Floats) -> float:
