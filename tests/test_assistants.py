@@ -26,6 +26,7 @@ def test_the_tables_of_results_are_the_published_rows(field):
     assert assistants.table(field, moderate) in PAGE
     assert assistants.differences(field, moderate) in PAGE
     assert assistants.table(assistants.published("assistants"), unseen) in PAGE
+    assert assistants.matrix(assistants.published("operators")) in PAGE
 
 
 def test_a_goal_that_only_the_operator_knows():
