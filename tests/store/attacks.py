@@ -84,6 +84,22 @@ def pipes(it: UntrustedStore, outside: Path) -> None:
         os.mkfifo(path)
 
 
+@attack
+def needs_that_are_paths(it: UntrustedStore, outside: Path) -> None:
+    it.plan(nodes=[{**node, "needs": {"a": "../../outside", "b": 7, "c": node["key"]}, "seconds": "x"} for node in it.nodes()])
+    it.fails()
+
+
+@attack
+def upstream_of_a_replay_elsewhere(it: UntrustedStore, outside: Path) -> None:
+    kinds = ("world_model", "policies", "calibration")
+    it.played(4)
+    it.manifest(upstream_kinds={kind: kind for kind in kinds}, upstream=dict.fromkeys(kinds, "../../../outside"))
+    it.layout.kind("counterfactual").mkdir(exist_ok=True)
+    link(it.layout.artifact("counterfactual", key(3)), outside)
+    write_record(it.layout.manifest("counterfactual", key(4)), {"kind": "counterfactual", "upstream": [it.key], "config": 7})
+
+
 def link(path: Path, target: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -111,6 +127,11 @@ ATTACKS |= {
     "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
     "a_linked_table": lambda it, outside: link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE),
     "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
+    "cells_that_are_paths": lambda it, outside: it.plan(cells=[{**it.cell, "key": "../../../outside"}]),
+    "rows_that_command_the_terminal": lambda it, outside: it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]),
+    "linked_logs": lambda it, outside: link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json"),
+    "a_linked_spec": lambda it, outside: link(it.layout.run(RUN) / "spec.json", outside / "secret.json"),
+    "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
     "a_linked_store": lambda it, outside: link(it.layout.store, outside),
     "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
 }

@@ -83,6 +83,10 @@ class UntrustedStore:
             )
         pq.write_table(table, path)
 
+    def played(self, action_repeat: int) -> None:
+        """The manifest says what is needed to play the cell again."""
+        self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "operator": "noisy", "value": 0.2})
+
 
 def upstream_of(node: Node) -> dict[str, tuple[str, str]]:
     return {name: (needed.kind, needed.key) for name, needed in node.needs.items()}
