@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from wasp_cli.drive import check as script
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.drive.server import BUSY, UNKNOWN, Server, unpacked
+from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, unpacked
 from wasp_cli.errors import UsageError, WaspError
 
 
@@ -122,7 +122,7 @@ def test_a_message_that_the_page_does_not_send_ends_the_connection_and_nothing_e
         with pytest.raises(ConnectionClosed) as closed:
             ws.recv(timeout=300)
         assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == UNKNOWN
+        assert closed.value.rcvd.code == TOO_MUCH
     assert server.desk.held.stick.tolist() == [0.0, 0.0]
     wait_until(lambda: not server.desk.present)
     with driver(server) as ws:
@@ -139,6 +139,20 @@ def test_a_giant_message_is_not_even_read(server: Server) -> None:
     wait_until(lambda: not server.desk.present)
     with driver(server) as ws:
         assert state(ws)["phase"] == "starting"
+
+
+def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
+    with driver(server) as ws:
+        state(ws)
+        with suppress(ConnectionClosed):
+            for number in range(10_000):
+                ws.send(json.dumps({"type": "input", "number": number, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}))
+        with pytest.raises(ConnectionClosed) as closed:
+            ws.recv(timeout=300)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == TOO_MUCH
+    wait_until(lambda: not server.desk.present)
+    assert server.desk.held.stick.tolist() == [0.0, 0.0], "nothing stays held"
 
 
 def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:

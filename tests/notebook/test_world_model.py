@@ -18,8 +18,7 @@ from wasp_cli.tasks.make import make_task
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-QUICK = "f6cb21a6"
-"""That of the quickstart."""
+QUICK = "f6cb21a6"  # that of the quickstart
 
 
 @pytest.fixture(scope="module")

@@ -48,8 +48,7 @@ def published_cells() -> dict[str, str]:
 
 
 @cache
-def published_branches() -> dict[str, str]:
-    """Keys of branches by the key of their cell."""
+def published_branches() -> dict[str, str]:  # by the key of their cell
     return {manifest["upstream"]["evaluate"]: manifest["key"] for manifest in published("counterfactual")}
 
 

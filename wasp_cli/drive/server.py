@@ -1,7 +1,7 @@
 """The web server of a session: one page, one socket, one driver; on this machine alone.
 
-Nothing that comes over the network becomes a path or reaches the simulator unchecked: messages are bounded, and parsed against models. A
-page of another site cannot talk to it (Host, Origin and a random token are checked), and its own page may load nothing else.
+Nothing that comes over the network becomes a path or reaches the simulator unchecked: messages are bounded, parsed against models, and
+counted. A page of another site cannot talk to it (Host, Origin and a random token are checked), and its own page may load nothing else.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,12 +23,14 @@ from wasp_cli.drive.desk import Desk, Frame
 from wasp_cli.web import LocalServer, local, own_origin, page
 
 LONGEST = 8192  # bytes of a message
+MOST = 2000
+"""Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
 SILENT = 10.0  # seconds without any message after which a connection counts as lost; a page says something every second
 PAGE = Path(__file__).parent / "page"
 FILES = {"drive.js": "text/javascript", "drive.css": "text/css"}
 
-REFUSED, BUSY, UNKNOWN = 4403, 4409, 4429
-"""Codes with which the socket closes: not allowed, somebody drives already, a message that no page of ours sends."""
+REFUSED, BUSY, TOO_MUCH = 4403, 4409, 4429
+"""Codes with which the socket closes: not allowed, somebody drives already, too many or too large messages."""
 
 
 class _Message(BaseModel):
@@ -134,9 +137,17 @@ class Server(LocalServer):
                 await wake.wait()
 
     async def _receive(self, ws: WebSocket) -> None:
+        second, count = 0.0, 0
         while True:
             received = await asyncio.wait_for(ws.receive(), SILENT)
             if received["type"] == "websocket.disconnect":
+                return
+            now = time.monotonic()
+            if now - second > 1.0:
+                second, count = now, 0
+            count += 1
+            if count > MOST:
+                await self._refuse(ws, "too many messages")
                 return
             text = received.get("text")
             try:
@@ -144,9 +155,12 @@ class Server(LocalServer):
                     raise ValueError("not a text")
                 message = MESSAGE.validate_json(text)
             except (ValidationError, ValueError):
-                await ws.close(UNKNOWN, "a message that the page does not send")
+                await self._refuse(ws, "a message that the page does not send")
                 return
             self._take(message)
+
+    async def _refuse(self, ws: WebSocket, why: str) -> None:
+        await ws.close(TOO_MUCH, why)
 
     def _take(self, message: Any) -> None:
         desk = self.desk
