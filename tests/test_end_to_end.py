@@ -155,7 +155,7 @@ def test_report_needs_the_results_folder_alone(results):
     parts = {path.parent.name.split("-")[2]: path for path in (results / "reports" / "chain" / "trained").glob("*/*")}
     assert {kind for kind in EVIDENCE if (results / "store" / kind).is_dir()} == set(parts)
     files = {path.name for path in (results / "reports" / "chain" / "trained").glob("*/*")}
-    assert {"contents.md", "open_loop.png", "open_loop.gif", "reconstruction.png", "curve.png", "critics.png"} <= files
+    assert {"contents.md", "open_loop.png", "reconstruction.png", "curve.png", "critics.png"} <= files
 
 
 def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):

@@ -188,7 +188,7 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
     assert (results / "reports" / "other" / "report.md").is_file()
 
 
-def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_is_written_though_the_terminal_is_gone(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wasp_cli.cli.report import show_report
     from wasp_cli.report.summarize import Report
     from wasp_cli.spec.paper import load_paper

@@ -136,7 +136,7 @@ def show_report(
     redraw: bool = True,
     to: Path | None = None,
 ) -> Report:
-    """Write the report of one run, then print it. Where the files cannot be written, what is printed is there all the same.
+    """Print the report of one run, then write it. Where the files cannot be written, what is printed is there all the same.
 
     `to` is the folder of the files; None: that of the spec in the results folder.
     """
@@ -144,22 +144,27 @@ def show_report(
 
     spec = recorded.spec
     report = report_run(layout.root, spec, recorded.cells, recorded.parts, paper, recorded.branched, recorded.unknown, recorded.absent)
-    # Written first: a terminal that goes away costs no file.
+    try:
+        report.terminal(console())  # first: figures take longer than all that is printed
+    finally:  # also where the terminal has gone
+        page = _written(report, layout.reports(spec.name) if to is None else to, films=films, trained=trained, redraw=redraw)
+    say(f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG)")
+    return report
+
+
+def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw: bool) -> Path:
+    """Write a report, and return its page."""
     try:
         with err().status("report") as status:
             draw: Draw | None = None
             if films:
                 from wasp_cli.video.film import sprite_of as draw  # needs MuJoCo
-            folder = layout.reports(spec.name) if to is None else to
             _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained, redraw=redraw)
     except (OSError, StoreError) as error:
-        report.terminal(console())
         refused = error if isinstance(error, WaspError) else refusal(error)
         hint = "wasp report DIR --out FOLDER writes it elsewhere"
-        raise NotWritten(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
-    report.terminal(console())
-    say(f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG)")
-    return report
+        raise NotWritten(f"the report of {report.name} cannot be written: {refused.message}", hint) from error
+    return page
 
 
 @command("wasp export results/ --tensorboard runs/", "wasp export results/ --spec quickstart --trackio trackio/")

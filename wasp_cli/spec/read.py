@@ -180,9 +180,13 @@ def parse(text: str, name: str) -> Source:
 
 SHARING = {AnchorToken: "an anchor (&)", AliasToken: "an alias (*)", TagToken: "a tag (!)"}
 
+_SHARED = re.compile("[&*!]|<<")
+
 
 def _refuse_sharing(source: Source) -> None:
     """See that a text has no anchors, aliases, merges and tags: what is meant at one place should be read there."""
+    if not _SHARED.search(source.text):  # reading the tokens takes as long as reading the text
+        return
     for token in YAML(typ="safe", pure=True).scan(source.text):
         merge = isinstance(token, ScalarToken) and token.plain and token.value == "<<"
         if what := "a merge (<<)" if merge else SHARING.get(type(token)):
