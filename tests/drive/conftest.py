@@ -3,8 +3,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -41,9 +41,8 @@ def served(session: Session) -> Iterator[tuple[Desk, Server, threading.Thread]]:
 
 
 @contextmanager
-def swept_before_commit(module: str) -> Iterator[None]:
-    """Another process cleans the results folder while `drive.<module>` writes an artifact: in its last moment."""
-    place = import_module(f"wasp_cli.drive.{module}")
+def swept_before_commit(place: ModuleType) -> Iterator[None]:
+    """Another process cleans the results folder while a module writes an artifact: in its last moment."""
     real = place.commit
 
     def commit(layout: Layout, *arguments: Any) -> Path:

@@ -74,7 +74,7 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     results = tmp_path_factory.mktemp("clone") / "results"
     asked = wanted(results, what=str(spec), method=None, speed=5.0, episodes=None, participant=7, simulated=True)
     drive_session(asked.prepared(), 0, open_browser=False, scripted=Habits(7))
-    with swept_before_commit("clone"):
+    with swept_before_commit(module):
         found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=100")
     assert found.exit_code == 0, found.output
     (said,) = json.loads(found.stdout)

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.drive.conftest import harmed, served, swept_before_commit, wanted
 from wasp_cli.cli import app
+from wasp_cli.drive import session as session_module
 from wasp_cli.drive.check import Habits, drive, to_the_goal
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
@@ -39,7 +40,7 @@ def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     results = tmp_path_factory.mktemp("driven") / "results"
     shutil.copytree(imported, results)
     session = wanted(results, "wasp", 2.0, episodes=2, simulated=True).prepared()
-    with swept_before_commit("record"):
+    with swept_before_commit(session_module):
         summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
     (block,) = summary["blocks"]
     assert block["episodes"] == block["of"] == 2
