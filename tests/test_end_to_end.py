@@ -213,3 +213,6 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     assert then - now == pytest.approx(1e-6, rel=0.01)
     assert cost_then == cost_now
     assert "(differ: return)  (computed on Another One, here " in console.file.getvalue()
+    record["config"]["of_another_version"] = 1
+    manifest.write_text(json.dumps(record), encoding="utf-8")
+    assert again(copy, key).differing[0].startswith("error: 1 validation error")

@@ -212,6 +212,8 @@ def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path
     with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
         run_and_report(load(small_spec), tmp_path / "results", RunOptions(jobs=0))
     assert "goal1 human noisy=0.2 seed 0" in caught.value.message
+    # Their bytes are as they were stored: nothing is taken out of use, since a read may fail once.
+    assert not [*(tmp_path / "results" / "store" / "evaluate").glob("*/*invalid*")]
 
 
 def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:

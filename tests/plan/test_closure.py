@@ -146,6 +146,17 @@ def test_a_package_without_init_is_covered(write):
     assert closure_hash(("tent.a",)) != before
 
 
+def test_what_lies_beside_a_file_of_one_s_own_is_covered_and_what_is_installed_is_not(write):
+    write("mine.py", "import numpy\nfrom helper import SHARE\n")
+    write("helper.py", "SHARE = 0.5\n")
+    assert closure(["mine"]) == {"mine", "helper"}
+    write("site-packages/there.py", "import beside\n")
+    write("site-packages/beside.py", "")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(sys.path[0]) / "site-packages"))
+        assert closure(["there"]) == {"there"}
+
+
 def test_a_package_of_an_editable_installation_is_covered(write, tmp_path, monkeypatch):
     write("elsewhere/cabin/__init__.py", "")
     write("elsewhere/cabin/a.py", "x = 1\n")

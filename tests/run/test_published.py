@@ -128,6 +128,7 @@ def test_a_cell_without_its_steps_stands_for_its_rows_and_never_for_what_reads_s
 def test_a_cell_without_its_steps_in_the_store_is_computed_again_when_they_are_needed(here, fakes, small_spec):
     rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), slimmed)
     run(small_spec, here)
+    assert len([node for node in plan(small_spec, here, JUDGED).to_run() if node.kind == "evaluate"]) == 1
     run(small_spec, here, JUDGED)
     assert kinds(fakes.executions())["evaluate"] == 1
     after = plan(small_spec, here, JUDGED)

@@ -295,6 +295,18 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
         results_of(tmp_path)
 
 
+def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(small_spec, tmp_path, monkeypatch):
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("wasp_cli.run.record.write_record", full)
+    with pytest.raises(StoreError, match="no space left on device"):
+        new_run(layout, loaded, plan)
+    assert not [*layout.runs.glob("*")]
+
+
 def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")

@@ -1,5 +1,7 @@
 """Small files that others have written."""
 
+import errno
+import fcntl
 import json
 import multiprocessing
 import os
@@ -136,6 +138,21 @@ def test_a_file_that_nobody_holds_goes(tmp_path):
         assert path.exists()
     assert remove_lock(path)
     assert not path.exists()
+
+
+def test_locks_are_asked_for_as_nfs_allows(tmp_path, monkeypatch):
+    real = fcntl.flock
+
+    def flock(descriptor: int, how: int) -> None:
+        if how & fcntl.LOCK_EX and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, "an exclusive lock of a file that is open for reading")
+        real(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with held(tmp_path / "key", nothing):
+        assert is_held(tmp_path / "key")
+    assert not is_held(tmp_path / "key")
+    assert remove_lock(tmp_path / "key")
 
 
 def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):

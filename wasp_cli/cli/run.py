@@ -181,13 +181,18 @@ def say_next(results: Path, methods: Mapping[str, str]) -> None:
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
-    """Raise CellsFailed when cells have no readable rows; damaged ones are invalidated, so that the next run computes them."""
-    from wasp_cli.store.artifact import invalidate
+    """Raise CellsFailed when cells have no readable rows; the next run computes those again that have other bytes than were stored.
+
+    A file that could not be read just now stays in use, and so does what a person drove.
+    """
+    from wasp_cli.store.artifact import corruption, invalidate
+    from wasp_cli.store.layout import SESSION_FILE
 
     if missing:
         for cell in missing:
-            if cell.damaged:
+            driven = cell.damaged and (layout.artifact(cell.kind, cell.key) / SESSION_FILE).exists()
+            if cell.damaged and not driven and corruption(layout, cell.kind, cell.key) is not None:
                 invalidate(layout, cell.kind, cell.key, cell.reason)
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read:"
         lines = [what, *first([f"  {cell.label}: {cell.reason}" for cell in missing], 10)]
-        raise CellsFailed("\n".join(lines), "run again: damaged cells are computed again")
+        raise CellsFailed("\n".join(lines), "run again: cells that have other bytes than were stored are computed again")

@@ -240,11 +240,23 @@ def _imports(module: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        imported |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
+        imported |= {name for name in names if _ours(name.partition(".")[0], own) and _counts(name) and _file(name) is not None}
     # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
     parts = [name.split(".") for name in imported]
     parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
     return frozenset(imported | {parent for parent in parents if _counts(parent)})
+
+
+@cache
+def _ours(top: str, own: str) -> bool:
+    """Whether keys follow an import: into this package, into one's own, or to what lies beside that in no folder of installed packages."""
+    home = _home(own) if own != PACKAGE else None
+    return top in (PACKAGE, own) or (home is not None and home == _home(top) and home.name not in ("site-packages", "dist-packages"))
+
+
+def _home(top: str) -> Path | None:
+    file = _file(top)
+    return None if file is None else file.parent.parent if file.name == "__init__.py" else file.parent
 
 
 def _counts(module: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
@@ -18,6 +19,7 @@ from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import WITHOUT_STEPS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -175,7 +177,11 @@ def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = 
                 touched.add(node.key)
         wanted = frozenset(touched & (grid.targets if wanted is None else wanted))
     reasons = Reasons(layout, stored)
-    plan = make_plan(grid, stored.whole, failures, measured(stored), damages, changed=reasons.of, wanted=wanted)
+    made = partial(make_plan, grid, stored.whole, failures, measured(stored), changed=reasons.of, wanted=wanted)
+    plan = made(damages)
+    read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.key not in grid.reused}
+    if cut := {key: WITHOUT_STEPS for kind, key in read if (facts := stored.whole[kind].get(key)) is not None and facts.cut}:
+        plan = made(damages | cut)
     # Cells that are to run, and of which another version is there.
     again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
     begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}

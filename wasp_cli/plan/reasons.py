@@ -15,6 +15,7 @@ from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_o
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER
+from wasp_cli.store.slim import without_steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,7 @@ class Facts:
     seconds: float | None = None  # what it took; None of what took rows over, which says nothing of how long its like takes
     at: str = ""
     episodes: int = 0
+    cut: bool = False  # whether steps of a cell were left out, so that nothing is computed from it
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
@@ -40,6 +42,7 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
             None if EARLIER in provenance else float(provenance["seconds"]),
             str(provenance.get("started_at", "")),
             int(config.get("episodes", 0)),
+            without_steps(manifest),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return Facts()
@@ -208,6 +211,6 @@ def few(items: Sequence[str], most: int = NAMED) -> str:
 
 def _shown(value: object) -> str:
     if value is _ABSENT:
-        return "nothing"
+        return "default"
     text = str(value)
     return text if len(text) <= 30 else text[:27] + "..."

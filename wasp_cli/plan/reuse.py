@@ -60,7 +60,7 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
     own = lay_out(spec)
     if not offered:
         return replace(own, notes=tuple(damaged))
-    first, uncut = _first_episodes(spec, own, offered)
+    first, uncut = _first_episodes(spec, own, offered, layout)
     usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
@@ -91,7 +91,7 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
     return usable, notes
 
 
-def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[list[Offer], list[str]]:
+def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
     """The first episodes of published cells that have more, and what a plan says where they cannot be taken.
 
     Products of matrices may round by the number of rows, so that only whole batches of `side_by_side` episodes are those of a smaller cell.
@@ -107,7 +107,9 @@ def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[li
         for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
             if cell.operator != PERSON:
                 longer_ones += [(node, longer, offer) for offer in published.get(longer.recipe, ())]
-    if longer_ones and episodes % spec.side_by_side:
+    if episodes % spec.side_by_side:
+        if all(exists(layout, node.kind, node.key) for node, _, _ in longer_ones):
+            return [], []
         why = f"a cell is cut after whole batches of {spec.side_by_side} (side_by_side)"
         return [], [f"the first {episodes} episodes of published cells are computed: {why}"]
     return [_first_of(node, longer, offer, node.recipe) for node, longer, offer in longer_ones], []

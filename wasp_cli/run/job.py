@@ -54,11 +54,7 @@ State = Literal["done", "shared", "failed", "busy", "skipped", "unseen"]
 
 @dataclass(frozen=True)
 class NodeResult:
-    """How a node ended.
-
-    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is
-    to end; `unseen`: its worker does not see the results folder.
-    """
+    """How a node ended."""
 
     key: str
     state: State

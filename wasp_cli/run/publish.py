@@ -35,11 +35,12 @@ from wasp_cli.spec.model import Spec
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
-from wasp_cli.store.published import BEHIND, RECIPE, copy_files
+from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
 from wasp_cli.store.slim import SLIM, Slimming, slim
 
 PUBLIC = (
     "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
+    EARLIER,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
 SHORTEST = 4  # characters of a private name at least: a shorter one is found everywhere by chance

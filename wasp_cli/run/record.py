@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -83,6 +84,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
             write_record(layout.reporting(folder.name), this_process())
         yield folder
     except OSError as error:
+        shutil.rmtree(folder, ignore_errors=True)  # or `wasp gc`, which makes room, would wait for its plan
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
 
 
@@ -92,13 +94,13 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     try:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
-        raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
+        raise ArtifactError(f"cannot read the spec of run '{run_id}': {first_line(error)}", "run the spec again") from error
     try:
         record = read_record(folder / "plan.json") or {}
         cells, branched = (_read(CELL, record[name]) for name in ("cells", "branched"))
         parts = [(part, key) for part, key in _read(PART, record["parts"]) if part.kind in STAGES]
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
+        what = f"no {error}" if isinstance(error, KeyError) else first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
     known = {cell for cell, _ in cells if cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)}
     left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if cell not in known)
@@ -147,7 +149,7 @@ def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> 
     return [(adapter.validate_python(entry), str(entry["key"])) for entry in entries]
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
     return str(error).partition("\n")[0]
 
 

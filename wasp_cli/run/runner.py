@@ -73,7 +73,6 @@ class Runner:
         self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
         self._deaths: list[tuple[Flight, bool]] = []  # what was lost with killed workers and is not in the journal yet, and whether it ran
-        self._nodes: dict[str, Node] = {}
         self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
         self._deserted = False
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
@@ -82,7 +81,6 @@ class Runner:
     def run(self, plan: Plan) -> Summary:
         started = time.monotonic()
         nodes = plan.to_run()
-        self._nodes = {node.key: node for node in nodes}
         self._begun = plan.begun
         self.summary.workers = self._pool.jobs
         self._journal.write("run started", nodes=len(nodes), **this_process(), jobs=self._pool.jobs, backend=self._pool.name)

@@ -26,11 +26,11 @@ from wasp_cli.run.show import board
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import stages_of
-from wasp_cli.store.artifact import exists, invalidate, read_manifest, sweep
+from wasp_cli.store.artifact import exists, invalidate, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
-from wasp_cli.store.slim import without_steps
+from wasp_cli.store.slim import WITHOUT_STEPS
 
 
 def cores() -> int:
@@ -81,14 +81,16 @@ def run_spec(
     selected = select(grid, chosen)
     with planning(results, options) as layout:
         plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
-        read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.kind == "evaluate"}
-        # Cells that were published without all their steps, and that a node is to read now, are taken back.
-        if slim := [cell for cell in sorted(read) if exists(layout, *cell) and without_steps(read_manifest(layout, *cell))]:
-            for cell in slim:
-                invalidate(layout, *cell, "it was published without the steps of all its episodes, and they are needed")
-            plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
+        _take_back(plan, layout)
         run_id = new_run(layout, loaded, plan, reports=options.reports)
     return carry_out(plan, layout, run_id, options, {})
+
+
+def _take_back(plan: Plan, layout: Layout) -> None:
+    """Take cells out of use whose steps are needed now, and were left out when they were published."""
+    for node in (step.node for step in plan.steps if step.state == "damaged" and step.reason.endswith(WITHOUT_STEPS)):
+        if exists(layout, node.kind, node.key):
+            invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
@@ -171,6 +173,7 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | Non
     grids = _grids(sweep, Layout(results.absolute()), reuse)
     with planning(results, options) as layout:
         plan = plan_against(together(grids), layout)
+        _take_back(plan, layout)
         run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
     users: dict[str, list[int]] = {}
     for index, grid in enumerate(grids):

@@ -12,12 +12,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
 from rich.console import Console
 
 from wasp_cli.console import duration
-from wasp_cli.errors import ArtifactError, StoreError, UsageError
+from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.operators.registry import CLONED, PERSON
 from wasp_cli.plan.reasons import library_changes
+from wasp_cli.run.record import first_line
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
@@ -91,18 +93,17 @@ def again(root: Path, key: str) -> Answer:
     set_threads(getattr(stage, "torch_threads", 1))
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         out = Path(folder)
-        job = Job(
-            EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
-            settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
-        )  # fmt: skip
         means: tuple[tuple[str, float, float], ...] = ()
         try:
-            stage.run(job)
+            stage.run(Job(
+                EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
+                settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
+            ))  # fmt: skip
             stored = layout.artifact(EVALUATE, key)
             differing = tuple(differences(stored, out))
             means = tuple(means_of(stored, out)) if differing else ()
-        except (ArtifactError, StoreError) as error:
-            differing = (f"error: {error.message}",)
+        except (WaspError, ValidationError) as error:  # also of another version, or of a plugin that is not here: one cell ends no draw
+            differing = (f"error: {first_line(error)}",)
     then = manifest["provenance"].get("processor")
     return Answer(str(manifest["label"]), differing, libraries, time.monotonic() - began, None if then == processor() else then, means)
 

@@ -34,7 +34,7 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
 from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.store.slim import without_steps
+from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
@@ -181,7 +181,7 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     for kind, key in inputs:
         what, why = "damaged", artifact.corruption(layout, kind, key)
         if why is None and without_steps(artifact.read_manifest(layout, kind, key)):
-            what, why = "not whole", "it was published without the steps of all its episodes, and they are needed"
+            what, why = "not whole", WITHOUT_STEPS
         if why is None:
             continue
         if (layout.artifact(kind, key) / SESSION_FILE).exists():

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 POLL_SECONDS = 0.2
+_PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # what a file system answers that has no locks
 
 
@@ -64,10 +65,14 @@ def held_if_free(path: Path, *, made: bool = True) -> Iterator[bool]:
 def is_held(path: Path) -> bool:
     """Return whether some process holds a lock now."""
     try:
-        with held_if_free(path, made=False) as mine:
-            return not mine
+        descriptor = os.open(path, os.O_RDONLY | _PLAIN)
     except FileNotFoundError:
         return False
+    try:
+        # Shared: for an exclusive lock NFS wants a file that is open for writing.
+        return not (_taken(descriptor, fcntl.LOCK_SH) and _is_at(descriptor, path))
+    finally:
+        os.close(descriptor)
 
 
 def remove_lock(path: Path) -> bool:
@@ -86,7 +91,7 @@ def _opened(path: Path, made: bool = True) -> int:
     if made:
         path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    return os.open(path, os.O_RDWR | _PLAIN)
 
 
 def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:

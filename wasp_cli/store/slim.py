@@ -15,6 +15,7 @@ from wasp_cli.store.artifact import file_digest
 
 STEPS_FILE = "_steps.pq"  # as in `store.tables`, which needs pyarrow
 SLIM = "slim"  # in a published manifest: by file, what was left out of it, and the digest of the whole
+WITHOUT_STEPS = "it was published without the steps of all its episodes, and they are needed"
 IMAGES_FILE = "images.parquet"  # of `diagnostics`: frames for pictures in reports; nothing is computed from them
 
 
