@@ -1,5 +1,5 @@
 # %% [markdown]
-"""What does the quickstart's world model expect, and what happens? Run it in the root of a checkout, where the model is published."""
+"""What does the published world model expect, and what happens? Run it in the root of a checkout, where the model is published."""
 
 # %%
 import gymnasium
@@ -8,7 +8,7 @@ import numpy as np
 import wasp_cli
 import wasp_cli.tasks.gym  # registers the environments
 
-model = wasp_cli.load_world_model("2725de41", results="results/published")  # the beginning of its key
+model = wasp_cli.load_world_model("f6cb21a6", results="results/published")  # the beginning of its key
 print(model)
 
 # %% 25 decisions nearly straight ahead, in a world where that leads through a hazard.

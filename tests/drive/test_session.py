@@ -8,6 +8,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from tests.drive.conftest import harmed, served, swept_before_commit, wanted
 from wasp_cli.cli import app
 from wasp_cli.drive import session as session_module
 from wasp_cli.drive.check import Habits, drive, to_the_goal
+from wasp_cli.drive.clone import _driven_with
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
@@ -133,6 +135,9 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imp
     rows = [read_steps(cell_file(layout.artifact("evaluate", key))) for key in (first["key"], whole["key"])]
     earlier = rows[1].filter(np.array(rows[1]["episode"].to_pylist()) == 0)
     assert earlier.equals(rows[0]), "the finished episode was taken over, not driven again"
+    models = {name: SimpleNamespace(key=manifest["upstream"][name]) for name in ("world_model", "policies")}
+    node = SimpleNamespace(task="goal1", needs=models, settings=manifest["settings"])
+    assert _driven_with(layout, node, 0) == [whole["key"]], "a clone learns from each episode once"
     assert len(json.loads((layout.artifact("evaluate", whole["key"]) / SESSION_FILE).read_text())["sittings"]) == 2
 
 

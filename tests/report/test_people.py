@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from wasp_cli.report.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted
 from wasp_cli.report.tables import Table
+from wasp_cli.report.tables.main import severity_table
 from wasp_cli.report.tables.people import (
     WORKLOAD,
     Sitting,
@@ -105,6 +107,19 @@ def test_the_effect_of_the_order_is_found_and_conditions_cancel_out() -> None:
         assert value(found, str(place + 1), "return").mean == pytest.approx(LEARNT * (place - 1.5))
     assert not any("NOT BALANCED" in note for note in found.notes)
     assert sum(number for _, number in deviations(study(), "return")) == pytest.approx(0.0)
+    # A second task is driven after the first, in places of its own.
+    later = [replace(each, place=each.place + 4, cell=_on(each.cell, "race1")) for each in study()]
+    assert not any("NOT BALANCED" in note for note in table(people_tables(study() + later), "order").notes)
+    assert any("NOT BALANCED" in note for note in table(people_tables(study() + later[1:]), "order").notes)
+
+
+def test_numbers_of_participants_are_no_severities() -> None:
+    frame = Frame(tuple(each.cell for each in study()), (), tuple(each.cell.identity for each in study()))
+    assert severity_table(frame) is None
+
+
+def _on(cell: CellNumbers, task: str) -> CellNumbers:
+    return replace(cell, identity=replace(cell.identity, task=task))
 
 
 def test_answers_by_condition() -> None:

@@ -1,6 +1,7 @@
 """The first page: the main table of each spec, whose numbers lead to their cells, and its report, which is a stranger to the server."""
 
 import re
+import shutil
 from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
@@ -11,7 +12,9 @@ from tests.commands import run_here
 from tests.view.conftest import viewed
 from tests.view.test_server import ask
 from wasp_cli.notebook import open_results
+from wasp_cli.view.pages import main_tables
 from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import site_of
 
 SPEC = "extends: field\nname: part\ntasks: [goal1]\nmethods: [human, ida, wasp]\nseeds: [313]\n"
 
@@ -41,6 +44,16 @@ def test_numbers_of_the_main_table_lead_to_their_cells(server: ViewServer, resul
     of_wasp = [text for place, text in linked if unescape(place) == "/cells?task=goal1&method=WASP"]
     assert of_wasp[:3] == [f"{row['return']:.2f}", f"{100 * row['success']:.1f}", f"{row['cost']:.2f}"]
     assert ask(server, "/cells?task=goal1&method=WASP")[2].count(">WASP</a>") == 4
+
+
+def test_a_newer_spec_takes_no_cells_from_the_table_of_an_older_one(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "results")
+    newer = SPEC.replace("name: part", "name: newer") + "operators: {noisy: null, limited-skill: null, reaction-time: null}\n"
+    (tmp_path / "newer.yaml").write_text(newer, encoding="utf-8")
+    run_here("run", tmp_path / "newer.yaml", "--results", tmp_path / "results", "-j", "0", columns=200, code=0)
+    before, (newest, older) = next(main_tables(site_of(results))), main_tables(site_of(tmp_path / "results"))
+    assert (newest["spec"], older["spec"]) == ("newer", "part")
+    assert [row.values for row in older["table"].rows] == [row.values for row in before["table"].rows]
 
 
 def test_the_report_is_shown_as_a_stranger(server: ViewServer, results: Path) -> None:

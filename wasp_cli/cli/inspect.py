@@ -46,8 +46,8 @@ def status(results: options.Folder, run: options.RunOption = None, json: options
 
 
 @command(
-    "wasp logs 'goal1 s1 heldout'",
-    "tail -f \"$(wasp logs 'goal1 s1 heldout' --path)\"",
+    "wasp logs 'goal1 s1 wasp laggy=0.7'",
+    "tail -f \"$(wasp logs 'goal1 s1 wasp laggy=0.7' --path)\"",
     codes="0 done, 1 the results cannot be read, 2 no such node",
 )
 def logs(

@@ -272,7 +272,7 @@ def gc(
 
 
 @command(
-    "wasp publish specs/quickstart.yaml --dry-run",
+    "wasp publish specs/quickstart.yaml --reuse published --dry-run",
     "wasp publish specs/table1.yaml --select 'task=goal1' --select 'stage=world_model'",
     codes="0 done, 1 a result is missing, damaged or names this machine, 2 usage, 3 invalid spec",
 )

@@ -96,7 +96,7 @@ def ablate(
 
 
 @command(
-    "wasp sweep specs/quickstart.yaml --vary diffusion.ratio=0,0.2,0.4,0.6 --set 'seeds=[7]'",
+    "wasp sweep specs/quickstart.yaml --vary diffusion.ratio=0,0.2,0.4,0.6",
     "wasp sweep specs/quickstart.yaml --vary wasp.tau_c=0.3,0.5,1 --json",
     codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, 130 interrupted",
 )

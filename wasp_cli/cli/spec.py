@@ -199,7 +199,7 @@ LISTS: dict[str, tuple[Callable[[], list[Row]], tuple[str, ...], Callable[[Row],
         operators, ("Operator", "Severity", "Range"), lambda info: (info["severity"], f"{info['low']:g} to {info['high']:g}"),
         "Your own assistant or operator: docs/extending.md",
     ),
-    "tasks": (tasks, ("Task", "Spaces", "Costs", "Limit"), task_cells, "Any gymnasium id is a task too: docs/own_task.md"),
+    "tasks": (tasks, ("Task", "Spaces", "Costs", "Limit"), task_cells, "Gymnasium ids with cost and images are tasks: docs/own_task.md"),
 }  # fmt: skip
 
 

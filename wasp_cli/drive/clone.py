@@ -31,7 +31,7 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Policy
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import CLONE, OPERATOR_CLONE
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, canonical
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -118,20 +118,23 @@ def quality_table(document: Mapping[str, Any]) -> RichTable:
 def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
     """Keys of the cells that a participant drove with the models that the clone reads, in ascending order."""
     models = {name: needed.key for name, needed in node.needs.items()}
-    keys, others = [], 0
+    whole: dict[str, tuple[int, str]] = {}  # by seed and condition: a sitting that was continued has its first episodes in two cells
+    others = 0
     for key, manifest in driven(layout, participant):
         if manifest.get("task") == node.task:
             same = all(manifest.get("upstream", {}).get(name) == needed for name, needed in models.items())
             same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
-            keys += [key] if same else []
+            cell = canonical([manifest["seed"], manifest["axes"]])
+            if same:
+                whole[cell] = max(whole.get(cell, (0, "")), (int(manifest["config"]["episodes"]), key))
             others += not same
-    if not keys:
+    if not whole:
         more = f"; {others} cells of theirs were driven with other models: --preset or --set" if others else ""
         raise UsageError(
             f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}",
             f"wasp drive {node.task} --participant {participant}",
         )
-    return keys
+    return sorted(key for _, key in whole.values())
 
 
 def _require_unused(layout: Layout, node: Node) -> None:

@@ -119,12 +119,14 @@ class Session:
         desk.state("loading", block=number + 1, blocks=len(self.blocks))
         block = self.built(desk, cell, node, node.axes["method_config"])
         skipped, ended = 0, False
+        lost, blurred = desk.lost, desk.blurred
+        told = {"block": number + 1, "blocks": len(self.blocks), "skips": self.study is None}  # in a study everyone drives the same worlds
         try:
             while record.finished < config["episodes"] and not ended:
                 e = record.finished
                 layout = seeds.layout_seed(cell.task, cell.seed, e + skipped)
                 own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
-                outcome = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
+                outcome = block.episode(e, layout, own, {**told, "of": config["episodes"]})
                 if isinstance(outcome, Driven):
                     record.add(outcome, thresholds_of(block.assistant), config["safe_cost"])
                     if self.study is None:  # there it would tell the conditions apart
@@ -133,12 +135,11 @@ class Session:
                         desk.say(block.review(outcome))
                 else:
                     record.cut(outcome)
-                    # In a study everyone drives the same worlds.
                     skipped += outcome.why == NEXT and self.study is None
                     ended = outcome.why == END
         finally:
             block.close()
-            record.note(lost_connection=desk.lost, lost_focus=desk.blurred)
+            record.count(lost_connection=desk.lost - lost, lost_focus=desk.blurred - blurred)
         whole: bool = record.finished == config["episodes"]
         if whole:
             self._ask(desk, record)
@@ -344,6 +345,9 @@ class CellRecord:
     def cut(self, cut: Cut) -> None:
         self._session["cut"].append({"before_episode": self.finished, **asdict(cut)})
         self.note()
+
+    def count(self, **more: int) -> None:
+        self.note(**{name: self._session.get(name, 0) + number for name, number in more.items()})
 
     def note(self, **facts: Any) -> None:
         self._session |= facts

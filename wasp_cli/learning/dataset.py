@@ -103,11 +103,7 @@ class Commander:
 
 
 def record(
-    task: VectorTask,
-    seeds: Sequence[int],
-    command: Callable[[NDArray[np.float32]], NDArray[Any]],
-    names: Sequence[str],
-    number: int,
+    task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
 ) -> Recording:
     """Record one episode per row as a shard.
 

@@ -23,12 +23,7 @@ RATIOS = (0.2, 0.3, 0.4, 0.6)  # forward diffusion ratios; at 0 a command stays 
 
 
 def train_denoiser(
-    recording: Recording,
-    labels: torch.Tensor,
-    latents: Latents,
-    config: DenoiserConfig,
-    seed: int,
-    report: Callable[[float, str], None],
+    recording: Recording, labels: torch.Tensor, latents: Latents, config: DenoiserConfig, seed: int, report: Callable[[float, str], None]
 ) -> tuple[Denoiser, NoiseSchedule, dict[str, float]]:
     """Predict the noise in diffused expert actions; the averaged weights are what is returned.
 

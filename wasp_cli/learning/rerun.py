@@ -71,10 +71,7 @@ class Rerun:
         for e, actions in enumerate(recorded.a):
             if actions.shape[1:] != (task.action_size,):
                 raise other_episode(
-                    recorded.first + e,
-                    task.batch,
-                    0,
-                    f"an action has {task.action_size} numbers, a recorded one {actions.shape[-1]}",
+                    recorded.first + e, task.batch, 0, f"an action has {task.action_size} numbers, a recorded one {actions.shape[-1]}"
                 )
 
     @torch.inference_mode()

@@ -166,8 +166,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             calibrated=True,
             variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
-            rule="WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe correction "
-            "is expected to gain more return than τ_r.",
+            rule="WASP corrects the command if the command, followed by the expert, is predicted to cost more than τ_c, or else if a safe "
+            "correction is predicted to gain more return than τ_r.",
         ),
         MethodInfo(
             "printed",
@@ -189,8 +189,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:GuardedIDAConfig",
             ("ida_q", "critics"),
             calibrated=True,
-            rule="IDA decides about the task; where the expert behind its action is imagined to cost more than τ_c, WASP's safety gate "
-            "corrects it.",
+            rule="IDA decides about the task; if its action, followed by the expert, is predicted to cost more than τ_c, WASP's safety "
+            "gate corrects it.",
             signal=_VOTE,
         ),
         MethodInfo(

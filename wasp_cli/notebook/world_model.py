@@ -24,7 +24,7 @@ from wasp_cli.errors import ArtifactError, TaskError, UsageError
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.models.world_model import load_world_model as load_weights
-from wasp_cli.store.artifact import corruption, read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest, read_record, stored_keys
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 
@@ -178,6 +178,9 @@ def load_world_model(which: str | Path = "results", results: str | Path = "resul
     folder = Path(which)
     if (folder / "world_model.safetensors").is_file():
         manifest = read_record(folder / MANIFEST) or {}
+        for name, known in manifest.get("files", {}).items():
+            if file_digest(folder / name) != known["sha256"]:
+                raise ArtifactError(f"'{folder / name}' has other bytes than were stored")
         return LoadedWorldModel(load_weights(folder), manifest)
     if folder.is_dir():
         layout = Layout(folder)

@@ -22,7 +22,7 @@ from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title, who_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
-from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.main import PAPER_COLUMNS, has_severity
 from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
@@ -331,7 +331,8 @@ Condition = tuple[str, float]  # operator variant and severity value
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     assistants = [group for rows in rows_by_task(frame).values() for group in rows if METHODS[group.method].impaired]
-    under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.value is not None)
+    who = [cell.identity for cell in frame.cells if has_severity(cell)]
+    under = dict.fromkeys((each.operator, each.value) for each in who if each.value is not None)
     variants = list(dict.fromkeys(variant for variant, _ in under))
     conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
     tasks = list(dict.fromkeys(group.task for group in assistants))

@@ -37,15 +37,7 @@ from wasp_cli.report.tables.main import (
     threshold_table,
 )
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.trained import (
-    Trained,
-    duration,
-    numbers_text,
-    trained_artifacts,
-    trained_markdown,
-    training_tables,
-    with_warnings,
-)
+from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown, training_tables, with_warnings
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper

@@ -127,11 +127,7 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
         return "No cell has been computed yet."
     if seeds == 1:
         return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; add seeds to the spec."
-    return (
-        f"± is the standard deviation over the means of {seeds} seeds, not over episodes. "
-        f"{seeds} seeds have {distinct_resamples(seeds):,} distinct bootstrap resamples"
-        + (", so any interval is coarse." if seeds < 6 else ".")
-    )
+    return f"± is the standard deviation over the means of {seeds} seeds, not over episodes."
 
 
 def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:

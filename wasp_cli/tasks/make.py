@@ -25,12 +25,7 @@ def require_mujoco() -> None:
 
 
 def make_task(
-    name: str,
-    batch: int,
-    *,
-    action_repeat: int = 4,
-    observe: Sequence[str] = ("pixels", "state", "privileged"),
-    threads: int = 1,
+    name: str, batch: int, *, action_repeat: int = 4, observe: Sequence[str] = ("pixels", "state", "privileged"), threads: int = 1
 ) -> VectorTask:
     """Build B = `batch` episodes of a task.
 

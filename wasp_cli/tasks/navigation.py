@@ -93,14 +93,7 @@ class Navigation(ABC):
     # -- construction -----------------------------------------------------------------------------------------------------------
 
     def __init__(
-        self,
-        batch: int,
-        build_model: ModelBuilder,
-        bodies: int,
-        *,
-        action_repeat: int,
-        observe: Sequence[str],
-        threads: int,
+        self, batch: int, build_model: ModelBuilder, bodies: int, *, action_repeat: int, observe: Sequence[str], threads: int
     ) -> None:
         """Allocate B = `batch` episodes with F = `bodies` free bodies each."""
         check_options(batch, action_repeat, threads, observe)

@@ -12,16 +12,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.compare import MEASURES, paired_episodes
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.notebook.cells import ListedCell
+from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
+from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
 from wasp_cli.run.show import find_log, life, pace
@@ -154,11 +154,10 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     first, second = (site.cells.one(cell).numbers for cell, _ in pair)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
-        paired = paired_episodes(first, second)
         for column in COLUMNS:
             texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
-            apart = column.number(paired.differences[column.key].value, sign=True) if paired and column.key in MEASURES else ""
-            rows.append((column.heading, texts[0], texts[1], apart))
+            apart = paired_difference([second], [first], column.key)
+            rows.append((column.heading, texts[0], texts[1], "" if apart is None else column.number(apart, sign=True)))
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
@@ -224,9 +223,11 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
     All its cells are read for it. Folders with more than MOST cells have the table in their reports alone.
     """
     listed: dict[str, list[ListedCell]] = {}
-    for cell in site.cells.listed():
-        if cell.spec is not None and cell.method in METHODS and cell.task in TASKS:  # others are not installed here
-            listed.setdefault(cell.spec, []).append(cell)
+    with suppress(StoreError):  # what is wrong is among the problems of the page
+        for spec, plan in reversed(recorded_plans(site.layout).items()):
+            with suppress(ArtifactError):
+                cells = [cell for cell in planned_cells(spec, plan) if cell.method in METHODS and cell.task in TASKS]
+                listed |= {spec: cells} if cells else {}  # others are not installed here
     if not listed or sum(map(len, listed.values())) > MOST:
         return
     known = site.cells.wait()

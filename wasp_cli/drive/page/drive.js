@@ -106,7 +106,7 @@ function enter(state) {
   const driving = ["ready", "driving", "paused"].includes(phase);
   byId("drive").hidden = !driving;
   byId("pause").hidden = phase !== "driving";
-  for (const id of ["restart", "next", "end"]) byId(id).hidden = phase !== "paused" && phase !== "driving";
+  for (const id of ["restart", "next", "end"]) byId(id).hidden = (phase !== "paused" && phase !== "driving") || (id === "next" && !state.skips);
   const episode = state.practice ? `practice ${state.episode + 1} of ${state.of}` : `episode ${state.episode + 1} of ${state.of}`;
   byId("progress").textContent = driving ? (state.blocks > 1 ? `block ${state.block} of ${state.blocks}, ${episode}` : episode) : "";
   if (phase === "driving") { byId("veil").hidden = true; lastSent = ""; hold(); return; }
@@ -118,7 +118,7 @@ function enter(state) {
     card("<h2></h2>", texts, [["Go", () => ask("go")], ...replays(), ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
     if (world) byId("card").querySelector(".actions").before(byId("legend").cloneNode(true));
   } else if (phase === "paused") {
-    card("<h2>Paused</h2>", ["The world waits."], [["Go on", () => ask("go")], ["Restart this world", () => ask("restart")], ["Next world", () => ask("next")], ["End the session", () => ask("end")]]);
+    card("<h2>Paused</h2>", ["The world waits."], [["Go on", () => ask("go")], ["Restart this world", () => ask("restart")], ...(state.skips ? [["Next world", () => ask("next")]] : []), ["End the session", () => ask("end")]]);
   } else if (phase === "form") form(state.form);
   else if (phase === "over") { over = true; summary(state); }
   else card("<h2>One moment</h2>", [state.text || "The models are loaded …"], []);

@@ -20,8 +20,7 @@ class WorldModelConfig(Config):
     head: int = assumed(128, "width of the two layers of each head", ge=1)
     unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
     action_scales: Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], Field(min_length=1)] = deviates(
-        (1.0, 0.3, 0.1, 0.03),
-        "the recurrence reads clip(a / s, -1, 1) for each s, not a alone: motors saturate, here at 0.02 to 0.05",
+        (1.0, 0.3, 0.1, 0.03), "the recurrence reads clip(a / s, -1, 1) for each s, not a alone: motors saturate, here at 0.02 to 0.05"
     )
     batch: int = assumed(8, "sequences per update", ge=1)
     length: int = assumed(32, "decision steps per sequence; they go on from remembered latents", ge=2)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import UNIMPAIRED
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, same_episodes, spread_note, summarise
 from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
@@ -237,7 +237,7 @@ def operator_table(frame: Frame) -> Table:
 
 def severity_table(frame: Frame) -> Table | None:
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    cells = [cell for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED]
+    cells = [cell for group in impaired for cell in group.cells if has_severity(cell)]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
     of_variant: dict[str, set[str]] = {}
     for cell in cells:
@@ -257,6 +257,11 @@ def severity_table(frame: Frame) -> Table | None:
     notes = (spread_note(cells), *missing_notes(frame))
     meanings = ("An assistant that helps where it is needed intervenes more when the operator gets worse.",)
     return Table("severity", "Against severity", ("Task", "Operator", "Method"), columns, tuple(rows), notes, meanings, grouping=2)
+
+
+def has_severity(cell: CellNumbers) -> bool:
+    """Return whether the value of a cell's operator is a severity; that of a person, or of a clone, is a participant's number."""
+    return cell.identity.value is not None and OPERATORS[cell.identity.operator].simulated
 
 
 def level(cell: CellNumbers) -> str:

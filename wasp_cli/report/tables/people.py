@@ -177,9 +177,10 @@ def _labels(condition: Condition) -> tuple[str, str]:
 
 
 def _notes(sittings: Sequence[Sitting]) -> tuple[str, ...]:
+    limits = Interval(0.0, 0.0, "participant", len({each.participant for each in sittings})).words
     return (
         people_fact(sittings),
-        f"± is the standard deviation over participants, [low, high] a 95 % interval of {RESAMPLES} bootstrap means over them.",
+        f"± is the standard deviation over participants, [low, high] the {limits}, of {RESAMPLES} bootstrap means.",
     )
 
 
@@ -219,7 +220,7 @@ def _order(sittings: Sequence[Sitting]) -> Table:
     columns = [Column(column.key, column.title, digits=column.digits, scale=column.scale, signed=True) for column in MEASURES]
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
-    rows = []
+    rows, balanced = [], True
     for task in dict.fromkeys(each.cell.identity.task for each in sittings):
         own = [each for each in sittings if each.cell.identity.task == task]
         changes = {column.key: deviations(own, column.key) for column in columns}
@@ -231,9 +232,9 @@ def _order(sittings: Sequence[Sitting]) -> Table:
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
-    placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
-    conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
-    balanced = len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(places_there)
+        placed = Counter((each.condition, each.place) for each in own if each.place is not None)
+        conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
+        balanced &= len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(places_there)
     unbalanced = () if balanced else ("NOT BALANCED: not every condition stood in every place equally often.",)
     notes = (*_notes(sittings), *unbalanced)
     meanings = ("Difference to the mean of the condition: what being driven first, second, ... changed, whichever condition it was.",)

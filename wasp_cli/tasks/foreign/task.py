@@ -26,13 +26,7 @@ class GymTask:
     """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect, they are stepped one after the other."""
 
     def __init__(
-        self,
-        name: str,
-        batch: int,
-        *,
-        action_repeat: int = 4,
-        observe: Sequence[str] = ("pixels", "state", "privileged"),
-        threads: int = 1,
+        self, name: str, batch: int, *, action_repeat: int = 4, observe: Sequence[str] = ("pixels", "state", "privileged"), threads: int = 1
     ) -> None:
         check_options(batch, action_repeat, threads, observe)
         self._facts = facts = examine(name)

@@ -64,10 +64,7 @@ def appearance(level: int) -> Appearance:
     hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)
     vase = Kind("vase", model.VASE_GEOM, VASE_COLOUR)
     return Appearance(
-        robot=(
-            Part(model.SPHERE_GEOM, SPHERE_COLOUR),
-            Part(model.ARROW_GEOM, ARROW_COLOUR),
-        ),
+        robot=(Part(model.SPHERE_GEOM, SPHERE_COLOUR), Part(model.ARROW_GEOM, ARROW_COLOUR)),
         camera_height=CAMERA_HEIGHT,
         forward=(1.0, 0.0),
         floor=Checker(),

@@ -30,12 +30,7 @@ class TwoGoals(Goal):
     """The task `goal1-two`; all else is as in Goal1, the privileged vector too: the goal in it is the operator's."""
 
     def __init__(
-        self,
-        batch: int,
-        *,
-        action_repeat: int = 4,
-        observe: Sequence[str] = ("pixels", "state", "privileged"),
-        threads: int = 1,
+        self, batch: int, *, action_repeat: int = 4, observe: Sequence[str] = ("pixels", "state", "privileged"), threads: int = 1
     ) -> None:
         self._other = np.zeros((batch, 2))
         self._within, self._wrong = np.zeros(batch, np.bool_), np.zeros(batch, np.int64)

@@ -104,10 +104,7 @@ class Race(Navigation):
         if not self.cost_sources:
             return {}
         inside = distance(self._qpos[rows, None, :2], self._hazards[rows]) < HAZARD_RADIUS
-        return {
-            "hazards": np.asarray(inside.any(axis=1)),
-            "static_geoms_contact": self._contacts(rows).static,
-        }
+        return {"hazards": np.asarray(inside.any(axis=1)), "static_geoms_contact": self._contacts(rows).static}
 
     def _reach_goal(self, row: int) -> None:
         self._terminate(row)
