@@ -21,7 +21,7 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 
 ROOT = Path(__file__).parents[1]
-CELL = "goal1 s1 human noisy=0.45"
+CELL = "goal1 s1 csa noisy=0.45"  # its models ship
 DECOYS = (
     "numpy", "joblib", "pickle", "typing", "torch", "mujoco", "pyarrow", "PIL", "matplotlib", "gymnasium", "uvicorn", "rich", "json",
     "multiprocessing", "random", "struct", "signal", "threading", "subprocess", "tempfile", "cloudpickle", "runner_up",

@@ -25,11 +25,11 @@ from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.tables import EPISODES_FILE, read_episodes
 
 PEOPLE = """\
+extends: table1
 name: people
-preset: quick
 tasks: [goal1]
 methods: [human]
-operators: {person: {p7: 7, p8: 8}}
+operators: {noisy: null, laggy: null, limited-skill: null, reaction-time: null, person: {p7: 7, p8: 8}}
 seeds: [0]
 training_seed: 1
 episodes: 4
