@@ -103,6 +103,13 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
     assert not layer.tmp.exists()
 
 
+def test_a_copy_with_fewer_steps_stays_and_is_told(results, small_spec):
+    publish(small_spec, results)
+    manifest = sorted((results / "published/store").glob("evaluate/*/_manifest.json"))[0]
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": "steps", "sha256": "0"}}}))
+    assert "1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results)
+
+
 @pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])
 def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     victim = sorted(results.glob("store/evaluate/*"))[0]

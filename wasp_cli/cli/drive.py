@@ -57,7 +57,7 @@ def drive(
         bool, flag("--simulate", "Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
     ] = False,
     orders: Annotated[bool, flag("--orders", "Only show who drives what in which order.")] = False,
-    withdraw: Annotated[bool, flag("--withdraw", "Delete everything that the participant drove.")] = False,
+    withdraw: Annotated[bool, flag("--withdraw", "Delete what the participant drove on this task, or on those of the spec.")] = False,
     preset: PresetOption = None,
     results: ResultsOption = RESULTS,
     jobs: JobsOption = None,
@@ -75,10 +75,10 @@ def drive(
 
     hidden, settings = tuple(hide or ()), tuple(set_ or ())
     wanted = Wanted(what, method, participant, episodes, number, speed, hidden, preset, settings, results, jobs, simulate)
-    if withdraw:
-        withdrawn(wanted)
-    elif orders:
+    if orders:  # before all that changes something: it only shows
         out().print(wanted.orders())
+    elif withdraw:
+        withdrawn(wanted)
     elif check:
         _check(wanted.prepared(recorded=False), json)
     else:

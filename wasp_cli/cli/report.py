@@ -291,7 +291,7 @@ def publish(
 
     With its report. Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
     """
-    from wasp_cli.run.publish import carry_publication, publication, show_publication
+    from wasp_cli.run.publish import carry_publication, fewer_steps, publication, show_publication
     from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
@@ -302,6 +302,8 @@ def publish(
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
         show_publication(planned, largest * 1e6, console())
+        if steps is None and (cut := fewer_steps(planned, target)):
+            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish all")
         if dry_run:
             return
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))

@@ -36,7 +36,7 @@ from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
-from wasp_cli.store.slim import SLIM, Slimming, slim
+from wasp_cli.store.slim import SLIM, Slimming, slim, without_steps
 
 PUBLIC = (
     "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
@@ -197,6 +197,12 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
     artifact.commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
+
+
+def fewer_steps(publication: Publication, target: Layout) -> int:
+    """Count the cells that were published with fewer steps than they have here."""
+    pairs = [(item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key)) for item in publication.there]
+    return sum(without_steps(there) and not without_steps(here) for here, there in pairs)
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
