@@ -170,8 +170,7 @@ def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = 
     failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
     damages = {key: wrong for key, wrong in stored.damaged.items() if key in nodes}
     if failed_only:
-        touched: set[str] = set()
-        """What failed, and what needs it."""
+        touched: set[str] = set()  # what failed, and what needs it
         for node in grid.nodes:
             if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
                 touched.add(node.key)

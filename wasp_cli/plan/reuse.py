@@ -14,6 +14,7 @@ Of a published cell with more episodes than are asked for, the first ones are ta
 
 from __future__ import annotations
 
+import gc
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -55,6 +56,14 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
     """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
+    gc.disable()  # of a million objects of syntax trees and manifests none is garbage
+    try:
+        return _laid_out_over(spec, layout, reuse)
+    finally:
+        gc.enable()
+
+
+def _laid_out_over(spec: Spec, layout: Layout, reuse: str | None) -> Grid:
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)

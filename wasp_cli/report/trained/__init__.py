@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from wasp_cli import console
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.node import Part
@@ -103,14 +104,7 @@ def numbers_text(summary: Mapping[str, Any]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    if seconds is None or not math.isfinite(seconds):
-        return "?"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    return "?" if seconds is None or not math.isfinite(seconds) else console.duration(seconds)
 
 
 def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
