@@ -243,3 +243,11 @@ def test_pauses_count_and_the_world_waits(imported: Path, tmp_path: Path) -> Non
     told = json.loads((Layout(results).artifact("evaluate", session.done[0]["key"]) / SESSION_FILE).read_text())
     assert told["sittings"][0]["pauses"] == 1
     assert session.done[0]["decisions"] == 250
+
+
+def test_lost_connections_of_sittings_of_one_cell_add_up(tmp_path: Path) -> None:
+    layout, node = Layout(tmp_path), SimpleNamespace(kind="evaluate", key="0" * 20)
+    for lost in (1, 2):
+        session_module.CellRecord(layout, node, None, 1, {}).count(lost_connection=lost, lost_focus=0)
+    told = json.loads((layout.work(node.key) / SESSION_FILE).read_text())
+    assert (told["lost_connection"], told["lost_focus"], len(told["sittings"])) == (3, 0, 2)
