@@ -124,8 +124,8 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
         if manifest.get("task") == node.task:
             same = all(manifest.get("upstream", {}).get(name) == needed for name, needed in models.items())
             same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
-            cell = canonical([manifest["seed"], manifest["axes"]])
             if same:
+                cell = canonical([manifest["seed"], manifest["axes"]])
                 whole[cell] = max(whole.get(cell, (0, "")), (int(manifest["config"]["episodes"]), key))
             others += not same
     if not whole:

@@ -88,8 +88,8 @@ def run_spec(
 
 def _take_back(plan: Plan, layout: Layout) -> None:
     """Take cells out of use whose steps are needed now, and were left out when they were published."""
-    for node in (step.node for step in plan.steps if step.state == "damaged" and step.reason.endswith(WITHOUT_STEPS)):
-        if exists(layout, node.kind, node.key):
+    for node in (step.node for step in plan.steps if step.state == "damaged"):
+        if exists(layout, node.kind, node.key):  # what is damaged otherwise does not
             invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 

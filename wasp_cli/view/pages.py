@@ -226,8 +226,8 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
     with suppress(StoreError):  # what is wrong is among the problems of the page
         for spec, plan in reversed(recorded_plans(site.layout).items()):
             with suppress(ArtifactError):
-                cells = [cell for cell in planned_cells(spec, plan) if cell.method in METHODS and cell.task in TASKS]
-                listed |= {spec: cells} if cells else {}  # others are not installed here
+                here = [cell for cell in planned_cells(spec, plan) if cell.method in METHODS and cell.task in TASKS]  # what is installed
+                listed |= {spec: here} if here else {}
     if not listed or sum(map(len, listed.values())) > MOST:
         return
     known = site.cells.wait()

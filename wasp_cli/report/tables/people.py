@@ -177,11 +177,9 @@ def _labels(condition: Condition) -> tuple[str, str]:
 
 
 def _notes(sittings: Sequence[Sitting]) -> tuple[str, ...]:
-    limits = Interval(0.0, 0.0, "participant", len({each.participant for each in sittings})).words
-    return (
-        people_fact(sittings),
-        f"± is the standard deviation over participants, [low, high] the {limits}, of {RESAMPLES} bootstrap means.",
-    )
+    count = len({each.participant for each in sittings})
+    limits = f", [low, high] the {Interval(0.0, 0.0, 'participant', count).words}, of {RESAMPLES} bootstrap means" if count > 1 else ""
+    return people_fact(sittings), f"± is the standard deviation over participants{limits}."
 
 
 def _of(sittings: Sequence[Sitting], key: str) -> Value:
