@@ -70,7 +70,7 @@ def summary_table(compared: Compared) -> Table | None:
             rows.append(Row(labels, _values(assistant.estimates)))
     meanings = (
         "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
-        "no more than their range.",
+        "no more than their range. Viol. and Int. pool the episodes of a cell, so long ones weigh more than in the table of cells.",
     )
     return Table(
         "summary", "Difference of each assistant", ("Task", "Method", "Cells"), COLUMNS, tuple(rows), (), meanings, ranked=False

@@ -30,8 +30,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.report.stats import CellNumbers, Floats
-from wasp_cli.report.summary import Interval, condition, paired_difference, summarise
+from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pairs_of
+from wasp_cli.report.summary import Interval, even, paired_difference, summarise
 
 Places = NDArray[np.intp]
 Limits = tuple[float, float]
@@ -54,12 +54,13 @@ class Estimate:
 class _Clusters:
     unit: Literal["training", "world"]
     names: Floats  # [K] the seeds of the trainings, or of the worlds
+    alike: bool = True  # whether they differ by chance alone: trainings with cells under other conditions do not
 
     @classmethod
     def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:
         trainings = np.unique([float(cell.training) for cell in cells])
         if len(trainings) > 1:
-            return cls("training", trainings)
+            return cls("training", trainings, even(cells))
         return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
 
     def place(self, names: Floats | Sequence[float]) -> Places:
@@ -71,7 +72,7 @@ class _Clusters:
 
     def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
         """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
-        if len(self.names) < 2:
+        if len(self.names) < 2 or not self.alike:
             return Estimate(value, None)
         limits = limits_of(statistic(drawn(len(self.names))))
         return Estimate(value, None if limits is None else Interval(*limits, self.unit, len(self.names)))
@@ -112,7 +113,7 @@ def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
 
 def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`); None where nothing defines it."""
-    cells = _defining(cells, key)
+    cells = defining(cells, key)
     value = summarise(cells, key).mean
     if value is None:
         return None
@@ -126,7 +127,7 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a cell in part where C / 4 is no whole
     number: of three cells the middle one counts four times as much as the others. Where it is whole, this is a mean trimmed by 25 %.
     """
-    cells = _defining(cells, key)
+    cells = defining(cells, key)
     if not cells:
         return None
     clusters = _Clusters.of(cells)
@@ -143,7 +144,7 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
     value = paired_difference(cells, reference, key)
     if value is None:
         return None
-    own, other = _pairs(cells, reference, key)
+    own, other = zip(*pairs_of(cells, reference, key), strict=True)
     clusters = _Clusters.of(own, other)
 
     def statistic(counts: Floats) -> Floats:
@@ -161,30 +162,24 @@ def improvement_over(
     Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator, severity and seed, divided by the
     number of pairs; then the mean over seeds of the means over conditions. 0.5 is no difference.
     """
-    own, other = _pairs(cells, reference, key)
-    if not own:
+    matched = pairs_of(cells, reference, key)
+    if not matched:
         return None
+    own, other = zip(*matched, strict=True)
     clusters = _Clusters.of(own, other)
-    sign = 1.0 if better == "up" else -1.0
-    pairs = [(sign * one.episodes[key], sign * two.episodes[key]) for one, two in zip(own, other, strict=True)]
-    if clusters.unit == "training":
-        numbers = np.array([[_superiority(*pair) for pair in pairs]])
-        return clusters.found(lambda counts: _mean(*_by_training(clusters, counts, own, numbers)))
-    places = [(clusters.place(one.episodes["world"]), clusters.place(two.episodes["world"])) for one, two in zip(own, other, strict=True)]
-    won = [_by_world(*pair, *place, len(clusters.names)) for pair, place in zip(pairs, places, strict=True)]
+    sign, by_world = 1.0 if better == "up" else -1.0, clusters.unit == "world"
+    place, many = (clusters.place, len(clusters.names)) if by_world else (lambda worlds: np.zeros(len(worlds), np.intp), 1)
+    won = [
+        _by_world(sign * one.episodes[key], sign * two.episodes[key], place(one.episodes["world"]), place(two.episodes["world"]), many)
+        for one, two in matched
+    ]
 
     def statistic(counts: Floats) -> Floats:
-        numbers = [_ratio(*(((counts @ sums) * counts).sum(1) for sums in each)) for each in won]
+        times = counts if by_world else np.ones((1, 1))
+        numbers = [_ratio(*(((times @ sums) * times).sum(1) for sums in each)) for each in won]
         return _mean(*_by_training(clusters, counts, own, np.stack(numbers, 1)))
 
     return clusters.found(statistic)
-
-
-def _superiority(x: Floats, y: Floats) -> float:
-    """The share of the pairs (x, y) in which x is larger, ties one half."""
-    x, y = x[~np.isnan(x)], np.sort(y[~np.isnan(y)])
-    won = int(np.searchsorted(y, x, "left").sum() + np.searchsorted(y, x, "right").sum())
-    return won / (2 * len(x) * len(y))
 
 
 def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int) -> tuple[Floats, Floats]:
@@ -194,17 +189,6 @@ def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: in
     place = (x_place[:, None] * worlds + y_place).ravel()
     won, pairs = (np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64) for each in (larger * defined, defined))
     return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
-
-
-def _defining(cells: Sequence[CellNumbers], key: str) -> list[CellNumbers]:
-    return [cell for cell in cells if not math.isnan(cell.pooled.get(key, math.nan))]
-
-
-def _pairs(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> tuple[list[CellNumbers], list[CellNumbers]]:
-    """The cells under conditions in which both define a column, side by side."""
-    by_condition = {condition(cell.identity): cell for cell in _defining(reference, key)}
-    own = [cell for cell in _defining(cells, key) if condition(cell.identity) in by_condition]
-    return own, [by_condition[condition(cell.identity)] for cell in own]
 
 
 def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
@@ -271,13 +255,11 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
             pooled = math.nan if math.isnan(cell.pooled.get(key, math.nan)) else bound
             column = np.where(np.isnan(cell.episodes[key]), math.nan, bound)
             reference.append(replace(cell, episodes={**cell.episodes, key: column}, pooled={key: pooled}))
-    defined = ([cell for cell in side if not math.isnan(cell.pooled.get(key, math.nan))] for side in (cells, reference))
-    own, other = ({condition(cell.identity): cell for cell in side} for side in defined)
-    shared = sorted(own.keys() & other.keys(), key=repr)
-    seeds = sorted({own[place].training for place in shared})
+    matched = sorted(pairs_of(cells, reference, key), key=lambda pair: repr(condition(pair[0].identity)))
+    seeds = sorted({own.training for own, _ in matched})
     if not seeds:
         return None
-    pairs = [[(own[place], other[place]) for place in shared if own[place].training == seed] for seed in seeds]
+    pairs = [[pair for pair in matched if pair[0].training == seed] for seed in seeds]
     trainings = [_Training(each, key, margin) for each in pairs]
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
     limits = limits_of(_resampled(trainings))

@@ -1,6 +1,6 @@
 """What a report says of a paper: each printed number beside ours, and whether each claim holds.
 
-A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.bootstrap`):
+A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`report.bootstrap`):
 
     lower                      left - right + margin |right| < 0
     higher                     left - right - margin |right| > 0
@@ -21,6 +21,7 @@ that name an ablation are not.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -28,7 +29,7 @@ from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
-from wasp_cli.report.stats import Frame, Group, groups
+from wasp_cli.report.stats import JUDGED, Frame, Group, groups, row_of
 from wasp_cli.report.tables import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
@@ -74,6 +75,7 @@ class Beside:
     who: Who
     printed: tuple[Printed, ...]
     ours: tuple[Estimate | None, ...]
+    seeds: int  # behind ours
     note: str = ""  # why it is incomplete, where it is
 
 
@@ -146,6 +148,7 @@ class _Rows:
         rows = groups(frame)
         self.tasks = tuple(dict.fromkeys(group.task for group in rows))
         self._groups = {(group.task, Who(group.method, group.variant)): group for group in rows}
+        self._unbranched = Counter(row_of(gap.identity) for gap in frame.unbranched)
         self.mean, self.contrast = cache(self._mean), cache(self._contrast)
 
     def group(self, task: str, who: Who) -> Group | None:
@@ -163,12 +166,15 @@ class _Rows:
         against = asked.bound if other is None else other.cells
         return None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
 
-    def lack(self, task: str, who: Who) -> str:
+    def lack(self, task: str, who: Who, column: str = "") -> str:
         group = self.group(task, who)
         if group is None:
             return f"{task_title(task)} has no {who}"
         total = len(group.cells) + group.absent
-        return "" if group.complete else f"{task_title(task)} {who} has {len(group.cells)} of {total} cells"
+        if not group.complete:
+            return f"{task_title(task)} {who} has {len(group.cells)} of {total} cells"
+        gaps = self._unbranched[group.assistant] if column in JUDGED else 0
+        return f"{task_title(task)} {who} has branches of {total - gaps} of {total} cells" if gaps else ""
 
 
 def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
@@ -200,7 +206,7 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
     if asked.task not in rows.tasks:
         return Answer(asked, "untested", printed=printed, shown_in_print=shown)
     sides = [who for who in (asked.left, asked.right) if who is not None]
-    lacking = [lack for who in sides if (lack := rows.lack(asked.task, who))]
+    lacking = [lack for who in sides if (lack := rows.lack(asked.task, who, asked.column))]
     means = [rows.mean(asked.task, who, asked.column) for who in sides]
     if not lacking:
         pairs = zip(means, sides, strict=True)
@@ -233,7 +239,9 @@ def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
                 continue  # a table of ablations is about these
             for who, numbers in printed.items():
                 ours = tuple(rows.mean(task, who, column) for column in table.columns)
-                yield Beside(table.name, table.columns, task, who, numbers, ours, rows.lack(task, who) if rows.group(task, who) else "")
+                group = rows.group(task, who)
+                seeds = len({cell.identity.seed for cell in group.cells}) if group else 0
+                yield Beside(table.name, table.columns, task, who, numbers, ours, seeds, rows.lack(task, who) if group else "")
 
 
 def _notes(frame: Frame, rows: _Rows, paper: Paper, seeds: int, spec: Spec | None) -> Iterable[str]:
@@ -244,7 +252,7 @@ def _notes(frame: Frame, rows: _Rows, paper: Paper, seeds: int, spec: Spec | Non
         named = " and ".join(filter(None, (", ".join(absent[:-1]), absent[-1])))
         yield f"{named} {which} is not tested."
     if seeds == 1:
-        yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
+        yield "One seed: intervals resample its worlds, so every verdict is about these models. More seeds cover retraining."
     elif spec is not None and spec.training_seed is not None:
         yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
     elif seeds > 1:

@@ -210,7 +210,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
     rows = []
     for row in verdict.rows:
         labels = row.table, task_title(row.task), title_of(row.who) + (" [incomplete]" if row.note else "")
-        rows.append(Row(labels, _values(row, keys, verdict.seeds)))
+        rows.append(Row(labels, _values(row, keys)))
     absent = sum(len(printed) for table in verdict.paper.tables for printed in table.rows.values()) - len(rows)
     notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
     head = ("paper", "Comparison with the paper", LABELS, tuple(columns))
@@ -221,7 +221,7 @@ def title_of(who: Who) -> str:
     return who_title(who.method, who.variant)
 
 
-def _values(row: Beside, keys: list[str], seeds: int) -> tuple[Value, ...]:
+def _values(row: Beside, keys: list[str]) -> tuple[Value, ...]:
     pairs = dict(zip(row.columns, zip(row.printed, row.ours, strict=True), strict=True))
     values: list[Value] = []
     for key in keys:
@@ -232,5 +232,5 @@ def _values(row: Beside, keys: list[str], seeds: int) -> tuple[Value, ...]:
         values += [theirs, UNDEFINED]
         if ours is not None:
             delta = None if theirs.mean is None else ours.value - theirs.mean
-            values[-1] = Value(ours.value, n=seeds, delta=delta, ranked=False, interval=ours.interval)
+            values[-1] = Value(ours.value, n=row.seeds, delta=delta, ranked=False, interval=ours.interval)
     return tuple(values)

@@ -20,7 +20,7 @@ import numpy as np
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
-from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title, who_title
+from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 from wasp_cli.report.tables.main import PAPER_COLUMNS, has_severity
 from wasp_cli.store.artifact import replace_file
@@ -254,7 +254,7 @@ PANELS = {
 
 
 def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
-    drawable = [group for group in judged_groups(frame) if _risks(frame, group).size]
+    drawable = [group for group in judged_groups(frame) if any(frame.judged[cell.identity].worth.rho.size for cell in group.cells)]
     if not drawable:
         return []
     tasks = [(task, list(own)) for task, own in groupby(drawable, lambda group: group.task)]
@@ -279,21 +279,22 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
         return figure_files(figure, folder, "figure3")
 
 
-def _risks(frame: Frame, group: Group) -> Floats:
-    return np.concatenate([frame.judged[cell.identity].worth.rho for cell in group.cells]) if group.cells else np.empty(0)
-
-
 def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
+    """Stack the shares of the classes of risk, each the mean over seeds of the means of cells, as in the table (`summarise`)."""
     edges = np.array([0.0, 1 / 3, 2 / 3])
     for y, group in enumerate(own):
-        risks = _risks(frame, group)
-        place = np.searchsorted(edges, risks - 1e-9, side="left")  # k / W on an edge belongs below it
-        left = 0.0
-        for k, (name, grey) in enumerate(CLASSES):
-            share = 100.0 * float((place == k).mean())
+        by_seed: dict[int, list[Floats]] = {}
+        for cell in group.cells:
+            risks = frame.judged[cell.identity].worth.rho
+            if len(risks):
+                place = np.searchsorted(edges, risks - 1e-9, side="left")  # k / W on an edge belongs below it
+                by_seed.setdefault(cell.identity.seed, []).append(np.bincount(place, minlength=len(CLASSES)) / len(risks))
+        left, total = 0.0, sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+        shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
+        for (name, grey), share in zip(CLASSES, shares.tolist(), strict=True):
             panel.barh(y, share, 0.62, left=left, color=grey, edgecolor="black", linewidth=0.6, label=name if y == 0 else None)
             left += share
-        panel.annotate(f"n = {len(risks)}", (100.0, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color="#555555")
+        panel.annotate(f"n = {total}", (100.0, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color="#555555")
     panel.set_xlim(0.0, 116.0)
     panel.set_xticks(range(0, 101, 25), [f"{tick} %" for tick in range(0, 101, 25)])
     panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
@@ -370,7 +371,7 @@ def _draw_severities(panel: Axes, group: Group, conditions: Sequence[Condition],
     bars = spreads if any(number > 0 for number in spreads) else None
     panel.errorbar(
         x, means, yerr=bars, fmt=marker, linestyle="-", color=colour, markersize=4, linewidth=0.9, elinewidth=0.8,
-        label=who_title(group.method, group.variant),
+        label=assistant_title(group),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from wasp_cli.errors import StoreError, UsageError, refusal
 from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats import TIMES, WEIGHT_OF, CellNumbers, Frame, Judged, Missing, median_of
+from wasp_cli.report.stats import CellNumbers, Frame, Judged, Missing, without_episodes
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
 from wasp_cli.store.tables import CellIdentity
@@ -152,25 +152,6 @@ def without_invalid(
         counts = [f"{count} {name}{'' if count == 1 else 's'}" for count, name in ((episodes, "episode"), (cells, "cell")) if count]
         said.insert(0, f"{' and '.join(counts)} marked as invalid {'is' if len(said) == 1 else 'are'} in no number here.")
     return replace(frame, cells=tuple(kept), missing=(*frame.missing, *missing), judged=judged), tuple(said)
-
-
-def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | None:
-    """Return a cell pooled over its other episodes; None where none is left."""
-    if not out:
-        return cell
-    rest = np.array([episode not in out for episode in range(cell.count)])
-    if not rest.any():
-        return None
-    numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
-    kept = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
-    pooled = {}
-    for name in cell.pooled:
-        if name in TIMES:
-            pooled[name] = median_of(kept.episodes[name])
-        elif name in WEIGHT_OF:
-            mass, weight = kept.weighted(name)
-            pooled[name] = float(mass.sum() / weight.sum()) if weight.sum() else float("nan")
-    return replace(kept, pooled=pooled)
 
 
 def _without(judged: Judged, out: Collection[int]) -> Judged:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -317,3 +318,50 @@ def numbers_of(worth: Necessity) -> dict[str, Floats]:
         "uir": unnecessary, "uir_swapped": worth.swapped.astype(np.float64), "uir_eff": np.where(worth.effective, unnecessary, np.nan),
         "rho": worth.rho, "at_risk": (worth.rho > 0.0).astype(np.float64), "delta_c": worth.delta_c, "delta_r": worth.delta_r,
     }  # fmt: skip
+
+
+def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | None:
+    """Return a cell pooled over its other episodes; None where none is left."""
+    if not out:
+        return cell
+    rest = np.array([episode not in out for episode in range(cell.count)])
+    if not rest.any():
+        return None
+    numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
+    kept = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
+    pooled = {}
+    for name in cell.pooled:
+        if name in TIMES:
+            pooled[name] = median_of(kept.episodes[name])
+        elif name in WEIGHT_OF:
+            mass, weight = kept.weighted(name)
+            pooled[name] = float(mass.sum() / weight.sum()) if weight.sum() else float("nan")
+    return replace(kept, pooled=pooled)
+
+
+def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+    """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
+    return identity.task, identity.operator, identity.value, identity.seed
+
+
+def pairs_of(cells: Iterable[CellNumbers], reference: Iterable[CellNumbers], key: str) -> list[tuple[CellNumbers, CellNumbers]]:
+    """Return the cells under conditions of both sides that define a column, each pair over the worlds that both have."""
+    by_condition = {condition(cell.identity): cell for cell in reference}
+    pairs = []
+    for cell in cells:
+        other = by_condition.get(condition(cell.identity))
+        if other is not None:
+            worlds = cell.episodes["world"], other.episodes["world"]
+            if not np.array_equal(*worlds):
+                own = without_episodes(cell, np.flatnonzero(~np.isin(*worlds)).tolist())
+                other = without_episodes(other, np.flatnonzero(~np.isin(*worlds[::-1])).tolist())
+                if own is None or other is None:
+                    continue
+                cell = own
+            pairs.append((cell, other))
+    return [pair for pair in pairs if len(defining(pair, key)) == len(pair)]
+
+
+def defining(cells: Iterable[CellNumbers], key: str) -> list[CellNumbers]:
+    """Leave out the cells in which a pooled column is missing or undefined."""
+    return [cell for cell in cells if not math.isnan(cell.pooled.get(key, math.nan))]

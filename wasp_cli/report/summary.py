@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from wasp_cli.metrics.episode import WEIGHTS
-from wasp_cli.report.stats import CellNumbers, Floats
-from wasp_cli.store.tables import ADDED, CellIdentity
+from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pairs_of
+from wasp_cli.store.tables import ADDED
 
 HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
 """Columns of an episode that say what happened and what was corrected, not why; without those that only rows of late versions have."""
@@ -56,10 +56,8 @@ UNDEFINED = Value(None, ranked=False)
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
     """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
     by_seed: dict[int, list[float]] = {}
-    for cell in cells:
-        number = cell.pooled.get(key, math.nan)
-        if not math.isnan(number):
-            by_seed.setdefault(cell.identity.seed, []).append(number)
+    for cell in defining(cells, key):
+        by_seed.setdefault(cell.identity.seed, []).append(cell.pooled[key])
     return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
 
 
@@ -73,7 +71,17 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
 
 
 def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
-    return over_seeds(seed_means(cells, key).values(), ranked)
+    """Return the mean over seeds; it has no spread where seeds have cells under other conditions, which differ by more than chance."""
+    value = over_seeds(seed_means(cells, key).values(), ranked)
+    return value if even(defining(cells, key)) else replace(value, sd=None)
+
+
+def even(cells: Iterable[CellNumbers]) -> bool:
+    """Tell whether all seeds have cells under the same conditions."""
+    by_seed: dict[int, set[object]] = {}
+    for cell in cells:
+        by_seed.setdefault(cell.identity.seed, set()).add(condition(cell.identity)[:3])
+    return len({frozenset(conditions) for conditions in by_seed.values()}) <= 1
 
 
 def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
@@ -86,13 +94,10 @@ def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floa
 
 
 def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
-    """Return the mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
-    by_condition = {condition(cell.identity): cell.pooled.get(key, math.nan) for cell in reference}
+    """Return the mean difference to the reference over the cells and worlds that both have (`pairs_of`)."""
     differences: dict[int, list[float]] = {}
-    for cell in cells:
-        change = cell.pooled.get(key, math.nan) - by_condition.get(condition(cell.identity), math.nan)
-        if not math.isnan(change):
-            differences.setdefault(cell.identity.seed, []).append(change)
+    for cell, other in pairs_of(cells, reference, key):
+        differences.setdefault(cell.identity.seed, []).append(cell.pooled[key] - other.pooled[key])
     return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
 
 
@@ -126,10 +131,5 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
     if not seeds:
         return "No cell has been computed yet."
     if seeds == 1:
-        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; add seeds to the spec."
+        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; more seeds say more."
     return f"± is the standard deviation over the means of {seeds} seeds, not over episodes."
-
-
-def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
-    """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
-    return identity.task, identity.operator, identity.value, identity.seed

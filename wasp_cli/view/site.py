@@ -18,9 +18,9 @@ from urllib.parse import quote, urlencode
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
-from wasp_cli.report.notes import Note, invalid, notes_of, without_episodes
+from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
-from wasp_cli.report.stats import CellNumbers, Wanted, read_frame
+from wasp_cli.report.stats import CellNumbers, Wanted, read_frame, without_episodes
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import read_manifest, stored_keys

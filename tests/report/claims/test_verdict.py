@@ -173,6 +173,17 @@ def test_what_is_not_there_is_named() -> None:
     ]  # fmt: skip
 
 
+def test_a_claim_about_branches_needs_those_of_all_cells() -> None:
+    uir = {"wasp": [0.2, 0.3], "ida": [0.6, 0.7]}
+    cells = [cell(method, [40.0, 44.0], seed, uir=worth, branches=[1, 1]) for method, worth in uir.items() for seed in (0, 1)]
+    claim, whole = asked("lower", "right: [ida]", "columns: [uir]"), frame_of(*cells)
+    assert judged(whole, claim).outcome == "holds"
+    partly = replace(whole, unbranched=(Missing(cells[1].identity, "wasp s1", "not computed yet", kind="counterfactual"),))
+    found = judged(partly, claim)
+    assert (found.outcome, found.answers[0][0].reason) == ("untested", "Goal1 wasp has branches of 1 of 2 cells")
+    assert judged(partly, asked("lower", "right: [ida]")).outcome == "undecided"
+
+
 def test_one_comparison_that_fails_settles_a_claim_that_is_not_tested_as_a_whole() -> None:
     frame = against(10, 12, 11)
     elsewhere = asked("lower", task="race1")

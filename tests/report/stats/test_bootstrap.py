@@ -25,6 +25,7 @@ from wasp_cli.report.bootstrap import (
     t_limits,
 )
 from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
+from wasp_cli.report.summary import summarise
 from wasp_cli.store.tables import CellIdentity
 
 RNG = np.random.default_rng(3)
@@ -135,14 +136,14 @@ def test_one_seed_resamples_worlds(key: str) -> None:
 
 @pytest.mark.parametrize("key", ["return", "int_rate", "mag_int"])
 def test_several_seeds_resample_seeds(key: str) -> None:
-    own, other = made([0, 1, 5])[:-1], made([0, 1, 5], "human")[1:]  # the conditions differ
+    own, other = made([0, 1, 5]), made([0, 1, 5], "human", (0.4, 0.6, 0.8))  # the conditions differ
     means = {seed: mean([cell.pooled[key] for cell in own if cell.identity.seed == seed]) for seed in (0, 1, 5)}
     draws = seed_draws(own)
     assert interval(mean_of(own, key)) == pytest.approx(limits([mean([means[seed] for seed in draw]) for draw in draws]))
     middle = [middle_mean([cell.pooled[key] for seed in draw for cell in own if cell.identity.seed == seed]) for draw in draws]
     assert interval(iqm_of(own, key)) == pytest.approx(limits(middle))
     pairs = [(x, y) for x in own for y in other if (x.identity.seed, x.identity.value) == (y.identity.seed, y.identity.value)]
-    assert len(pairs) == 7
+    assert len(pairs) == 6
     changes = {seed: mean([x.pooled[key] - y.pooled[key] for x, y in pairs if x.identity.seed == seed]) for seed in (0, 1, 5)}
     assert interval(difference_of(own, other, key)) == pytest.approx(limits([mean([changes[seed] for seed in draw]) for draw in draws]))
     wins = {seed: mean([better(x, y, key) for x, y in pairs if x.identity.seed == seed]) for seed in (0, 1, 5)}
@@ -267,3 +268,30 @@ def test_a_bound_is_taken_off() -> None:
     assert against.trainings == pytest.approx([0.0, 17.5])
     assert against.bootstrap == pytest.approx(np.array(zero.bootstrap) - 2.5)
     assert contrast_of(own, 2.5, "uir") is None
+
+
+@pytest.mark.parametrize("key", ["cost", "int_rate"])
+def test_a_difference_is_over_the_worlds_that_both_sides_have(key: str) -> None:
+    (whole,) = made([1], values=(0.2,), worlds=9)
+    part = cell(
+        1, 0.2, "wasp", whole.episodes["world"][2:5], **{name: whole.episodes[name][2:5] for name in whole.episodes if name != "world"}
+    )
+    other = cell(1, 0.2, "wasp", [7.0], **{key: [1.0], "decisions": [3.0]})
+    for left, right in (([part], [whole]), ([whole], [part])):
+        difference, contrast = difference_of(left, right, key), contrast_of(left, right, key)
+        assert difference is not None
+        assert contrast is not None
+        assert (difference.value, contrast.value) == (0.0, 0.0)
+        assert interval(difference) == [0.0, 0.0]
+    assert difference_of([other], [whole], key) is None
+    assert contrast_of([other], [whole], key) is None
+
+
+def test_trainings_with_cells_under_other_conditions_show_no_spread() -> None:
+    whole = made([1]) + made([2])
+    assert interval(mean_of(whole, "cost"))
+    assert summarise(whole, "cost").sd is not None
+    for estimate in (mean_of(whole[:-1], "cost"), iqm_of(whole[:-1], "cost"), difference_of(whole[:-1], made([1, 2], "human"), "cost")):
+        assert estimate is not None
+        assert estimate.interval is None
+    assert summarise(whole[:-1], "cost").sd is None

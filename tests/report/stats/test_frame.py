@@ -12,6 +12,7 @@ from PIL import Image
 
 from tests.report.branched import TAU_R, WINDOW, with_invented_branches
 from tests.report.invented import write_grid
+from wasp_cli.report import figures
 from wasp_cli.report.figures import necessity_figure
 from wasp_cli.report.stats import JUDGED, CellNumbers, Frame, Wanted, groups, read_frame, with_branches
 from wasp_cli.report.summary import over_episodes, paired_difference, summarise
@@ -75,7 +76,7 @@ def test_groups_keep_order_and_count_what_is_absent(grid: Grid) -> None:
 
 def cell(seed: int, value: float, number: float, costs: Sequence[float] = (0.0,)) -> CellNumbers:
     identity = CellIdentity("goal1", "ida", "full", "noisy", value, seed)
-    return CellNumbers(identity, "mild", {"return": number}, {"cost": np.array(costs, np.float64)})
+    return CellNumbers(identity, "mild", {"return": number}, {"cost": np.array(costs, np.float64), "world": np.arange(float(len(costs)))})
 
 
 def test_mean_and_spread_by_hand() -> None:
@@ -248,6 +249,16 @@ def test_without_counterfactuals_there_is_neither_table_nor_figure(grid: Grid, t
     frame = frame_of(grid(seeds=(0,)))
     assert necessity_table(frame) is None
     assert necessity_figure(frame, tmp_path / "none") == []
+
+
+def test_the_classes_of_risk_have_the_shares_of_the_table(grid: Grid, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    wanted, drawn = grid(seeds=(0, 1)), []
+    frame = frame_of([*with_invented_branches(wanted[::2]), *with_invented_branches(wanted[1::2], stride=3)])
+    monkeypatch.setattr(figures, "figure_files", lambda figure, *_: drawn.append(figure) or [])
+    necessity_figure(frame, tmp_path)
+    at_risk = [100 * (row(table_of(frame), method)["at_risk"] or 0.0) for method in ("IDA", "Diffusion", "SafeRL-Res", "WASP")]
+    free = drawn[0].axes[0].patches[:: len(figures.CLASSES)]  # the first class of each row
+    assert [100 - bar.get_width() for bar in free] == pytest.approx(at_risk)
 
 
 def test_the_figure_says_what_it_is_made_from_and_is_the_same_twice(judged: Frame, tmp_path: Path) -> None:

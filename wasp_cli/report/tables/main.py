@@ -41,7 +41,7 @@ OF_COMMANDS = AUTONOMY | {"int_rate_05", "int_rate_10", "jump"}
 LABELS = ("Task", "Method")
 MEANINGS = (
     "Return and Cost are sums over the env steps of an episode. Viol., Int. and Mag. count decision steps and pool the episodes of a cell. "
-    "A row is the mean of its cells (operator variants x severities).",
+    "A row is the mean of its cells (operator variants x severities); of an incomplete one the mean over seeds of what each has.",
     "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time "
     "per decision; the episodes of a cell are decided side by side.",
     "Int. eff. and Mag. eff. are of the forces: an action beyond what its motor can do is the same as one at its limit. Rows of earlier "
