@@ -202,6 +202,7 @@ def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touch
     assert not without_steps({"kind": "evaluate"})
     assert not without_steps({"kind": "critics", "slim": {"m.safetensors": {}}})
     assert slim(tmp_path / "cell", "evaluate", Slimming(steps=1)) == {}
+    assert slim(tmp_path / "cell", "evaluate", Slimming(steps=0))[STEPS_FILE]["left_out"] == "all steps"
 
 
 def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_else(tmp_path):

@@ -34,7 +34,8 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
     for path in sorted(folder.rglob("*")):
         whole = file_digest(path) if path.is_file() else ""
         if wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
-            left_out = f"steps of all episodes but the first {wanted.steps}" if wanted.steps > 1 else "steps of all episodes but the first"
+            few = "the first" if wanted.steps == 1 else f"the first {wanted.steps}"
+            left_out = f"steps of all episodes but {few}" if wanted.steps else "all steps"
         elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
             path.unlink()
             left_out = "images"
