@@ -1,6 +1,7 @@
 """README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
 import json
+import runpy
 from pathlib import Path
 
 import assistants
@@ -12,17 +13,14 @@ import pyarrow.parquet as pq
 import pytest
 import trained
 
+from wasp_cli.operators.delayed import delay_steps
+
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "assistants.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def field() -> pa.Table:
-    return assistants.published("field")
-
-
-def test_the_tables_of_results_are_the_published_rows(field):
-    moderate, unseen = list(assistants.GROUPS)[:2]
+def test_the_tables_of_results_are_the_published_rows():
+    field, (moderate, unseen, _) = assistants.published("field"), assistants.GROUPS
     assert assistants.table(field, moderate) in PAGE
     assert assistants.differences(field, moderate) in PAGE
     assert assistants.table(assistants.published("assistants"), unseen) in PAGE
@@ -48,20 +46,34 @@ def test_the_table_of_the_readme_is_table_1():
     assert assistants.short(assistants.published("table1")) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_table_of_experts_is_the_published_one():
-    assert experts.table() in (DOCS / "learning.md").read_text(encoding="utf-8")
+def test_reaction_times_are_whole_decisions():
+    cars = ", ".join(f"{delay_steps(seconds, 0.16) * 0.16:.2f}" for seconds in (0.16, 0.24, 0.40)).replace("0.", ".")
+    assert f"in whole decisions (cars: {cars} s) | 0.16, 0.24, 0.40 s |" in PAGE
 
 
-def test_the_table_of_trained_parts_is_the_published_one():
-    tasks = trained.trained()
+def test_the_tables_of_experts_and_of_trained_parts_are_the_published_ones():
+    page, tasks = (DOCS / "learning.md").read_text(encoding="utf-8"), trained.trained()
     assert list(tasks) == list(trained.TASKS)
-    assert trained.table(tasks) in (DOCS / "learning.md").read_text(encoding="utf-8")
+    assert trained.table(tasks) in page
+    assert experts.table() in page
 
 
 def test_the_rule_chooses_the_least_intervention_that_keeps_the_return():
     rows = curves.shown(pq.read_table(curves.published("assistants"))).splitlines()
     chosen = {tuple(part.strip() for part in row.split("|")[2:4]) for row in rows if "by the rule" in row}
     assert {("IDA", "tau_Q, times 0"), ("Diffusion", "ratio 0.6"), ("WASP", "tau_r, times 1")} <= chosen
+
+
+def test_ida_moves_with_its_knob_at_the_median_too(monkeypatch):
+    monkeypatch.setattr(curves, "build_assistant", lambda method, config, parts: parts.thresholds["tau_q"])
+    parts = curves.Parts(None, None, {}, {"tau_q": 0.0, "margin_p95": 0.03}, 0.99, 0.95, 0.95)
+    assert [curves.turned("ida-least", value, parts, {}) for value in (0.0, 1.0, 2.0)] == [0.0, 0.03, 0.06]
+
+
+def test_curves_that_are_not_published_are_a_usage_error(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["curves.py", "field"])
+    with pytest.raises(SystemExit, match=r"field-curves\.parquet is not there\n(.|\n)*curves\.py field RESULTS TASK"):
+        runpy.run_path(curves.__file__, run_name="__main__")
 
 
 def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worlds():

@@ -1,6 +1,7 @@
 """The commands that the documentation shows exist, with the options that it shows."""
 
 import csv
+import json
 import re
 import shlex
 import shutil
@@ -19,6 +20,7 @@ from wasp_cli.drive.session import shipped
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import ablation, load, read_sweep
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
@@ -116,16 +118,22 @@ def test_the_quickstart_prints_its_table(tmp_path: Path) -> None:
 
 def quickstart_rows() -> dict[str, list[str]]:
     lines = (ROOT / "docs/quickstart.md").read_text(encoding="utf-8").splitlines()
-    rows = [cells for line in lines if line.startswith("| ") and len(cells := read_row(line)) == COLUMNS][2:]
+    rows = [line[2:-2].split(" | ") for line in lines if line.startswith("| ") and line.count(" | ") == 7][2:]
     assert len(rows) == 8
     return {name.removesuffix(" (reference)"): numbers for name, *numbers in rows}
 
 
-COLUMNS = 8
+def test_the_chain_of_concepts_has_the_order_of_what_stages_need():
+    chain, _, below = blocks(ROOT / "docs/concepts.md", "")[0].splitlines()
+    kinds = [word.strip(" -+").replace("-", "").replace(" ", "_") for word in chain.split("-->")]
+    assert all(set(STAGES.load(kind).needs) <= set(kinds[:i]) for i, kind in enumerate(kinds))
+    assert chain.index("held-out") <= below.index("+-->") < chain.index("critics"), "IDA's ensemble is judged on held-out episodes"
 
 
-def read_row(line: str) -> list[str]:
-    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip()[1:-1])]
+def test_contributing_names_what_keys_cover():
+    named = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("A change in")[2].partition("can change keys")[0]
+    manifests = [json.loads(path.read_text()) for path in PUBLISHED.glob("store/*/*/_manifest.json")]
+    assert set(re.findall(r"`(\w+)`", named)) == {module.split(".")[1] for each in manifests for module in each["sources"] if "." in module}
 
 
 def test_the_film_of_the_readme_moves_and_is_small():

@@ -13,7 +13,9 @@ import pyarrow.parquet as pq
 import reproduction
 
 from tests.commands import run_here
+from wasp_cli.report.claims import judge
 from wasp_cli.spec.load import load
+from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
 ROOT = Path(__file__).parents[1]
@@ -77,11 +79,19 @@ def test_the_counts_of_verdicts_are_those_of_the_table():
         assert told in " ".join(PAGE.split())
 
 
+def test_why_claims_fail_or_stay_open_is_what_was_judged():
+    judged = {each.claim.id: each.answers for each in judge(reproduction.frame(), load_paper()).claims}
+    (failed,) = (answer for (answer,) in judged["less-than-stepwise-correction"] if answer.outcome == "fails")
+    assert f"on Goal1 the magnitude is {100 - 100 * failed.left / failed.right:.0f} % below SafeRL-Res's" in PAGE
+    claims = ("performance-preserved", "performance-of-stepwise-correction")
+    undecided = [{answer.asked.task for (answer,) in judged[claim] if answer.outcome == "undecided"} for claim in claims]
+    assert undecided == [{"formula1", "goal1"}, {"formula1"}]
+    assert f"`{'`, `'.join(claims)}`: 30 worlds are too few to decide success on FormulaOne1 (the first claim: also on Goal1)" in PAGE
+
+
 def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path):
-    film = tmp_path / "film.webp"
-    key = "ab95264a"  # race1 s1 wasp laggy=0.7 of the second edition
-    label = (key, "--episode", "0", "--every", "30")
-    run_here("replay", *label, "--results", ROOT / "results" / "published", "--out", film, columns=200, code=0)
+    film, cell = tmp_path / "film.webp", "ab95264a"  # race1 s1 wasp laggy=0.7 of the second edition
+    run_here("replay", cell, "--episode", "0", "--every", "30", "--results", STORE.parent, "--out", film, columns=200, code=0)
     assert film.stat().st_size > 10_000
 
 
@@ -111,24 +121,15 @@ def test_assistants_are_varied_over_the_published_models_without_training(tmp_pa
     assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}
 
 
-def identity_of(path: Path) -> CellIdentity:
-    names = list(CellIdentity.__dataclass_fields__)
-    return CellIdentity(**read_episodes([path]).select(names).slice(0, 1).to_pylist()[0])
-
-
 def test_in_each_training_wasp_costs_less_than_the_baselines():
     """The sentence below Table 1, and of how many differences the 95 % interval over worlds includes zero."""
     spec, second = load(ROOT / "specs" / "table1.yaml").spec, {node.key for node in reproduction.grid().nodes}
     moderate = {(operator, severity["moderate"]) for operator, severity in spec.operators.items()}
     costs: dict[tuple[str, int], dict[str, dict[int, list[int]]]] = {}
     for path in sorted(STORE.glob("evaluate/*/episodes.parquet")):
-        cell = identity_of(path)
-        if (
-            path.parent.name not in second
-            and cell.method in ("wasp", *BASELINES)
-            and cell.variant == "full"
-            and (cell.operator, cell.value) in moderate
-        ):
+        cell = CellIdentity(**read_episodes([path]).select(list(CellIdentity.__dataclass_fields__)).slice(0, 1).to_pylist()[0])
+        compared = cell.method in ("wasp", *BASELINES) and cell.variant == "full"
+        if compared and (cell.operator, cell.value) in moderate and path.parent.name not in second:
             for row in pq.read_table(path, columns=["episode_seed", "cost"]).to_pylist():
                 worlds = costs.setdefault((cell.task, cell.seed), {}).setdefault(cell.method, {})
                 worlds.setdefault(row["episode_seed"], []).append(row["cost"])

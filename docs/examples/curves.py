@@ -1,7 +1,7 @@
 """What does each assistant give for how often it acts? Vary its one knob, print the curves and the operating points, and draw the figure.
 
-python docs/examples/curves.py SPEC                    from the published rows of `assistants` or `field`
-python docs/examples/curves.py SPEC RESULTS TASK ...   measure what is not in RESULTS yet, with the models of that spec there
+python docs/examples/curves.py                          from the published rows of `assistants`
+python docs/examples/curves.py field RESULTS TASK ...   measure what is not in RESULTS yet, with the published models of that spec
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
+PUBLISHED = ROOT / "results" / "published"
 PICTURE = ROOT / "docs" / "pictures" / "curves.png"
 SEED, EPISODES = 500, 10
 OPERATORS = {"noisy": 0.45, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24}
@@ -66,7 +67,7 @@ KNOBS = {
     "wasp": Knob("tau_r, times", (0.0, 0.25, 0.5, 0.7, 1.0, 1.4, 2.0)),
 }
 THRESHOLDS = {"filter": "tau_c", "mpmi": "tau_c", "reach": "gamma", "wasp": "tau_r"}
-"""Of the methods that are not IDA's, what is multiplied."""
+"""What is multiplied. tau_Q is of its default, the 95th percentile: at the quantile .5 of `specs/field.yaml` it is 0."""
 LEAST_RETURN = 0.98
 """The operating point is the value of least effective intervention rate among those that keep this share of the best return of the curve;
 both are means over the tasks. Where none keeps it on all tasks together, the value that keeps most."""
@@ -85,7 +86,7 @@ class Scaled:
 
 def published(spec: str) -> Path:
     """Return the file of the published curves of a spec."""
-    return ROOT / "results" / "published" / f"{spec}-curves.parquet"
+    return PUBLISHED / f"{spec}-curves.parquet"
 
 
 def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> Assistant:
@@ -93,8 +94,10 @@ def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> A
     known = dict(parts.thresholds)
     if method in ("diffusion", "csa"):
         config = config | {"ratio": value}
+    elif method in THRESHOLDS:
+        known[THRESHOLDS[method]] *= value
     elif method != "saferl":
-        known[THRESHOLDS.get(method, "tau_q")] *= value
+        known["tau_q"] = max(0.0, known["margin_p95"]) * value
     assistant = build_assistant(method, config, replace(parts, thresholds=known))
     return Scaled(assistant, value) if method == "saferl" else assistant
 
@@ -102,10 +105,10 @@ def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> A
 def measure(name: str, results: Path, tasks: Sequence[str]) -> None:
     """Run every assistant with every value of its knob on the same episodes, and write a row for each episode: a file each."""
     torch.set_num_threads(1)
-    (results / "curves").mkdir(exist_ok=True)
+    (results / "curves").mkdir(parents=True, exist_ok=True)
     spec = load(ROOT / "specs" / f"{name}.yaml", ["variants=[full]", f"tasks=[{', '.join(tasks)}]"]).spec
-    layout = Layout(results.absolute())
-    grid = lay_out_over(spec, layout, None)
+    layout = Layout(PUBLISHED)
+    grid = lay_out_over(spec, layout, str(PUBLISHED))
     nodes = {(cell.task, cell.method): node for cell, node in grid.cells if cell.operator in OPERATORS and cell.method in KNOBS}
     for (task, method), node in nodes.items():
         path = results / "curves" / f"{task}-{method}.parquet"
@@ -220,6 +223,9 @@ def draw(rows: pa.Table, path: Path) -> None:
 if __name__ == "__main__":
     spec, *measured = sys.argv[1:] or ["assistants"]
     source = published(spec)
+    needed = ROOT / "specs" / f"{spec}.yaml" if measured else source
+    if not needed.is_file():
+        sys.exit(f"{needed} is not there\n\n{__doc__}")
     if measured:
         results, *tasks = measured
         measure(spec, Path(results), tasks)
