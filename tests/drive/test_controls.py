@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.drive.desk import KEYS, Desk, Held, action_of
+from wasp_cli.drive.desk import KEYS, PAUSE, Desk, Held, action_of
 from wasp_cli.video.map import stick
 
 UNIT = st.floats(-1.0, 1.0, width=32)
@@ -46,8 +46,13 @@ def test_the_action_drives_as_the_stick_says(forward: float, left: float, drive:
 
 def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> None:
     desk = Desk()
+    desk.come()
     desk.hold(frozenset({"ArrowUp"}), (0.0, 0.0), 1)
     desk.hold(frozenset({"ArrowLeft", "KeyQ"}), (0.5, 0.0), 2)
     assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset({"ArrowLeft"}), (0.5, 0.0), 2)
+    assert desk.asked() is None
     desk.focus(False)
     assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset(), (0.0, 0.0), 2)
+    desk.hold(frozenset(), (0.7, 0.0), 3)
+    assert desk.held.axes == (0.0, 0.0), "a gamepad says something without the window's focus too"
+    assert desk.asked() == PAUSE

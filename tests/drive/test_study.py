@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from tests.commands import run_here
-from tests.drive.conftest import wanted
+from tests.drive.conftest import asking, served, wanted
 from wasp_cli.cli import app
 from wasp_cli.drive.block import Block
-from wasp_cli.drive.check import Habits
+from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.command import drive_session, withdrawn
+from wasp_cli.drive.desk import END
+from wasp_cli.drive.session import Session
 from wasp_cli.errors import UsageError
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import TABLES
 from wasp_cli.report.tables import who_title
+from wasp_cli.run.record import read_run
+from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.goal.task import Goal
@@ -101,6 +110,41 @@ def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:
     page = (trial / "reports" / "trial" / "report.html").read_text()
     assert "Raw TLX" in page
     assert "NOT BALANCED" not in page
+
+
+def test_who_stops_early_hides_nobody_and_is_asked_again(trial: Path, spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Goal, "num_steps", 80)  # 20 decisions
+    results, asked = tmp_path / "results", list[str]()
+    shutil.copytree(trial, results, ignore=shutil.ignore_patterns("evaluate", "runs"))
+
+    def prepared(number: int, simulated: bool = True) -> Session:
+        more: dict[str, object] = {"episodes": 2, "participant": number, "simulated": simulated, "settings": ("study.practice=0",)}
+        return wanted(results, what=str(spec), method=None, speed=40.0, **more).prepared()
+
+    def sat(number: int, requests: dict[int, str], stops: bool = False) -> Session:
+        def answers(form: Mapping[str, Any]) -> dict[str, Any]:
+            asked.append(form["name"])
+            if stops and form["name"] == "tlx":
+                desk.ask(END)
+                return {"scales": {}}
+            return Habits(number).answers(form)
+
+        session = prepared(number)
+        with served(session) as (desk, server, clock):
+            asyncio.run(drive(server.address, asking(desk, requests), answers))
+            clock.join(300)
+        return session
+
+    assert sat(1, {}, stops=True).done == []
+    whole = {block["key"] for block in sat(1, {}).done}
+    assert asked == ["consent", "tlx", "consent", "tlx", "assistance", "tlx", "assistance"], "what was driven and not asked is asked"
+    (part,) = sat(2, {1: END}).done
+    layout = Layout(results)
+    planned = {key for _, key in read_run(layout, last_runs(layout)[0]["trial"]).cells}
+    assert (len(whole), part["episodes"], whole <= planned) == (2, 1, True), "a report shows the last run"
+    assert exists(layout, "evaluate", part["key"])
+    with pytest.raises(UsageError, match="was driven by a script"):
+        prepared(2, simulated=False)
 
 
 def test_a_trial_does_not_pass_for_a_person(trial: Path, spec: Path) -> None:
