@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.drive.desk import KEYS, PAUSE, Desk, Held, action_of
+from wasp_cli.drive.desk import END, GO, KEYS, PAUSE, Desk, Held, action_of
 from wasp_cli.video.map import stick
 
 UNIT = st.floats(-1.0, 1.0, width=32)
@@ -56,3 +58,6 @@ def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> N
     desk.hold(frozenset(), (0.7, 0.0), 3)
     assert desk.held.axes == (0.0, 0.0), "a gamepad says something without the window's focus too"
     assert desk.asked() == PAUSE
+    threading.Timer(0.1, desk.ask, (END,)).start()
+    desk.ask(GO)
+    assert desk.wait() == END

@@ -104,11 +104,12 @@ class Desk:
             return request if self.focused else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
+        """Wait for one of these requests; GO counts with the window's focus alone."""
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
                 request, self._request = self._request, None
-                if request in wanted:
+                if request in wanted and (request != GO or self.focused):
                     return str(request)
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
