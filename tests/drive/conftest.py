@@ -19,7 +19,7 @@ from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 
 
-def wanted(results: Path, method: str = "human", speed: float = 4.0, **more: object) -> Wanted:
+def wanted(results: Path, method: str | None = "human", speed: float = 4.0, **more: object) -> Wanted:
     """What `wasp drive goal1` is asked for, with the published models."""
     asked = {"what": "goal1", "participant": None, "episodes": 1, "session": None, "hide": (), "preset": None, "settings": (), "jobs": 1}
     return Wanted(method=method, speed=speed, results=results, **{**asked, **more})  # type: ignore[arg-type]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,18 +33,13 @@ def test_a_stick_stays_within_its_bounds(keys: set[str], forward: float, left: f
     assert np.abs(Held(frozenset(keys), (forward, left)).stick).max() <= 1.0
 
 
-class _Driven:
-    def __init__(self, drive: str) -> None:
-        self.drive = drive
-
-
 @given(UNIT, UNIT, st.sampled_from(["point", "car"]))
 def test_the_action_drives_as_the_stick_says(forward: float, left: float, drive: str) -> None:
     """A film draws an action as the stick that it came from, as far as the wheels reach."""
     action = action_of(np.array([forward, left], np.float32), drive)
     assert np.abs(action).max() <= 1.0
     if drive == "point" or abs(forward) + abs(left) <= 1.0:
-        np.testing.assert_allclose(stick(_Driven(drive), action.astype(np.float64)), [forward, left], atol=1e-6)
+        np.testing.assert_allclose(stick(SimpleNamespace(drive=drive), action.astype(np.float64)), [forward, left], atol=1e-6)
 
 
 def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> None:

@@ -121,8 +121,7 @@ class Session:
         record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell), self.begun.get(node.key))
         desk.state("loading", block=number + 1, blocks=len(self.blocks))
         block = self.built(desk, cell, node, node.axes["method_config"])
-        ended = False
-        lost, blurred = desk.lost, desk.blurred
+        ended, lost, blurred = False, desk.lost, desk.blurred
         told = {"block": number + 1, "blocks": len(self.blocks), "skips": self.study is None}  # in a study everyone drives the same worlds
         try:
             while record.finished < config["episodes"] and not ended:
@@ -228,8 +227,7 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
             own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
             require_whole(layout, [*((each.kind, each.key) for each in own), *node_inputs(node)])
-            if parts:
-                begun[node.key] = folders[-1]
+            begun.update((node.key, folder) for folder in folders[1:])  # the longest comes last
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study, begun=begun)
 
