@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from wasp_cli.drive import server as server_module
+from wasp_cli.drive.check import Driver, to_the_goal
 from wasp_cli.drive.command import Wanted
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
@@ -18,7 +19,7 @@ from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 
 
-def wanted(results: Path, method: str = "human", speed: float = 4.0, **more: object) -> Wanted:
+def wanted(results: Path, method: str | None = "human", speed: float = 4.0, **more: object) -> Wanted:
     """What `wasp drive goal1` is asked for, with the published models."""
     asked = {"what": "goal1", "participant": None, "episodes": 1, "session": None, "hide": (), "preset": None, "settings": (), "jobs": 1}
     return Wanted(method=method, speed=speed, results=results, **{**asked, **more})  # type: ignore[arg-type]
@@ -38,6 +39,20 @@ def served(session: Session) -> Iterator[tuple[Desk, Server, threading.Thread]]:
         desk.ask(END)
         clock.join(300)
         server.stop()
+
+
+def asking(desk: Desk, requests: dict[int, str]) -> Driver:
+    """A driver who asks for something in the middle of an episode, by how many began before it."""
+    seen = {"episodes": -1, "t": -1}
+
+    def keys(header: Mapping[str, Any]) -> list[str]:
+        seen["episodes"] += header["t"] < seen["t"] or seen["t"] < 0
+        seen["t"] = header["t"]
+        if header["t"] > 3 and (request := requests.pop(seen["episodes"], None)):
+            desk.ask(request)
+        return to_the_goal(header)
+
+    return keys
 
 
 @contextmanager

@@ -32,7 +32,6 @@ def test_an_assistant_whose_beat_is_over_has_its_time_nevertheless() -> None:
     decider: Decider[str] = Decider()
     try:
         clock = Clock(0.1)
-        clock.begin()
         for _ in range(50):
             clock.spent(0.5)
         clock.beat()
@@ -96,7 +95,6 @@ def _after(seconds: float, answer: str) -> str:
 
 def test_a_slow_beat_moves_the_later_ones_instead_of_skipping_them(hands: Hands) -> None:
     clock = Clock(0.1)
-    clock.begin()
     assert clock.beat() == (hands.now, 0.0)
     hands.now += 0.25
     begun, behind = clock.beat()
@@ -106,7 +104,6 @@ def test_a_slow_beat_moves_the_later_ones_instead_of_skipping_them(hands: Hands)
 
 def test_the_deadline_leaves_time_for_everything_else(hands: Hands) -> None:
     clock = Clock(0.1)
-    clock.begin()
     begun, _ = clock.beat()
     assert begun < clock.deadline() < clock.due
     for _ in range(50):

@@ -59,7 +59,8 @@ def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 def test_late_is_a_gate_of_its_own_in_the_rows(late: tuple[Path, str, str]) -> None:
     folder = Layout(late[0]).artifact("evaluate", late[1])
     marked = np.array(read_timing(folder / TIMING_FILE)["late"].to_pylist())
-    gates = np.array(read_steps(cell_file(folder))["gate"].to_pylist())
+    gates, a_h, a = (np.array(read_steps(cell_file(folder))[name].to_pylist()) for name in ("gate", "a_h", "a"))
+    assert (a_h[marked] == a[marked]).all(), "the command is executed as it is"
     assert marked.sum() > 80
     assert (gates[marked] == GATE_LATE).all()
     assert not (gates[~marked] == GATE_LATE).any()

@@ -75,18 +75,27 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         first = tab.value("frame.header.t")
         tab.until(f"frame.header.t > {first} + 3 && frame.header.command[1] === 1")
 
-        # The window loses the focus: nothing stays held.
+        # The window loses the focus: nothing stays held, and the world waits.
         tab.value("window.dispatchEvent(new Event('blur'))")
         comes(set())
-        eventually(lambda: not desk.focused)
-        tab.value("window.dispatchEvent(new Event('focus'))")
+        tab.until("phase === 'paused'")
         tab.key(False, "KeyA")
+        focus = "window.dispatchEvent(new Event('focus'))"
+        tab.value(focus)
+
+        # A gamepad that is unplugged lets go.
+        for plugged, axes in (("{axes: [0, -0.5]}", (0.5, 0.0)), ("null", (0.0, 0.0))):
+            tab.value(f"void (navigator.getGamepads = () => [{plugged}])")
+            eventually(lambda axes=axes: desk.held.axes == axes)
 
         # A second tab is told, and changes nothing.
         second = browser.tab()
         second.open(server.address)
         second.until("document.body.innerText.includes('Somebody drives already')")
         second.close()
+        tab.value(focus)
+        tab.click("Go on")
+        tab.until("phase === 'driving'")
 
         # The connection breaks in the middle: the world waits, and goes on where it was.
         tab.key(True, "ArrowUp")
@@ -137,5 +146,4 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
     assert {"", "ArrowDown", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys), "a key that is held while Go is pressed drives"
     forward, back, left = (np.array([name in held.split() for held in keys], float) for name in ("ArrowUp", "ArrowDown", "KeyA"))
     np.testing.assert_array_equal(commands, np.stack([forward - back, left], 1))
-    assert not all(beats["focused"].to_pylist())
-    assert desk.lost == 1
+    assert (desk.lost, desk.blurred) == (1, 1)

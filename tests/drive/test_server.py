@@ -65,14 +65,11 @@ def test_the_page_needs_the_token(server: Server) -> None:
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "localhost.evil.example:80"])
 def test_a_name_of_another_host_is_refused(server: Server, host: str) -> None:
-    """What a page of another site reaches through its own name server (DNS rebinding)."""
+    """What a page of another site reaches through its own name server (DNS rebinding). A tunnel may have another port."""
     assert get(server, f"/?token={server.token}", host)[0] in (400, 403)
     assert get(server, "/drive.js", host)[0] in (400, 403)
-
-
-@pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1:22", "[::1]:9000"])
-def test_a_tunnel_may_have_another_port(server: Server, host: str) -> None:
-    assert get(server, f"/?token={server.token}", host)[0] == 200
+    for own in ("localhost:9000", "127.0.0.1:22", "[::1]:9000"):
+        assert get(server, f"/?token={server.token}", own)[0] == 200
 
 
 @pytest.mark.parametrize("path", ["/../server.py", "/%2e%2e/server.py", "/index.html", "/drive.js/..", "/etc/passwd", "/socket"])
@@ -136,9 +133,6 @@ def test_a_giant_message_is_not_even_read(server: Server) -> None:
             ws.send("x" * 50_000_000)
         with pytest.raises(ConnectionClosed):
             ws.recv(timeout=300)
-    wait_until(lambda: not server.desk.present)
-    with driver(server) as ws:
-        assert state(ws)["phase"] == "starting"
 
 
 def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
@@ -186,10 +180,10 @@ def test_a_port_that_is_taken_is_said() -> None:
             Server(Desk(), taken.getsockname()[1])
 
 
-def test_an_answer_that_comes_at_once_is_not_lost() -> None:
-    """A script answers before the thread that asked has begun to wait."""
-    desk = Desk(lambda: desk.answer({"agreed": True}) if desk.outgoing()[0] else None)
-    asked = threading.Thread(target=lambda: found.append(desk.answers({"name": "consent"})), daemon=True)
+def test_an_answer_that_comes_at_once_is_not_lost_and_one_to_another_form_does_not_count() -> None:
+    """A script answers before the thread that asked has begun to wait; a second click may come when the next form is there."""
+    desk = Desk(lambda: [desk.answer(each) for each in ({"agreed": True}, {"agreed": None, "mental": 3.0})] if desk.outgoing()[0] else None)
+    asked = threading.Thread(target=lambda: found.append(desk.answers({"name": "consent", "scales": []})), daemon=True)
     found: list[object] = []
     asked.start()
     asked.join(300)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from tests.commands import run_here
-from tests.drive.conftest import wanted
+from tests.drive.conftest import asking, served, wanted
 from wasp_cli.cli import app
 from wasp_cli.drive.block import Block
-from wasp_cli.drive.check import Habits
+from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.command import drive_session, withdrawn
+from wasp_cli.drive.desk import END
 from wasp_cli.errors import UsageError
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import TABLES
-from wasp_cli.report.tables import who_title
+from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.goal.task import Goal
@@ -62,7 +68,7 @@ def trial(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results
 
 
-def sessions(results: Path) -> list[dict[str, object]]:
+def sessions(results: Path) -> list[dict[str, Any]]:
     found = [json.loads(path.read_text()) for path in (Layout(results).store / "evaluate").glob(f"*/{SESSION_FILE}")]
     return sorted(found, key=lambda each: (each["number"], each["block"]))
 
@@ -72,12 +78,7 @@ def test_everybody_drove_every_condition_in_an_order_of_their_own(trial: Path, s
     assert [(each["number"], each["block"]) for each in found] == [(1, 0), (1, 1), (2, 0), (2, 1)]
     assert all(each["simulated"] and each["consent"] == {"version": "3", "agreed": True} for each in found)
     for each in found:
-        answers = each["answers"]
-        assert isinstance(answers, dict)
-        assert {name: len(scales) for name, scales in answers.items()} == {"tlx": 6, "assistance": 3}
-    everyone = wanted(trial, what=str(spec), method=None, episodes=None, simulated=True).everyone()
-    orders = [[who_title(cell.method, cell.assistant) for cell, _ in each.prepared().blocks] for each in everyone]
-    assert orders == [["Human-only", "IDA"], ["IDA", "Human-only"]]
+        assert {name: len(scales) for name, scales in each["answers"].items()} == {"tlx": 6, "assistance": 3}
 
 
 def test_orders_are_shown_without_computing_anything(spec: Path, tmp_path: Path) -> None:
@@ -103,9 +104,35 @@ def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:
     assert "NOT BALANCED" not in page
 
 
-def test_a_trial_does_not_pass_for_a_person(trial: Path, spec: Path) -> None:
-    with pytest.raises(UsageError, match="was driven by a script"):
-        wanted(trial, what=str(spec), method=None, episodes=None, participant=1).prepared()
+def test_who_stops_early_hides_nobody_and_is_asked_again(trial: Path, spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Goal, "num_steps", 80)  # 20 decisions
+    layout, asked = Layout(tmp_path / "results"), list[str]()
+    shutil.copytree(trial, layout.root, ignore=shutil.ignore_patterns("evaluate", "runs"))
+    more: dict[str, Any] = {"what": str(spec), "episodes": 2, "simulated": True, "settings": ("study.practice=0",)}
+
+    def sat(participant: int, requests: dict[int, str]) -> list[dict[str, Any]]:
+        def answers(form: Mapping[str, Any]) -> dict[str, Any]:
+            asked.append(form["name"])
+            if asked == ["consent", "tlx"]:
+                desk.ask(END)
+                return {"scales": {}}
+            return Habits(1).answers(form)
+
+        session = wanted(layout.root, None, 40.0, participant=participant, **more).prepared()
+        with served(session) as (desk, server, clock):
+            asyncio.run(drive(server.address, asking(desk, requests), answers))
+            clock.join(300)
+        return session.done
+
+    assert sat(1, {}) == []
+    whole = {block["key"] for block in sat(1, {})}
+    assert asked[2:] == ["consent", *2 * ["tlx", "assistance"]], "what was driven and not asked is asked"
+    (part,) = sat(2, {1: END})
+    planned = {key for _, key in read_run(layout, last_runs(layout)[0]["trial"]).cells}
+    assert (len(whole), whole <= planned, part["episodes"], len(sessions(layout.root))) == (2, True, 1, 3), "a report shows the last run"
+    for participant in (1, 2):
+        with pytest.raises(UsageError, match="was driven by a script"):
+            wanted(layout.root, None, participant=participant, **more | {"simulated": False}).prepared()
 
 
 def test_a_plan_says_who_has_to_drive(spec: Path, tmp_path: Path) -> None:
@@ -123,6 +150,7 @@ def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec
     mine = next(key for key, each in told.items() if each["number"] == 2)
     film = trial / ".wasp-view" / "films" / f"{mine}-0-film"
     film.mkdir(parents=True)
+    assert withdrawn(wanted(trial, participant=3)) == 0, "somebody else's"
     assert withdrawn(wanted(trial, what=str(spec), method=None, episodes=None, participant=2)) == 3
     assert not film.exists()
     assert [each["number"] for each in sessions(trial)] == [1, 1]

@@ -10,10 +10,13 @@ from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote
 
+import pyarrow as pa
 import pytest
 
 from tests.commands import run_here
 from tests.view.conftest import brought, viewed
+from wasp_cli.store.parquet import write_table
+from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE
 from wasp_cli.view.server import ViewServer
 
 LABEL = "goal1 s1 human noisy=0.45"
@@ -103,15 +106,19 @@ def test_the_pages_change_nothing(server: ViewServer) -> None:
 
 def test_a_session_of_a_person_shows_who_drove_and_how_well_in_time(server: ViewServer) -> None:
     cell = server.site.cells.listed()[0]
-    session = {"participant": 7, "timing": {"late": 3, "late_share": 0.01}, "sittings": [{"begun": "2026-05-01T12:00:00"}]}
-    path = server.site.layout.artifact("evaluate", cell.key) / "_session.json"
+    session = {"participant": 7, "sittings": [{"begun": "2026-05-01T12:00:00"}]}
+    folder = server.site.layout.artifact("evaluate", cell.key)
     assert "The session" not in ask(server, CELL)[2]
-    path.write_text(json.dumps(session), encoding="utf-8")
+    (folder / SESSION_FILE).write_text(json.dumps(session), encoding="utf-8")
+    beat = dict.fromkeys(BEAT.names, 0) | {"late": True, "focused": True, "keys": "", "decision_ms": 7.5}
+    write_table(pa.Table.from_pylist([beat], BEAT), folder / TIMING_FILE)
     try:
         body = ask(server, CELL)[2]
     finally:
-        path.unlink()
-    for name, value in (("participant", "7"), ("timing: late", "3"), ("sittings 1: begun", "2026-05-01T12:00:00")):
+        (folder / SESSION_FILE).unlink()
+        (folder / TIMING_FILE).unlink()
+    facts = {"participant": 7, "sittings 1: begun": "2026-05-01T12:00:00", "timing: late": 1, "timing: decision_p50_ms": 7.5}
+    for name, value in facts.items():
         assert f"<dt>{name}</dt><dd>{value}</dd>" in body
 
 

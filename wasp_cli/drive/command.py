@@ -7,6 +7,7 @@ import shutil
 import threading
 import time
 import webbrowser
+from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,9 +19,11 @@ from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import Session, cells_of, driven_by, free_session, ordered, participants, prepared, shipped
+from wasp_cli.drive.session import Session, cells_of, driven, driven_by, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.grid import together
+from wasp_cli.plan.node import Cell, Node, with_upstream
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.tables import who_title
@@ -98,9 +101,8 @@ class Wanted:
                     raise UsageError(f"{name} is for a task; '{self.what}' is a spec, which says it", "change the spec, or use --set")
             episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
             return load(Path(self.what), [*sized(self.preset, self.settings), *episodes])
-        if self.session is not None:
-            return self._of(self.session)
-        return self._of(free_session(Layout(self.results.absolute()), self._of))
+        layout = Layout(self.results.absolute())
+        return self._of([free_session(layout, lambda number: self._of([number])) if self.session is None else self.session])
 
     def _require_spec(self) -> None:
         if spec_path(Path(self.what)).exists():
@@ -110,27 +112,33 @@ class Wanted:
         if Path(self.what).name == self.what and not self.what.endswith(SUFFIX):
             raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])
 
-    def _of(self, session: int, methods: Sequence[str] = (), seeds: Sequence[int] = ()) -> Loaded:
+    def _of(self, seeds: Sequence[int]) -> Loaded:
         number = self.participant or 0
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
         episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
-        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*episodes, *self.settings])
+        return shipped(self.what, [method], number, seeds, self.preset, [*episodes, *self.settings])
 
     def record(self, session: Session) -> None:
-        """Write down what this participant has driven of a task so far, so that a report shows all of it."""
+        """Make a run of all that was driven of tasks so far with these settings, by whomever: a report shows the last run."""
         if not self._is_task:
             return
-        layout, numbers = session.layout, range(max(session.loaded.spec.seeds) + 1)
-        # One by one: beside a method whose parts are not published, those of the others would have to be trained again.
-        methods = [name for name in METHODS if METHODS[name].impaired]
-        grids = [lay_out_over(self._of(0, [name], numbers).spec, layout, None) for name in methods]
-        there = [cell for grid in grids for cell, node in grid.cells if exists(layout, node.kind, node.key)]
-        if there:
-            methods, seeds = list(dict.fromkeys(cell.method for cell in there)), sorted({cell.seed for cell in there})
-            driven = self._of(0, methods, seeds)
-            new_run(layout, driven, plan_against(lay_out_over(driven.spec, layout, None), layout))
+        layout, driven_of = session.layout, defaultdict[tuple[Any, ...], set[int]](set)
+        for _, manifest in driven(layout):
+            axes = manifest["axes"]
+            if manifest["task"] in TASKS and axes["method"] in METHODS:
+                driven_of[manifest["config"]["episodes"], manifest["task"], axes["method"], int(axes["value"])].add(manifest["seed"])
+        grids, cells = [], dict[Cell, Node]()
+        for (episodes, task, method, number), seeds in sorted(driven_of.items()):  # the whole of a sitting after its beginning
+            asked = replace(self, what=task, method=method, participant=number, episodes=episodes)._of(sorted(seeds))
+            grids.append(lay_out_over(asked.spec, layout, None))
+            cells |= {cell: node for cell, node in grids[-1].cells if exists(layout, node.kind, node.key)}
+        if cells:
+            grid = replace(together(grids), cells=tuple(cells.items()), nodes=tuple(with_upstream(cells.values())))
+            several = {name: tuple(dict.fromkeys(getattr(cell, name[:-1]) for cell in cells)) for name in ("tasks", "methods", "seeds")}
+            everything = replace(session.loaded, spec=session.loaded.spec.model_copy(update=several))
+            new_run(layout, everything, plan_against(grid, layout))
 
 
 def drive_session(session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None) -> dict[str, Any]:
@@ -182,10 +190,7 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     if session.failure is not None:
         raise session.failure
     if interrupted:
-        kept = sum(block["episodes"] for block in session.done)
-        raise Interrupted(
-            f"interrupted: {kept} finished episode{' is' if kept == 1 else 's are'} kept", "the same command goes on where it was"
-        )
+        raise Interrupted("interrupted: finished episodes are kept", "the same command goes on where it was")
     return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
 
 

@@ -98,26 +98,25 @@ class Desk:
         self.changed()
 
     def asked(self) -> str | None:
-        """Return and forget what was asked for. Where nobody is there, it is a pause."""
+        """Return and forget what was asked for. Where nobody is there, or the window has no focus, it is a pause."""
         with self._lock:
             request, self._request = self._request, None
-            return request if self._drivers else request or PAUSE
+            return request if self.focused else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
+        """Wait for one of these requests; GO counts with the window's focus alone."""
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
                 request, self._request = self._request, None
-                if request in wanted:
+                if request in wanted and (request != GO or self.focused):
                     return str(request)
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
         """Show a form and wait for its answers; None where the driver ends instead."""
         with self._lock:
-            # Before the page knows of the form: a quick answer must not be taken for one to an earlier form.
             self._answers = None
-        self.state("form", form=form)
-        with self._lock:
+            self.state("form", form=form)
             self._lock.wait_for(lambda: self._answers is not None or self._request == END)
             return self._answers
 
@@ -153,9 +152,12 @@ class Desk:
             self._lock.notify_all()
 
     def answer(self, values: dict[str, Any]) -> None:
+        """Take answers to all questions of the form that is shown, and no others: a second click may come when the next form is there."""
         with self._lock:
-            self._answers = values
-            self._lock.notify_all()
+            form = self._state.get("form")
+            if form is not None and values.keys() - {"agreed"} == {scale["name"] for scale in form["scales"]}:
+                self._answers = values
+                self._lock.notify_all()
 
     def focus(self, there: bool) -> None:
         """Note whether the window has the focus; without it nothing is held."""
@@ -166,8 +168,9 @@ class Desk:
             self._release()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state of the controls; keys that mean nothing here are left out."""
-        self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
+        """Take a new state of the controls, unless the window has no focus; keys that mean nothing here are left out."""
+        if self.focused:
+            self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
 
     def _release(self) -> None:
         self.held = Held(number=self.held.number, at=time.monotonic())

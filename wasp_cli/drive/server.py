@@ -147,7 +147,7 @@ class Server(LocalServer):
                 second, count = now, 0
             count += 1
             if count > MOST:
-                await self._refuse(ws, "too many messages")
+                await ws.close(TOO_MUCH, "too many messages")
                 return
             text = received.get("text")
             try:
@@ -155,12 +155,9 @@ class Server(LocalServer):
                     raise ValueError("not a text")
                 message = MESSAGE.validate_json(text)
             except (ValidationError, ValueError):
-                await self._refuse(ws, "a message that the page does not send")
+                await ws.close(TOO_MUCH, "a message that the page does not send")
                 return
             self._take(message)
-
-    async def _refuse(self, ws: WebSocket, why: str) -> None:
-        await ws.close(TOO_MUCH, why)
 
     def _take(self, message: Any) -> None:
         desk = self.desk

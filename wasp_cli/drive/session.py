@@ -22,7 +22,7 @@ import pyarrow.compute as pc
 import torch
 
 from wasp_cli import seeds
-from wasp_cli.console import plain, waiting_aloud
+from wasp_cli.console import plain
 from wasp_cli.drive.block import ALONE, SHOWN, Beat, Block, Cut, Driven, How
 from wasp_cli.drive.desk import END, NEXT, Desk
 from wasp_cli.errors import UsageError
@@ -43,7 +43,7 @@ from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys, write_record
 from wasp_cli.store.layout import Layout, is_key
-from wasp_cli.store.lock import held
+from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
@@ -63,6 +63,7 @@ class Session:
     facts: dict[str, Any] = field(default_factory=dict)
     done: list[dict[str, Any]] = field(default_factory=list)
     failure: BaseException | None = None
+    begun: dict[str, Path] = field(default_factory=dict)  # by key of a cell, the folder of its first episodes: a sitting that ended early
 
     @property
     def participant(self) -> str:
@@ -75,15 +76,17 @@ class Session:
             return
         practised = 0 if self.study is None else self.study.practice
         for number, (cell, node) in enumerate(self.blocks):
-            if exists(self.layout, node.kind, node.key):
-                plain(f"{node.label}: driven before")
-                continue
-            if practised:
-                if not self._practice(desk, cell, node, practised):
+            with held_if_free(self.layout.lock(node.key)) as mine:
+                if not mine:
+                    raise UsageError(f"{node.label} is driven in another window", "end that session, then start this one again")
+                if exists(self.layout, node.kind, node.key):
+                    plain(f"{node.label}: driven before")
+                    continue
+                if practised and not self._practice(desk, cell, node, practised):
                     break
                 practised = 0
-            if not self._block(desk, number, cell, node):
-                break
+                if not self._block(desk, number, cell, node):
+                    break
         # In a study the driver is told nothing that tells the conditions apart.
         desk.state("over", text="Thank you. You can close this page.", blocks=self.done if self.study is None else [])
 
@@ -115,16 +118,15 @@ class Session:
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
         identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-        record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell), self._begun(cell, config["episodes"]))
+        record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell), self.begun.get(node.key))
         desk.state("loading", block=number + 1, blocks=len(self.blocks))
         block = self.built(desk, cell, node, node.axes["method_config"])
-        skipped, ended = 0, False
-        lost, blurred = desk.lost, desk.blurred
+        ended, lost, blurred = False, desk.lost, desk.blurred
         told = {"block": number + 1, "blocks": len(self.blocks), "skips": self.study is None}  # in a study everyone drives the same worlds
         try:
             while record.finished < config["episodes"] and not ended:
                 e = record.finished
-                layout = seeds.layout_seed(cell.task, cell.seed, e + skipped)
+                layout = seeds.layout_seed(cell.task, cell.seed, e + (record.skipped if self.study is None else 0))
                 own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
                 outcome = block.episode(e, layout, own, {**told, "of": config["episodes"]})
                 if isinstance(outcome, Driven):
@@ -135,51 +137,33 @@ class Session:
                         desk.say(block.review(outcome))
                 else:
                     record.cut(outcome)
-                    skipped += outcome.why == NEXT and self.study is None
                     ended = outcome.why == END
         finally:
             block.close()
             record.count(lost_connection=desk.lost - lost, lost_focus=desk.blurred - blurred)
         whole: bool = record.finished == config["episodes"]
-        if whole:
-            self._ask(desk, record)
+        if whole and not self._ask(desk, record):
+            plain(f"{node.label}: driven; the next sitting asks its questions")
+            return False
         if record.finished:
-            self._publish(record, cell, node, whole)
+            # Under the run of the session: one of fewer episodes would be the last of its spec, and its report would show nothing else.
+            of = node if whole else dict(lay_out_over(limited(self.loaded, record.finished).spec, self.layout, None).cells)[cell]
+            timing = record.publish(self.run_id, of)
+            self.done.append({"label": of.label, "key": of.key, "episodes": record.finished, "of": config["episodes"], **timing})
         return whole
 
-    def _begun(self, cell: Cell, episodes: int) -> Path | None:
-        """The folder of the same cell with fewer episodes, as many as there are: a sitting that ended early."""
-        for count in range(episodes - 1, 0, -1):
-            node = self._limited(cell, count)[1]
-            if exists(self.layout, node.kind, node.key):
-                require_whole(self.layout, [(node.kind, node.key)])
-                return self.layout.artifact(node.kind, node.key)
-        return None
-
-    def _limited(self, cell: Cell, episodes: int) -> tuple[Grid, Node, Loaded]:
-        """The cell with its first episodes alone, with the grid and the spec that ask for it."""
-        part = limited(self.loaded, episodes)
-        grid = lay_out_over(part.spec, self.layout, None)
-        return grid, next(node for each, node in grid.cells if each == cell), part
-
-    def _ask(self, desk: Desk, record: CellRecord) -> None:
+    def _ask(self, desk: Desk, record: CellRecord) -> bool:
+        """Ask all questions; False where the driver ends instead."""
         answers: dict[str, dict[str, float]] = {}
         for name in () if self.study is None else self.study.questionnaires:
             scales = [{"name": scale, "text": text, "low": low, "high": high} for scale, text, low, high in QUESTIONS[name]]
             given = desk.answers({"name": name, "title": "", "text": "", "scales": scales})
             if given is None:
-                break
-            answers[name] = {scale["name"]: float(given[scale["name"]]) for scale in scales if scale["name"] in given}
+                return False
+            answers[name] = {scale["name"]: float(given[scale["name"]]) for scale in scales}
         if answers:
             record.note(answers=answers)
-
-    def _publish(self, record: CellRecord, cell: Cell, node: Node, whole: bool) -> None:
-        run_id, of = self.run_id, node
-        if not whole:
-            grid, of, part = self._limited(cell, record.finished)
-            run_id = new_run(self.layout, part, plan_against(grid, self.layout))
-        timing = record.publish(run_id, of)
-        self.done.append({"label": of.label, "key": of.key, "episodes": record.finished, "of": node.config["episodes"], **timing})
+        return True
 
     def _facts(self, number: int, cell: Cell) -> dict[str, Any]:
         return {
@@ -227,21 +211,25 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     if not recorded:
         discard(layout.run(made.run_id))
         return Session(loaded, layout, made.run_id, ordered(mine, participant), how, spec.study)
-    for _, node in mine:
-        if exists(layout, node.kind, node.key):
-            # No trial of a script passes for a person's session, nor the other way round.
-            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
-            if before.get("simulated", False) != how.simulated:
-                whose = "a script" if before.get("simulated") else "a person"
+    counts = {int(manifest["config"]["episodes"]) for _, manifest in driven(layout, participant)}
+    shorter = [dict(lay_out_over(limited(loaded, count).spec, layout, None).cells) for count in sorted(counts) if count < spec.episodes]
+    begun: dict[str, Path] = {}
+    for cell, node in mine:
+        parts = [part[cell] for part in shorter if exists(layout, part[cell].kind, part[cell].key)]
+        folders = [layout.artifact(each.kind, each.key) for each in (node, *parts)]
+        # No trial of a script passes for a person's session, nor the other way round; not the first episodes alone either.
+        for before in (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key))):
+            if before is not None and before.get("simulated", False) != how.simulated:
                 raise UsageError(
-                    f"{node.label} was driven by {whose} in '{layout.root}'",
+                    f"{node.label} was driven by {'a person' if how.simulated else 'a script'} in '{layout.root}'",
                     "use another folder with --results, or delete it: --participant N --withdraw",
                 )
-        else:  # before anybody drives: what is damaged ends no session, and no session replaces it
-            driven_before = (layout.artifact(node.kind, node.key) / SESSION_FILE).exists()
-            require_whole(layout, [(node.kind, node.key)] if driven_before else node_inputs(node))
+        if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
+            own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
+            require_whole(layout, [*((each.kind, each.key) for each in own), *node_inputs(node)])
+            begun.update((node.key, folder) for folder in folders[1:])  # the longest comes last
     run_id = new_run(layout, loaded, plan_against(grid, layout))
-    return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)
+    return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study, begun=begun)
 
 
 def shipped(
@@ -274,12 +262,13 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
     return [group[place] for group in groups.values() for place in balanced_order(len(group), participant - 1)]
 
 
-def driven_by(manifest: Mapping[str, Any], participant: int) -> bool:
+def driven_by(manifest: Mapping[str, Any], participant: int | None) -> bool:
     axes = manifest.get("axes", {})
-    return bool(axes.get("operator") == PERSON and axes.get("value") == participant)
+    return axes.get("operator") == PERSON and participant in (None, axes.get("value"))
 
 
-def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, Any]]]:
+def driven(layout: Layout, participant: int | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield key and manifest of what a participant, or anybody, drove."""
     for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
         manifest = read_manifest(layout, "evaluate", key)
         if driven_by(manifest, participant):
@@ -317,8 +306,13 @@ class CellRecord:
         self.finished = 0 if earlier is None else len(earlier.episodes)
         self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
         self._session |= facts
-        self._session["sittings"].append({"begun": _now(), "first_episode": self.finished})
+        how = {name: facts[name] for name in ("speed", "shown") if name in facts}  # a later sitting may have another speed
+        self._session["sittings"].append({"begun": _now(), "first_episode": self.finished, **how})
         self.note()
+
+    @property
+    def skipped(self) -> int:
+        return sum(cut["why"] == NEXT for cut in self._session["cut"])
 
     def _earlier(self) -> Any:
         return first_rows(self._folder, 1) if (self._folder / EPISODES_FILE).exists() else None
@@ -367,11 +361,10 @@ class CellRecord:
         begun = str(self._session["sittings"][0]["begun"])
         seconds = float(self._timing()["at"].to_numpy().max(initial=0.0))
         manifest = manifest_of(job, {**measures, "late": summary["late_share"]}, seconds, begun)
-        with held(self._layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
-            staging = staging_folder(self._layout, node.key)
-            for path in self._folder.iterdir():
-                shutil.copyfile(path, staging / path.name)
-            commit(self._layout, node.kind, node.key, staging, manifest)
+        staging = staging_folder(self._layout, self._node.key)  # whose lock is held: nobody takes it for what a killed process left
+        for path in self._folder.iterdir():
+            shutil.copyfile(path, staging / path.name)
+        commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
         return summary
 

@@ -28,7 +28,7 @@ from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.people import SESSION_FILE
+from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
@@ -125,6 +125,10 @@ def _session(site: Site, artifact: FoundCell) -> Iterator[tuple[str, str]]:
         return
     try:
         record = read_record(site.layout.within(artifact.path.with_name(SESSION_FILE)))
+        timing = site.layout.within(artifact.path.with_name(TIMING_FILE))
+        if record and timing.exists():
+            with odd_tables_refused(timing):
+                record["timing"] = timing_summary(read_timing(timing))
     except (ArtifactError, StoreError) as error:
         yield "session", error.message
     else:

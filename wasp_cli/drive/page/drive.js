@@ -312,12 +312,10 @@ for (const name of ["pointerup", "pointercancel"]) pad.addEventListener(name, ()
 
 let padded = false;
 function gamepads() {
-  const found = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find((each) => each && each.axes.length > 1);
-  if (found) {
-    const axis = (value) => (Math.abs(value) < 0.12 ? 0 : value);
-    const now = [-axis(found.axes[1]), -axis(found.axes[0])];
-    if (padded || now[0] || now[1]) { stick = now; padded = Boolean(now[0] || now[1]); place(); hold(); }
-  }
+  const found = document.hasFocus() && [...navigator.getGamepads()].find((each) => each && each.axes.length > 1);
+  const axis = (value) => (Math.abs(value) < 0.12 ? 0 : value);
+  const now = found ? [-axis(found.axes[1]), -axis(found.axes[0])] : [0, 0]; // without focus, or unplugged: let go
+  if (padded || now[0] || now[1]) { stick = now; padded = Boolean(now[0] || now[1]); place(); hold(); }
   requestAnimationFrame(gamepads);
 }
 requestAnimationFrame(gamepads);
