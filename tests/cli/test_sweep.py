@@ -1,6 +1,7 @@
 """`wasp sweep` from end to end, over fake stages whose evaluations leave cells that can be worked out by hand."""
 
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -200,6 +201,7 @@ def test_out_writes_every_table_in_every_format(folder: Path, tmp_path: Path) ->
         (("one", "other", "--spec-a", "tiny", "--spec-b", "mein"), "did you mean 'mine'?"),
         (("one", "other", "--spec", "tiny", "--spec-b", "mine"), "need each other"),
         (("one", ""), "the name of the folder is empty"),
+        (("one", os.fsdecode(b"caf\xe9")), "bytes that are not UTF-8"),
         (("one", "two", "--out", __file__), "is not a folder"),
     ],
 )

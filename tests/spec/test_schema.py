@@ -141,6 +141,7 @@ def test_the_names_are_those_of_the_specs():
 
 @pytest.mark.parametrize("typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"])
 def test_a_spec_is_found_by_its_name(typed, elsewhere):
+    (elsewhere / "quickstart").mkdir()  # a folder is none
     assert spec_path(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
     assert load(Path(typed)).spec.name == "quickstart"
 
