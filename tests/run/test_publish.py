@@ -65,6 +65,7 @@ def keys(folder: Path) -> set[str]:
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
     told = publish(small_spec, results, "--dry-run")
+    assert "is no name of an archive" in publish(small_spec, results, "--archive", "mine.tgz", code=2)
     assert not (results / "published").exists()
     assert publish(small_spec, results).startswith(told)
     layer = Layout(results / "published")
@@ -97,11 +98,6 @@ def test_a_report_of_other_cells_is_left_out(results, small_spec):
     new_run(layout, part, plan_against(lay_out(part.spec), layout))
     assert "left out: the report" in publish(small_spec, results)
     assert not (results / "published/reports").exists()
-
-
-def test_the_name_of_an_archive_is_looked_at_first(results, small_spec):
-    assert "is no name of an archive" in publish(small_spec, results, "--archive", "mine.tgz", code=2)
-    assert not (results / "published").exists()
 
 
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):

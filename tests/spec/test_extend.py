@@ -64,10 +64,9 @@ def test_nothing_in_place_of_a_section_removes_it(base):
     path = written(base.parent, "fast", FAST + "operators:\n  noisy: null\n  person: {p1: 1}\nseeds: [7]\n")
     assert load(path).spec.operators == {"person": {"p1": 1}}
     path = written(base.parent, "fast", FAST + "wasp: null\n")
-    assert load(path).spec.wasp.candidates == 8, "the preset's"
-    assert load(base, ["wasp=null"]).spec.wasp.candidates == 8
-    base.write_text(BASE.replace("wasp: {", "filter: {").replace(", elites: 4", ""), encoding="utf-8")
-    assert load(path).spec.wasp.candidates == 8
+    specs = [load(path).spec, load(base, ["wasp=null"]).spec]
+    base.write_text(BASE.replace("wasp: {candidates: 10, elites: 4}", ""), encoding="utf-8")
+    assert [spec.wasp.candidates for spec in (*specs, load(path).spec)] == [8, 8, 8], "the preset's"
 
 
 def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
