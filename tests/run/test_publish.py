@@ -193,7 +193,7 @@ def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes,
     publish(small_spec, results)
     fresh = tmp_path / "fresh"
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", results, columns=200, code=2)
-    assert "holds no published results" in done.stderr
+    assert "is no folder of published results" in done.stderr
     shutil.copytree(results / "published", fresh / "published")
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200)
     assert "published with this code" in done.output

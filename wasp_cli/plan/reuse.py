@@ -50,8 +50,10 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
         return own if own.store.is_dir() or shipped is None else Layout(shipped)
     layer = Layout(Path(choice).absolute())
     manifests = (read_whole(layer, kind, key)[0] for kind in stored_kinds(layer) for key in artifact_keys(layer, kind))
-    if not choice.strip() or not any(RECIPE in manifest for manifest in manifests):  # an ordinary results folder has none
-        raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")
+    # In an ordinary results folder only what was itself reused has one.
+    recipes = [RECIPE in manifest for manifest in manifests if manifest]
+    if not choice.strip() or not recipes or not all(recipes):
+        raise UsageError(f"'{choice}' is no folder of published results", "use none, published, or a folder that wasp publish has filled")
     return layer
 
 
