@@ -1,6 +1,7 @@
 """`wasp sweep` from end to end, over fake stages whose evaluations leave cells that can be worked out by hand."""
 
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -101,16 +102,12 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
     ("arguments", "code", "message"),
     [
         (["--vary", "diffusion.ratio=0.2,2,-1"], 3, "--vary diffusion.ratio=2: diffusion.ratio: should be less than or equal to 1, not 2"),
-        (["--vary", "diffusion.ratio=0.2,2,-1"], 3, "--vary diffusion.ratio=-1: diffusion.ratio: should be greater than or equal to 0"),
         (["--vary", "diffusion.ratios=0.2,0.4"], 3, "did you mean 'ratio'?"),
-        (["--vary", "diffusion.ratio=0.2"], 2, "a sweep compares at least two"),
-        (["--vary", "diffusion.ratio=0.2,0.2"], 2, "write each value once"),
         (["--vary", "seeds=[0],[1]"], 2, "list them in the spec: a row is the mean over all seeds"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--method", "wasp"], 2, "choose others with --method"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--method", "idaa"], 2, "did you mean 'ida'?"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--task", "race1"], 2, "unknown task of this spec 'race1'"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--vary", "ida.vote=0,1"], 2, "a sweep varies one setting"),
-        (["--vary", "diffusion.ratio=0.2,0.4", "--set", "seeds"], 2, "--set #1: 'seeds' is not of the form key=value"),
         ([], 2, "Missing option '--vary'"),
     ],
 )
@@ -200,6 +197,7 @@ def test_out_writes_every_table_in_every_format(folder: Path, tmp_path: Path) ->
         (("one", "other", "--spec-a", "tiny", "--spec-b", "mein"), "did you mean 'mine'?"),
         (("one", "other", "--spec", "tiny", "--spec-b", "mine"), "need each other"),
         (("one", ""), "the name of the folder is empty"),
+        (("one", os.fsdecode(b"caf\xe9")), "bytes that are not UTF-8"),
         (("one", "two", "--out", __file__), "is not a folder"),
     ],
 )

@@ -20,16 +20,6 @@ def evaluated(record: dict[str, Any]) -> set[str]:
     return {node["key"] for node in record["nodes"] if node["kind"] in ("evaluate", "calibration")}
 
 
-def test_each_node_has_a_state_and_a_reason():
-    laid_out = grid(tasks=["race1", "goal1"])
-    cached, failed = laid_out.nodes[0], laid_out.nodes[1]
-    plan = make_plan(laid_out, {cached.kind: {cached.key}}, {failed.key: "the loss is not finite"})
-    steps = {step.node.key: step for step in plan.steps}
-    assert steps[cached.key].state == "cached"
-    assert (steps[failed.key].state, steps[failed.key].reason) == ("failed", "failed before: the loss is not finite")
-    assert {node.key for node in plan.to_run()} == {node.key for node in laid_out.nodes[1:]}
-
-
 def test_times_come_from_nodes_of_the_same_sort():
     laid_out = grid(seeds=[0], methods=["human", "expert"])
     seconds = {node.sort: 10.0 for node in laid_out.nodes}

@@ -13,6 +13,7 @@ import pytest
 from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
+from tests.view.conftest import brought
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -68,6 +69,25 @@ def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> Non
     assert "held: not installed here; its 4 cells are left out." in told.output
     assert "held: not installed here" in (results / "reports/tiny/report.md").read_text(encoding="utf-8")
     assert run_here("report", results, *REPORT, "--strict", columns=200).exit_code == 1
+
+
+def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = next((brought(tmp_path, "goal1 s1 csa noisy=0.45") / "store").glob("evaluate/*/_manifest.json"))
+    monkeypatch.chdir(tmp_path)
+    Path("evil.py").write_text("open('imported', 'w').close()\n", encoding="utf-8")
+    record = json.loads(manifest.read_text(encoding="utf-8")) | {"upstream": {}}
+
+    def told(code: int, **changes: Any) -> str:
+        manifest.write_text(json.dumps(record | changes), encoding="utf-8")
+        return run_here("verify", tmp_path, "-j", "1", columns=300, code=code).output
+
+    for change in ({"axes": {**record["axes"], "method": "evil:Evil"}}, {"task": "evil:Evil-v0"}):
+        assert "a module of one's own" in told(2, **change)
+    assert not Path("imported").exists()
+    elsewhere = told(1, settings={**record["settings"], "gone": 1}, provenance={**record["provenance"], "processor": "another"})
+    assert ("error: KeyError: 'gone'" in elsewhere, "computed on another processor" in elsewhere) == (True, False)
+    del record["provenance"]
+    assert "error: KeyError: 'provenance'" in told(1)
 
 
 # `wasp export`: stored curves and the main table, read again by TensorBoard and Trackio themselves.

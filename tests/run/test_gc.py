@@ -17,13 +17,17 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
 from tests.run.recorded import key, planned, process, write_run
+from wasp_cli.cli.options import SelectedSpec
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.notebook import open_results
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
-from wasp_cli.run import reach
-from wasp_cli.run.publish import write_archive
+from wasp_cli.run import publish, reach
+from wasp_cli.run.publish import require_archive, write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
+from wasp_cli.run.record import new_run
 from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held, is_held
@@ -80,12 +84,22 @@ def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_sp
     assert finished(results) == old | new
     unwanted = Counter(path.parent.name for path in results.glob("store/*/*") if path.name not in new)
     assert {what: count for what, (count, _) in shown.items() if what in unwanted} == unwanted
+    (results / "tmp").rmdir()
     assert "removed" in collect(results, "--yes").splitlines()[-1]
     assert finished(results) == new
     assert not list((results / "tmp").iterdir())
     assert not list((results / "locks").glob("[0-9a-f]*"))
     assert run(other_spec, results).done == 0
     assert run(small_spec, results).done == len(old - new)
+
+
+def test_a_restricted_run_displaces_no_whole_one(fakes, other_spec, results):
+    layout, whole = Layout(results), keys_of(other_spec, results)
+    for restriction in ({"limit": 1}, {"method": ["human"]}):
+        part = SelectedSpec(spec=other_spec, **restriction).load()
+        new_run(layout, part, plan_against(lay_out(part.spec), layout))
+    collect(results, "--yes")
+    assert finished(results) == whole
 
 
 def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_spec, tmp_path):
@@ -263,7 +277,9 @@ def target(tmp_path):
     return Layout(tmp_path / "published")
 
 
-def test_an_archive_has_sums_that_hold_a_licence_and_a_card_and_is_read_again(target, tmp_path):
+def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(target, tmp_path, monkeypatch):
+    (tmp_path / "LICENSE").write_text("of another package")
+    monkeypatch.setattr(publish, "__file__", str(tmp_path / "wasp_cli/run/publish.py"))  # as in a folder of installed packages
     file = tmp_path / "mine-1.0.tar.gz"
     count = write_archive(target, "mine", file)
     with tarfile.open(file) as archive:
@@ -278,12 +294,13 @@ def test_an_archive_has_sums_that_hold_a_licence_and_a_card_and_is_read_again(ta
     card = (root / "README.md").read_text()
     assert card.startswith("---\nlicense: apache-2.0\n")
     assert "| evaluate | 1 | race1 |" in card
+    assert "wasp verify" not in card, "it has no models"
     assert "Apache License" in (root / "LICENSE").read_text()
     assert not (root / "private").exists()
     assert open_results(root).episodes().num_rows == 30
 
 
-def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten(target, tmp_path):
+def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten_or_cut_off(target, tmp_path, monkeypatch):
     first, second = tmp_path / "a/mine.tar.gz", tmp_path / "b/mine.tar.gz"
     for file in (first, second):
         file.parent.mkdir()
@@ -291,9 +308,13 @@ def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten(target,
     assert first.read_bytes() == second.read_bytes()
     for name in ("mine.tar.gz", "mine.zip"):
         with pytest.raises(UsageError):
-            write_archive(target, "mine", tmp_path / "a" / name)
+            require_archive(tmp_path / "a" / name)
     with pytest.raises(StoreError):
         write_archive(Layout(tmp_path / "none"), "mine", tmp_path / "c.tar.gz")
+    monkeypatch.setattr("gzip.GzipFile.write", lambda *_: (tmp_path / "none").stat())
+    with pytest.raises(FileNotFoundError):
+        write_archive(target, "mine", tmp_path / "c.tar.gz")
+    assert not (tmp_path / "c.tar.gz").exists()
 
 
 # `wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted.

@@ -13,10 +13,13 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import SMALL, faked, run, wait_until
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
 from wasp_cli.run.publish import PUBLIC, carry_publication
+from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.spec.load import load
+from wasp_cli.spec.load import limited, load
 from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
@@ -62,6 +65,7 @@ def keys(folder: Path) -> set[str]:
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
     told = publish(small_spec, results, "--dry-run")
+    assert "is no name of an archive" in publish(small_spec, results, "--archive", "mine.tgz", code=2)
     assert not (results / "published").exists()
     assert publish(small_spec, results).startswith(told)
     layer = Layout(results / "published")
@@ -87,6 +91,13 @@ def test_manifests_say_where_results_came_from_and_name_nobody(results, finished
         assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
         text = (path / "_manifest.json").read_text()
         assert not any(name in text for name in (HOST, str(results), str(finished)))
+
+
+def test_a_report_of_other_cells_is_left_out(results, small_spec):
+    layout, part = Layout(results), limited(load(small_spec), 1)
+    new_run(layout, part, plan_against(lay_out(part.spec), layout))
+    assert "left out: the report" in publish(small_spec, results)
+    assert not (results / "published/reports").exists()
 
 
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
@@ -181,6 +192,8 @@ def test_what_a_killed_publication_left_goes_with_the_next_one(results, small_sp
 def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes, tmp_path):
     publish(small_spec, results)
     fresh = tmp_path / "fresh"
+    done = run_here("plan", small_spec, "--results", fresh, "--reuse", results, columns=200, code=2)
+    assert "is no folder of published results" in done.stderr
     shutil.copytree(results / "published", fresh / "published")
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200)
     assert "published with this code" in done.output

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.run.layered import fresh_console
-from wasp_cli.errors import CellsFailed, UsageError
+from wasp_cli.errors import UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
@@ -39,22 +39,6 @@ def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, cap
     assert "done    goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]" in told
     assert "done    goal1 s0 human noisy=0.2  " in told
     assert swept(small_spec, tmp_path / "results").summary.done == 0
-
-
-def test_a_value_that_fails_leaves_the_others(fakes, small_spec, tmp_path):
-    fakes.set(behave={"'ratio': 0.4": "refuse"})
-    done, grids = run_sweep(read_sweep(small_spec, VARY), tmp_path / "results", RunOptions(jobs=0))
-    assert {node.axes["method_config"]["ratio"] for node, _ in done.summary.failed} == {0.4}
-    assert len(done.summary.failed) == 4
-    layout = done.layout
-    stored = [all(layout.artifact("evaluate", node.key).is_dir() for _, node in grid.cells) for grid in grids]
-    assert stored == [True, False, True]
-    with pytest.raises(CellsFailed) as caught:
-        done.require_complete()
-    assert caught.value.message.startswith("4 failed:")
-    assert "goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]: the loss is not finite" in caught.value.message
-    fakes.set()
-    assert swept(small_spec, tmp_path / "results").summary.done == 4
 
 
 def test_every_value_is_a_run_that_reports_find(fakes, small_spec, tmp_path):

@@ -9,8 +9,8 @@ from tests.spec.good import mistakes
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.run.record import new_run
-from wasp_cli.spec.load import LONGEST_CHAIN, load
+from wasp_cli.run.record import new_run, read_run
+from wasp_cli.spec.load import LONGEST_CHAIN, load, restricted
 from wasp_cli.spec.read import InvalidSpec
 from wasp_cli.store.layout import Layout
 
@@ -63,6 +63,10 @@ def test_sections_merge_and_everything_else_replaces(base):
 def test_nothing_in_place_of_a_section_removes_it(base):
     path = written(base.parent, "fast", FAST + "operators:\n  noisy: null\n  person: {p1: 1}\nseeds: [7]\n")
     assert load(path).spec.operators == {"person": {"p1": 1}}
+    path = written(base.parent, "fast", FAST + "wasp: null\n")
+    specs = [load(path).spec, load(base, ["wasp=null"]).spec]
+    base.write_text(BASE.replace("wasp: {candidates: 10, elites: 4}", ""), encoding="utf-8")
+    assert [spec.wasp.candidates for spec in (*specs, load(path).spec)] == [8, 8, 8], "the preset's"
 
 
 def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
@@ -184,3 +188,5 @@ def test_a_run_records_every_file(base, tmp_path):
     text = recorded(path)
     assert text == f"---\n# {path}\n{FAST}seeds: [0]  # one is enough\n---\n# {base}\n{BASE}"
     assert [document["name"] for document in YAML(typ="safe").load_all(text)] == ["fast", "base"]
+    part = restricted(load(base, ["variants=[full, no-case2]"]), None, ["human"])
+    assert read_run(layout, new_run(layout, part, plan_against(lay_out(part.spec), layout))).unknown == (), "it has wasp's ablations"

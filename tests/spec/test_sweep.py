@@ -95,13 +95,6 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     ]
 
 
-def test_a_value_is_refused_as_in_a_file(spec):
-    for vary, message in (("wasp.tau=0.3,0.5", "unknown key 'tau'"), ("wasp.variant=full,no-case2", "'variant' is not set here")):
-        with pytest.raises(InvalidSpec, match=message) as caught:
-            read_sweep(spec, vary)
-        assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
-
-
 def methods(found: Sweep) -> set[tuple[str, ...]]:
     return {point.loaded.spec.methods for point in found.points}
 

@@ -15,7 +15,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -167,13 +167,10 @@ RESULTS = Path("results")
 Completion = Callable[..., list[str]] | None
 
 
-SPECS = "specs/"
-
-
 def spec_names(incomplete: str) -> list[str]:
     """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
     typed = incomplete[: incomplete.rfind("/") + 1]
-    folders = [typed] if typed else ["", SPECS]
+    folders = [typed] if typed else ["", "specs/"]
     files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
     return files if typed else [*files, *shipped_names()]
 
@@ -214,9 +211,12 @@ def require_extra(extra: str, *packages: str) -> None:
 
 
 def parse_folder(value: str | Path) -> Path:
-    """Return a folder as it was typed; refuse an empty name."""
+    """Return a folder as it was typed; refuse an empty name, and one that no report can hold."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
+    place = os.path.abspath(value)
+    if os.fsencode(place).decode(errors="replace") != place:
+        raise typer.BadParameter(f"{place!r} has bytes that are not UTF-8; rename the folder")
     return Path(value)
 
 
@@ -325,9 +325,11 @@ class SelectedSpec(SizedSpec):
 
     def load(self) -> Loaded:
         """Load the spec that is meant; `select` and `failed` say which of its cells."""
-        from wasp_cli.spec.load import limited, restricted
+        from wasp_cli.spec.load import limited, load, restricted
 
-        return limited(restricted(super().load(), None, self.method), self.limit)
+        whole = load(self.spec, self.settings)
+        part = limited(restricted(whole, self.task, self.method), self.limit)
+        return replace(part, restricted=part.spec != whole.spec)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ from wasp_cli.cli.options import (
     parse_folder,
     print_json,
 )
-from wasp_cli.console import err, say, waiting_aloud
+from wasp_cli.console import err, say, size, waiting_aloud
 from wasp_cli.console import out as console
 from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
 from wasp_cli.store.layout import Layout, slug
@@ -249,11 +249,11 @@ def gc(
 ) -> None:
     """Remove results that no spec needs.
 
-    Kept is what the newest run of each spec needs, what active runs need, what a person drove, what a note is about, and everything that
-    these were computed from.
+    Kept is what the newest whole run of each spec needs, what later runs with --task, --method or --limit need, what active runs need, what
+    a person drove, what a note is about, and everything that these were computed from.
     """
     from wasp_cli.report.notes import notes_of
-    from wasp_cli.run.reach import kept_keys, remove_unreached, removed_line, show_rubbish, unreached
+    from wasp_cli.run.reach import kept_keys, remove_unreached, show_rubbish, unreached
     from wasp_cli.run.record import results_of
 
     layout = results_of(results.path)
@@ -267,8 +267,8 @@ def gc(
         console().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
     elif yes or typer.confirm("Remove all of it?"):
         kept |= {note.key for note in notes_of(layout)}  # somebody may have written one since
-        done = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
-        console().print(removed_line(*done), markup=False)
+        count, freed = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
+        console().print(f"{count} removed, {size(freed)} freed", markup=False)
 
 
 @command(
@@ -291,11 +291,13 @@ def publish(
 
     With its report. Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
     """
-    from wasp_cli.run.publish import carry_publication, fewer_steps, publication, show_publication
+    from wasp_cli.run.publish import carry_publication, fewer_steps, publication, require_archive, show_publication, write_archive
     from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
 
+    if archive is not None:
+        require_archive(archive)
     spec, layout = asked.load().spec, results_of(asked.results.absolute())
     target = Layout(layout.published if to is None else to.absolute())
     # Meanwhile nothing is removed.
@@ -309,8 +311,6 @@ def publish(
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
     say(f"published in {target.root}")
     if archive is not None:
-        from wasp_cli.run.publish import write_archive
-
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 
 
@@ -331,7 +331,7 @@ def verify(
 
     layout = Layout(results.path.absolute())
     drawn = draw(layout, cells, seed)
-    others = f"{drawn.others} others cannot be: their models are not in the folder"
+    others = f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a module is not wasp's"
     say(f"{len(drawn.cells)} of {drawn.of} cells are computed again; {others}")
     answers = []
     for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
@@ -339,7 +339,7 @@ def verify(
         show_answer(answer, console())
     same = sum(not answer.differing for answer in answers)
     console().print(f"{same} of {len(drawn.cells)} cells are the same to the bit", markup=False)
-    if elsewhere := sum(bool(answer.differing and answer.processor) for answer in answers):
+    if elsewhere := sum(bool(answer.means and answer.processor) for answer in answers):
         remark = "processors round differently, and an episode may then go another way: see how far the means are apart"
         say(f"{elsewhere} of the others were computed on another processor; {remark}")
     if same < len(drawn.cells):

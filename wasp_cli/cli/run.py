@@ -115,7 +115,6 @@ def sweep(
     """
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.record import reported
     from wasp_cli.run.session import planned_sweep, run_sweep
     from wasp_cli.spec.load import read_sweep
 
@@ -131,7 +130,7 @@ def sweep(
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
     page, *_ = report.write(layout.reports(varied.name))
-    reported(layout, session.run_id)
+    layout.reporting(session.run_id).unlink(missing_ok=True)
     if json:
         print_json({**report.as_json(), "report": str(page)})
     else:
@@ -155,7 +154,7 @@ def run_and_report(
     loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
     from wasp_cli.plan.plan import with_keys
-    from wasp_cli.run.record import Recorded, reported
+    from wasp_cli.run.record import Recorded
     from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
@@ -165,7 +164,7 @@ def run_and_report(
     grid, selected = session.plan.grid, session.plan.wanted
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper, redraw=False)
-    reported(session.layout, session.run_id)
+    session.layout.reporting(session.run_id).unlink(missing_ok=True)
     say_next(results, {node.label: cell.method for cell, node in grid.cells})
     session.require_complete()
     require_cells([cell for cell in report.missing if selected is None or cell.key in selected], session.layout)

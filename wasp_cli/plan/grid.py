@@ -64,8 +64,8 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
     judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
     branched = [(cell, builder.branches(cell, node)) for cell, node in judged]
-    trained = [kind for kind in spec.stages if STAGES[kind].unit == "chain"]
-    named = [builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained)]
+    trained, seeds = [kind for kind in spec.stages if STAGES[kind].unit == "chain"], dict.fromkeys(map(spec.chain_seed, spec.seeds))
+    named = [builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, seeds, trained)]
     nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
     severities = sum(map(len, spec.operators.values()))
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)

@@ -118,7 +118,6 @@ class Node:
     key: str
     label: str  # for people: `goal1 s0 world_model`
     sort: str  # nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator
-
     recipe: str = ""  # what it is, whatever code computes it
 
     def __hash__(self) -> int:

@@ -44,6 +44,7 @@ class PlannedRun:
     spec: str  # name of the spec; of a sweep with the setting that varies
     nodes: Mapping[str, PlannedNode]  # needed ones first, as the plan lists them
     parts: tuple[str, ...] = ()  # the runs of a sweep's values, whose cells it computes
+    restricted: bool = False  # as `Loaded.restricted`
 
 
 def run_ids(layout: Layout) -> list[str]:
@@ -79,7 +80,8 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
         nodes = [node for plan in plans for node in NODES.validate_python(plan["nodes"])]
     except (ArtifactError, StoreError, KeyError, TypeError, ValueError, AttributeError):
         return None
-    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts) if isinstance(spec, str) else None
+    restricted = sweep is None and plans[0].get("restricted") is True
+    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, restricted) if isinstance(spec, str) else None
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:

@@ -29,9 +29,9 @@ from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
-from wasp_cli.store.artifact import exists
+from wasp_cli.store.artifact import artifact_keys, exists, read_whole, stored_kinds
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used, offers, why_unusable
+from wasp_cli.store.published import EARLIER, RECIPE, Offer, Reused, commit_of, not_used, offers, why_unusable
 from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, without_steps
 
@@ -49,8 +49,11 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
         # A new results folder has none: then those that come with the package.
         return own if own.store.is_dir() or shipped is None else Layout(shipped)
     layer = Layout(Path(choice).absolute())
-    if not choice.strip() or not layer.store.is_dir():
-        raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")
+    manifests = (read_whole(layer, kind, key)[0] for kind in stored_kinds(layer) for key in artifact_keys(layer, kind))
+    # In an ordinary results folder only what was itself reused has one.
+    recipes = [RECIPE in manifest for manifest in manifests if manifest]
+    if not choice.strip() or not recipes or not all(recipes):
+        raise UsageError(f"'{choice}' is no folder of published results", "use none, published, or a folder that wasp publish has filled")
     return layer
 
 

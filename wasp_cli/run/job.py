@@ -188,7 +188,6 @@ def listening(stop: Stop) -> Iterator[None]:
 
 
 GRACE = 10.0  # seconds that a node has to react; one with a shorter limit gets as long again
-LOOK_SECONDS = 0.5
 HINT = "allow more time with --timeout; the log shows where it was"
 
 

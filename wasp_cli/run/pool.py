@@ -23,7 +23,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import UnknownName, UsageError, WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.store.layout import Layout
@@ -60,8 +60,6 @@ class Pool(ABC):
 
 
 def require_backend(backend: str, scheduler: str | None) -> None:
-    if backend not in BACKENDS:
-        raise UnknownName("backend", backend, BACKENDS)
     package = PACKAGES.get(backend)
     if package is None and scheduler is not None:
         raise UsageError("--scheduler is for the backends dask, ray and slurm", f"wasp run SPEC --backend dask {EXAMPLES['dask']}")

@@ -30,7 +30,9 @@ from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.recorded import last_plan
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
@@ -63,6 +65,7 @@ class Publication:
     large: tuple[Item, ...]
     absent: tuple[Node, ...]  # what was not computed because nothing needs it
     reports: tuple[Path, ...]
+    other: bool  # whether the report that is here is of another run than what is published, and left out
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
@@ -87,7 +90,10 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     new = [item for item in small if item not in there]
     published = target.reports(spec.name)
     old = {path.name: path.read_bytes() for path in published.glob("*") if path.is_file()}
-    reports = [path for path in _reports(spec, layout) if old.get(path.name) != path.read_bytes()]
+    folder = layout.within(layout.reports(spec.name))
+    written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
+    other = bool(written) and last_plan(layout, spec.name).keys() != {node.key for node in grid.nodes}
+    reports = [path for path in written if not other and old.get(path.name) != path.read_bytes()]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
@@ -96,7 +102,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code")
     large = tuple(item for item in items if item.size > largest)
     absent = tuple(step.node for step in steps if step.state == "unneeded")
-    return Publication(tuple(new), tuple(there), large, absent, tuple(reports))
+    return Publication(tuple(new), tuple(there), large, absent, tuple(reports), other)
 
 
 def _item(node: Node, source: Layout, behind: Mapping[str, str]) -> Item:
@@ -147,16 +153,6 @@ def _named(data: bytes, private: Mapping[str, str]) -> str | None:
         if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
             return what
     return None
-
-
-def _reports(spec: Spec, layout: Layout) -> list[Path]:
-    folder = layout.within(layout.reports(spec.name))
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if is_name(entry.name) and entry.is_file(follow_symlinks=False)]
-    except FileNotFoundError:
-        return []
-    return [folder / name for name in sorted(names)]
 
 
 def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
@@ -217,6 +213,9 @@ def show_publication(publication: Publication, largest: float, console: Console)
     total = sum(item.size for item in publication.new) + sum(reports)
     table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
     console.print(table)
+    if publication.other:
+        text = "left out: the report, since the newest run of this spec has other cells (wasp run SPEC, then publish again)"
+        console.print(text, markup=False, soft_wrap=True)
     for item in publication.large:
         text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
         console.print(text, markup=False, soft_wrap=True)
@@ -235,54 +234,61 @@ tags: [shared-autonomy, safe-reinforcement-learning, world-model, mujoco]
 
 # {name}
 
-Results and trained models of `{name}`, an experiment in safety-aware shared autonomy, written by wasp {version}.
+Results of `{name}`, an experiment in safety-aware shared autonomy, written by wasp {version}.
 
 | Kind | Artifacts | Tasks |
 | --- | ---: | --- |
 {rows}
 
-Unpack it, and name the folder to compute further cells with these models, or to compute some again and compare them to the bit:
+Unpack it to a folder DIR. A run of the same spec takes from there what it needs:
 
-    wasp run {name} --reuse DIR
-    wasp verify DIR --cells 30
-
+    wasp run SPEC --reuse DIR
+{again}
 `sha256sum --check SHA256SUMS` compares every file. The manifest of an artifact has its settings, inputs, library versions and commit.
+"""
+AGAIN = """
+Cells can be computed again from the models beside them, and compared to the bit:
+
+    wasp verify DIR --cells 30
 """
 
 
-def write_archive(target: Layout, name: str, file: Path) -> int:
-    """Write a `.tar.gz` of a published folder; returns the number of files in it."""
+def require_archive(file: Path) -> None:
+    """See that an archive can have this name. Raises UsageError."""
     if not file.name.endswith(".tar.gz"):
         raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
     if file.exists():
         raise UsageError(f"'{file}' is there already", "remove it, or name another file")
+
+
+def write_archive(target: Layout, name: str, file: Path) -> int:
+    """Write a `.tar.gz` of a published folder; returns the number of files in it."""
     if not target.store.is_dir():
         raise StoreError(f"nothing is published in '{target.root}'")
     folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
     paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
-    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)))
-    beside = Path(__file__).parents[2] / "LICENSE"  # of a checkout; else the installed package's
-    path = beside if beside.is_file() else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
+    again = any(why_not(target, key) is None for key in sorted(artifact.stored_keys(target, EVALUATE)))
+    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)), again=AGAIN if again else "")
+    root = Path(__file__).parents[2]
+    checkout = (root / "pyproject.toml").is_file()  # else the installed package has it
+    path = root / "LICENSE" if checkout else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
     licence = Path(str(path)).read_bytes()
     members |= {"README.md": card.encode(), "LICENSE": licence}
     sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
     members["SHA256SUMS"] = sums.encode()
-    root = file.name.removesuffix(".tar.gz")
-    with file.open("xb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
+    raw, folder = io.BytesIO(), file.name.removesuffix(".tar.gz")
+    with gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
         for member, data in sorted(members.items()):
-            entry = tarfile.TarInfo(f"{root}/{member}")
+            entry = tarfile.TarInfo(f"{folder}/{member}")
             entry.size, entry.mode = len(data), 0o644
             archive.addfile(entry, io.BytesIO(data))
+    artifact.replace_file(file, raw.getvalue())
     return len(members)
 
 
 def _rows(target: Layout) -> Iterator[str]:
     for kind in sorted(artifact.stored_kinds(target)):
-        keys, tasks = artifact.stored_keys(target, kind), set()
-        for key in keys:
-            try:
-                tasks.add(str(artifact.read_manifest(target, kind, key)["task"]))
-            except (ArtifactError, KeyError):
-                tasks.add("damaged")
+        keys = artifact.stored_keys(target, kind)
+        tasks = {str(artifact.read_manifest(target, kind, key).get("task")) for key in keys}
         yield f"| {kind} | {len(keys)} | {', '.join(sorted(tasks))} |"

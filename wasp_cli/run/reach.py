@@ -1,6 +1,7 @@
 """`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
 
-That is what the newest run of each spec reaches, what the runs reach that are not over, and what a person did: nobody can compute it.
+That is what the newest run of each spec reaches (see `reach_of_runs`), what the runs reach that are not over, and what a person did: nobody
+can compute it.
 """
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
 def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[str]]:
     """Return the keys that count, and the runs that do not.
 
-    Those are reached by the newest run of each spec name, by the runs that are not over, and by what people did.
+    Those are reached by the newest whole run of each spec name, by restricted ones that came later, by the runs that are not over, and by
+    what people did.
     """
     counting: dict[str, PlannedRun] = {}
     of_people: set[str] = set()
@@ -97,7 +99,8 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
             continue
         if run.spec not in newest or _goes_on(layout, run):
             counting[run_id] = run
-        newest.add(run.spec)
+        if not run.restricted:
+            newest.add(run.spec)
         if sessions := by_people & run.nodes.keys():  # a report finds a session by the run that asked for it
             of_people.add(run_id)
             keys |= reached(sessions, lambda key, nodes=run.nodes: nodes[key].needs if key in nodes else ())  # type: ignore[misc]
@@ -216,6 +219,7 @@ def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
 
 def _remove(layout: Layout, path: Path) -> bool:
     """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a killed removal is swept by the next run."""
+    layout.tmp.mkdir(exist_ok=True)  # somebody may have removed it
     aside = layout.tmp / f"{uuid.uuid4().hex}-removed"
     try:
         os.replace(path, aside)
@@ -237,7 +241,3 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
     table.add_section()
     table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
     console.print(table)
-
-
-def removed_line(count: int, freed: int) -> str:
-    return f"{count} removed, {size(freed)} freed"

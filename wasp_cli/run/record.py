@@ -50,17 +50,13 @@ class Recorded:
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
-    """Make the folder of a new run and write down what it is asked for; with `reports` a report follows (see `reported`)."""
+    """Make the folder of a new run and write down what it is asked for; with `reports` a report follows."""
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
-        write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
+        write_record(folder / "plan.json", {"spec": spec.name, "restricted": loaded.restricted, **plan.as_json()})
     return folder.name
-
-
-def reported(layout: Layout, run_id: str) -> None:
-    layout.reporting(run_id).unlink(missing_ok=True)
 
 
 def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:

@@ -71,7 +71,7 @@ class RunOptions:
     retries: int = 0
     backend: str = "loky"
     scheduler: str | None = None
-    reports: bool = False  # whether this process writes a report afterwards, and then calls `record.reported`
+    reports: bool = False  # whether this process writes a report afterwards, and then removes `Layout.reporting`
 
 
 def run_spec(

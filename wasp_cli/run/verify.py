@@ -12,17 +12,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import ValidationError
 from rich.console import Console
 
 from wasp_cli.console import duration
-from wasp_cli.errors import ArtifactError, UsageError, WaspError
+from wasp_cli.errors import ArtifactError, UsageError, WaspError, described
 from wasp_cli.operators.registry import CLONED, PERSON
 from wasp_cli.plan.reasons import library_changes
-from wasp_cli.run.record import first_line
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
+from wasp_cli.tasks.registry import TASKS
 
 EVALUATE = "evaluate"
 
@@ -62,6 +61,8 @@ def why_not(layout: Layout, key: str) -> str | None:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
             return "a person drove in it"
+        if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:  # it could be code of the folder
+            return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
             kind = manifest["upstream_kinds"][name]
             if (why := corruption(layout, kind, upstream)) is not None:
@@ -87,14 +88,16 @@ def again(root: Path, key: str) -> Answer:
 
     layout, began = Layout(root), time.monotonic()
     manifest = read_manifest(layout, EVALUATE, key)
-    libraries = tuple(library_changes(manifest))
+    libraries: tuple[str, ...] = ()
+    means: tuple[tuple[str, float, float], ...] = ()
+    then = None
     inputs = {name: layout.artifact(manifest["upstream_kinds"][name], upstream) for name, upstream in manifest["upstream"].items()}
     stage: Stage = load_target(STAGES[EVALUATE].target)()
     set_threads(getattr(stage, "torch_threads", 1))
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         out = Path(folder)
-        means: tuple[tuple[str, float, float], ...] = ()
         try:
+            libraries, then = tuple(library_changes(manifest)), manifest["provenance"].get("processor")
             stage.run(Job(
                 EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
                 settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
@@ -102,10 +105,10 @@ def again(root: Path, key: str) -> Answer:
             stored = layout.artifact(EVALUATE, key)
             differing = tuple(differences(stored, out))
             means = tuple(means_of(stored, out)) if differing else ()
-        except (WaspError, ValidationError) as error:  # also of another version, or of a plugin that is not here: one cell ends no draw
-            differing = (f"error: {first_line(error)}",)
-    then = manifest["provenance"].get("processor")
-    return Answer(str(manifest["label"]), differing, libraries, time.monotonic() - began, None if then == processor() else then, means)
+        except Exception as error:  # damaged, of another version, or of a plugin that is not here: one cell ends no draw
+            differing = (f"error: {error.message if isinstance(error, WaspError) else described(error)}",)
+    elsewhere = None if then == processor() else then
+    return Answer(str(manifest.get("label", key)), differing, libraries, time.monotonic() - began, elsewhere, means)
 
 
 def show_answer(answer: Answer, console: Console) -> None:

@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.hints import Finding, findings, misplaced
-from wasp_cli.spec.model import Spec, method_sections, preset_names, validate
+from wasp_cli.spec.model import Spec, method_sections, validate
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, spec_name
-from wasp_cli.spec.presets import merged
+from wasp_cli.spec.presets import PRESETS, merged
 from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Place, Problem, Source, dotted, kind_of, meant, parse, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
@@ -33,6 +33,7 @@ class Loaded:
     spec: Spec
     chain: Chain
     overrides: tuple[Override, ...] = ()
+    restricted: bool = False  # whether a run of it has only some cells or episodes of the spec (--task, --method, --limit)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
         """Return a refusal that points at a place of this spec, for what only later steps can know."""
@@ -98,7 +99,7 @@ class Chain:
         problems: list[Problem] = []
         for source in reversed(self.sources):
             problems += source.problems
-            values = merged(values, {name: value for name, value in source.document.items() if name != EXTENDS})
+            values = merged(values, {name: value for name, value in source.document.items() if name != EXTENDS}, removes=True)
         nearest = self.sources[0]
         if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
             for variant, severities in operators.items():
@@ -216,8 +217,8 @@ WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp abla
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
-    if preset is not None and preset not in preset_names():
-        raise UnknownName("preset", preset, preset_names())
+    if preset is not None and preset not in PRESETS:
+        raise UnknownName("preset", preset, PRESETS)
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
 
 
@@ -258,7 +259,7 @@ def ablation(
         narrowed = [f"name=ablate-{variant}", f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
-    return load(path, [*narrowed, *sized(preset, settings)])
+    return replace(load(path, [*narrowed, *sized(preset, settings)]), restricted=bool(tasks))
 
 
 OPTION = "--vary"

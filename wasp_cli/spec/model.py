@@ -178,9 +178,6 @@ class Spec(Config):
     def chain_seed(self, seed: int) -> int:
         return seed if self.training_seed is None else self.training_seed
 
-    def chain_seeds(self) -> tuple[int, ...]:
-        return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
-
     @model_validator(mode="after")
     def _parts_fit(self, info: ValidationInfo) -> Spec:
         refuse(_list_problems(self, recorded=bool((info.context or {}).get(RECORDED))) + _skill_problems(self))
@@ -240,7 +237,7 @@ def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:
     # Without methods the default stands, and asks for nothing.
     offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {"full"}
     for index, variant in enumerate(spec.variants):
-        if variant not in offered:
+        if variant not in offered and not recorded:  # a run of one method keeps what the spec says of the others
             problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
     if not spec.operators and any(METHODS[method].impaired for method in spec.methods):
         message = "the listed methods assist an operator; name at least one variant"
@@ -305,10 +302,6 @@ def _check_plugins() -> None:
         section = getattr(STAGES.load(name), "config", None)
         if not (isinstance(section, type) and issubclass(section, Config)):
             raise WaspError(f"the class of stage '{name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
-
-
-def preset_names() -> tuple[str, ...]:
-    return get_args(Preset)
 
 
 def validate(document: Mapping[str, Any]) -> Spec:

@@ -123,13 +123,17 @@ def preset_values(name: str) -> dict[str, Any]:
     return merged(PRESETS[name], sections) if name in PRESETS else {}
 
 
-def merged(under: Document, over: Document) -> dict[str, Any]:
-    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces, and null removes a section."""
+def merged(under: Document, over: Document, *, removes: bool = False) -> dict[str, Any]:
+    """Lay `over` on top of `under`: sections merge key by key, and everything else (lists too) replaces.
+
+    Null in place of a section says nothing; with `removes`, what `under` says there goes too.
+    """
     result = dict(under)
     for key, value in over.items():
         below = result.get(key)
         if value is None and isinstance(below, Mapping):
-            del result[key]
+            if removes:
+                del result[key]
             continue
-        result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        result[key] = merged(below, value, removes=removes) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
     return result

@@ -69,16 +69,10 @@ def spec_schema() -> Schema:
 
 
 def _name_things(top: Schema, definitions: Schema) -> None:
-    for name, known in (
-        ("methods", list(METHODS)),
-        ("stages", training_stages()),
-        ("variants", assistant_variants()),
-        ("tasks", None),
-        ("seeds", None),
-    ):
+    for name in ("methods", "stages", "variants", "tasks", "seeds"):
         top[name]["uniqueItems"] = True
-        if known is not None:
-            top[name]["items"] = {"enum": known}
+    for name, known in (("methods", list(METHODS)), ("stages", training_stages()), ("variants", assistant_variants())):
+        top[name]["items"] = {"enum": known}
     top["tasks"]["items"] = _task()
     top["methods"]["items"]["enumDescriptions"] = [info.rule for info in METHODS.values()]  # editors show them
     top["operators"]["propertyNames"] = {"enum": list(OPERATORS)}

@@ -36,10 +36,11 @@ def shipped_names() -> list[str]:
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
     """Return the file that was meant by a file or a name: the typed one in `folder`, else one of that name there or in its `specs/`,
-    else the one that comes with the package.
+    else the one that comes with the package. A folder is none.
     """
     path = folder / typed
-    if os.path.exists(path) or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
+    there = os.path.exists(path) and not os.path.isdir(path)
+    if there or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
         return path
     name = typed.stem + SUFFIX
     for candidate in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
