@@ -285,11 +285,8 @@ def driven_tasks(results: Path, participant: int) -> list[str]:
 
 def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
     """Return the first number of a session whose worlds nobody has driven in these cells yet."""
-
-    def is_driven(number: int) -> bool:
-        return any(exists(layout, node.kind, node.key) for _, node in lay_out_over(of(number).spec, layout, None).cells)
-
-    return next(number for number in itertools.count() if not is_driven(number))
+    grids = ((number, lay_out_over(of(number).spec, layout, None)) for number in itertools.count())
+    return next(number for number, grid in grids if not any(exists(layout, node.kind, node.key) for _, node in grid.cells))
 
 
 class CellRecord:

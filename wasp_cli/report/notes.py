@@ -17,7 +17,7 @@ import numpy as np
 
 from wasp_cli.errors import StoreError, UsageError, refusal
 from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats import CellNumbers, Frame, Judged, Missing, without_episodes
+from wasp_cli.report.stats import CellNumbers, Frame, Judged, Missing, of_episodes
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
 from wasp_cli.store.tables import CellIdentity
@@ -133,7 +133,7 @@ def without_invalid(
         key = keys.get(cell.identity, "")
         out = {episode for other, episode in marked if other == key and episode is not None and episode < cell.count}
         whole = marked.get((key, None))
-        rest = None if whole is not None else without_episodes(cell, out)
+        rest = None if whole is not None else of_episodes(cell, ~np.isin(np.arange(cell.count), list(out)))
         if rest is None:
             first = whole or next(note for (other, _), note in marked.items() if other == key)
             missing.append(Missing(cell.identity, first.label, f"marked as invalid by {first.author}: {first.text}", key))

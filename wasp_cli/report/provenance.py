@@ -161,11 +161,6 @@ def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Seq
     return [] if any(part.kind in targets for part in absent) else absent
 
 
-def absent_fact(absent: Sequence[Part]) -> str:
-    kinds = ", ".join(dict.fromkeys(part.kind for part in absent))
-    return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
-
-
 POSTERIOR = (  # an assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from
     "the filter",
     "mode",

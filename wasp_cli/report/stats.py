@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -320,13 +320,10 @@ def numbers_of(worth: Necessity) -> dict[str, Floats]:
     }  # fmt: skip
 
 
-def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | None:
-    """Return a cell pooled over its other episodes; None where none is left."""
-    if not out:
-        return cell
-    rest = np.array([episode not in out for episode in range(cell.count)])
-    if not rest.any():
-        return None
+def of_episodes(cell: CellNumbers, rest: NDArray[np.bool_]) -> CellNumbers | None:
+    """Return a cell pooled over the episodes for which `rest` [E] is true; None without any."""
+    if rest.all() or not rest.any():
+        return cell if rest.all() else None
     numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
     kept = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
     pooled = {}
@@ -351,15 +348,9 @@ def pairs_of(cells: Iterable[CellNumbers], reference: Iterable[CellNumbers], key
     for cell in cells:
         other = by_condition.get(condition(cell.identity))
         if other is not None:
-            worlds = cell.episodes["world"], other.episodes["world"]
-            if not np.array_equal(*worlds):
-                own = without_episodes(cell, np.flatnonzero(~np.isin(*worlds)).tolist())
-                other = without_episodes(other, np.flatnonzero(~np.isin(*worlds[::-1])).tolist())
-                if own is None or other is None:
-                    continue
-                cell = own
-            pairs.append((cell, other))
-    return [pair for pair in pairs if len(defining(pair, key)) == len(pair)]
+            one, two = cell.episodes["world"], other.episodes["world"]
+            pairs.append((of_episodes(cell, np.isin(one, two)), of_episodes(other, np.isin(two, one))))
+    return [(own, other) for own, other in pairs if own and other and len(defining((own, other), key)) == 2]
 
 
 def defining(cells: Iterable[CellNumbers], key: str) -> list[CellNumbers]:

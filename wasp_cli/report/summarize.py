@@ -227,7 +227,8 @@ def report_run(
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
     gone = provenance.absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if gone:
-        published.append(provenance.absent_fact(gone))
+        why = "since published results were used in place of what reads them"
+        published.append(f"{len(gone)} trained parts were not computed, {why}: {', '.join(dict.fromkeys(part.kind for part in gone))}.")
         # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
         parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]

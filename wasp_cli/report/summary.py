@@ -5,7 +5,6 @@ Episodes of one seed share its trained models, so they are not independent: the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -119,11 +118,6 @@ def same_episodes(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
             alike &= (left == right) | (np.isnan(left) & np.isnan(right))
         same, total = same + int(alike.sum()), total + len(own)
     return same, total
-
-
-def distinct_resamples(seeds: int) -> int:
-    """Count the different bootstrap resamples that a number of seeds has: C(2n - 1, n)."""
-    return math.comb(2 * seeds - 1, seeds) if seeds > 0 else 0
 
 
 def spread_note(cells: Sequence[CellNumbers]) -> str:

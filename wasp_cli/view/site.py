@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlencode
 
+import numpy as np
+
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
 from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
-from wasp_cli.report.stats import CellNumbers, Wanted, read_frame, without_episodes
+from wasp_cli.report.stats import CellNumbers, Wanted, of_episodes, read_frame
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import read_manifest, stored_keys
@@ -60,7 +62,7 @@ class Shown:
             return self
         if None in invalid:
             return replace(self, numbers=None, reason="marked as invalid")
-        numbers = without_episodes(self.numbers, {episode for episode in invalid if episode is not None})
+        numbers = of_episodes(self.numbers, ~np.isin(np.arange(self.numbers.count), [each for each in invalid if each is not None]))
         if numbers is None:
             return Shown(None, 0, "all episodes are marked as invalid")
         return Shown(numbers, numbers.count, "has invalid episodes")

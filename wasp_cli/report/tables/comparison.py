@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
 from wasp_cli.report.stats import Frame, Group, groups, row_of
-from wasp_cli.report.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
 
@@ -75,8 +76,8 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
         if interval.unit == "world":
             what = "worlds of one training: they cover other layouts, not retraining"
         else:
-            coarse = ", so they are coarse" if interval.clusters < 6 else ""
-            what = f"trainings, each with its models and worlds; {distinct_resamples(interval.clusters):,} resamples differ{coarse}"
+            coarse, n = ", so they are coarse" if interval.clusters < 6 else "", interval.clusters
+            what = f"trainings, each with its models and worlds; {math.comb(2 * n - 1, n):,} resamples differ{coarse}"
         yield f"[low, high]: {words}, by a bootstrap with {RESAMPLES} resamples of the {what}."
 
 

@@ -35,11 +35,6 @@ WINDOWS = 16  # imagined windows that are drawn at most
 Images = NDArray[np.uint8]
 
 
-def _enlarged(image: Images, side: int) -> Image.Image:
-    shown = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0)))
-    return shown.resize((side, side), Image.Resampling.NEAREST)
-
-
 class Window(NamedTuple):
     title: str
     true: Images  # [K, 6, 64, 64]
@@ -78,7 +73,8 @@ def _strip(window: Window, word: str) -> Image.Image:
         draw.text((GAP, y + SIDE // 2 - 6), name, INK, font)
         for column, image in enumerate(images):
             x = LABEL + column * PITCH
-            strip.paste(_enlarged(image[channel : channel + 3], SIDE), (x, y))
+            shown = Image.fromarray(np.ascontiguousarray(image[channel : channel + 3].transpose(1, 2, 0)))
+            strip.paste(shown.resize((SIDE, SIDE), Image.Resampling.NEAREST), (x, y))
             if window.cost[column] > 0:
                 draw.rectangle((x - 2, y - 2, x + SIDE + 1, y + SIDE + 1), outline=RED, width=2)
     return strip
