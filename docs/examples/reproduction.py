@@ -10,13 +10,14 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import difference_of
 from wasp_cli.report.claims import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import Frame, read_frame, with_branches
+from wasp_cli.report.stats import Frame, groups, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
@@ -92,20 +93,19 @@ def tables() -> dict[str, str]:
     return {"The 21 claims": claims()} | {name: rows_alone(table) for name, table in made.items() if table is not None}
 
 
-def differences() -> dict[str, str]:
-    """Return by task and variant what an ablation of WASP changes: paired means, 95 % intervals over worlds."""
+def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
+    """Return by task and row what it has more than WASP, for other methods and for ablations of WASP: paired means with 95 % intervals."""
     texts: dict[str, str] = {}
-    for task in dict.fromkeys(cell.identity.task for cell in frame().cells):
-        cells = [cell for cell in frame().cells if (cell.identity.task, cell.identity.method) == (task, "wasp")]
-        whole = [cell for cell in cells if cell.identity.variant == "full"]
-        for variant in dict.fromkeys(cell.identity.variant for cell in cells if cell.identity.variant != "full"):
-            own = [cell for cell in cells if cell.identity.variant == variant]
-            made = {key: difference_of(own, whole, key) for key in ("return", "success", "cost")}
-            texts[f"{task} {variant}"] = ", ".join(
-                f"{key} {each.value:+.3f} [{each.interval.low:+.3f}, {each.interval.high:+.3f}]"
-                for key, each in made.items()
-                if each is not None and each.interval is not None
-            )
+    rows = [group for group in groups(frame(trainings)) if group.cells and METHODS[group.method].impaired]
+    for whole in (group for group in rows if (group.method, group.variant) == ("wasp", "full")):
+        for group in rows:
+            if group.task == whole.task and group is not whole:
+                made = {key: difference_of(group.cells, whole.cells, key) for key in ("return", "success", "cost")}
+                texts[f"{group.task} {group.method if group.variant == 'full' else group.variant}"] = ", ".join(
+                    f"{key} {each.value:+.3f} [{each.interval.low:+.3f}, {each.interval.high:+.3f}]"
+                    for key, each in made.items()
+                    if each is not None and each.interval is not None
+                )
     return texts
 
 
@@ -127,5 +127,7 @@ def rows_alone(table: Table) -> str:
 if __name__ == "__main__":
     for name, text in tables().items():
         print(f"## {name}\n\n{text}\n")
-    for name, text in differences().items():
-        print(f"{name} minus full: {text}")
+    for trainings in (TRAININGS, NEXT):
+        print(f"Minus WASP, trainings {trainings}:")
+        for name, text in differences(trainings).items():
+            print(f"    {name}: {text}")
