@@ -315,3 +315,6 @@ def test_facts_and_modules_say_what_moves_results():
     assert "Puddle-v0" not in facts.values(), "titles move nothing"
     asked = registered(variant(metadata={"render_modes": [], "render_fps": 10, "success_goals": 4}))
     assert TASKS[asked].success_goals == 4
+    scaled = [gymnasium.wrappers.TransformReward.wrapper_spec(func=lambda reward: reward) for _ in range(2)]
+    one, other = (TASKS[registered(Lights, additional_wrappers=(each,))].facts()["registered"] for each in scaled)
+    assert one == other, "a function has another address in every process"

@@ -36,6 +36,10 @@ class _Named:
         """The modules with which the task's code begins: the keys of its results cover what these import."""
         return (module_of(self.target),)
 
+    def facts(self) -> dict[str, Any]:
+        """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
+        return {name: getattr(self, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")}
+
 
 @dataclass(frozen=True)
 class TaskInfo(_Named):
@@ -53,10 +57,6 @@ class TaskInfo(_Named):
     informed: bool = False
     """Whether operators know more than the cameras show: they read the privileged observation. Assistants imagine them by what the cameras
     show."""
-
-    def facts(self) -> dict[str, Any]:
-        """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
-        return _facts(self)
 
 
 class ForeignInfo(_Named):
@@ -83,17 +83,14 @@ class ForeignInfo(_Named):
 
     @property
     def env_seconds(self) -> float:
-        """See `TaskInfo`."""
         return self.examine().env_seconds
 
     @property
     def env_steps(self) -> int:
-        """See `TaskInfo`."""
         return self.examine().env_steps
 
     @property
     def success_goals(self) -> int:
-        """See `TaskInfo`."""
         return self.examine().success_goals
 
     @property
@@ -101,15 +98,12 @@ class ForeignInfo(_Named):
         return (*super().modules, *self.examine().modules)
 
     def facts(self) -> dict[str, Any]:
-        """Return what `TaskInfo` does, and how an environment is registered, which moves results too."""
-        return _facts(self) | {"registered": self.examine().registered}
+        """Return how an environment is registered too, which moves results."""
+        # A function of the registration is written with its address, which is another in every process.
+        return super().facts() | {"registered": re.sub(r" at 0x[0-9a-fA-F]+", "", self.examine().registered)}
 
 
 AnyTaskInfo = TaskInfo | ForeignInfo
-
-
-def _facts(info: AnyTaskInfo) -> dict[str, Any]:
-    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")}
 
 
 class TaskRegistry(Registry[AnyTaskInfo]):
@@ -121,7 +115,9 @@ class TaskRegistry(Registry[AnyTaskInfo]):
         try:
             return super().__getitem__(name)
         except UnknownName:
-            raise UnknownName("task", name, _names(name)) from None
+            # Who writes something like a gymnasium id is told ours.
+            ids = [info.gym_id for info in self.values()]
+            raise UnknownName("task", name, ids if closeness(name, ids) > closeness(name, self) else self) from None
 
     def load(self, name: str) -> Any:
         """Return the class of a task, or for a gymnasium id what takes the same arguments."""
@@ -171,9 +167,3 @@ def task_named(text: str) -> str:
         if called in ids:
             return ids[called]
     return TASKS[plain].name
-
-
-def _names(like: str) -> list[str]:
-    """What a task may be called, for suggestions: our gymnasium ids to those who write something like one, else our names."""
-    ids = [TASKS[name].gym_id for name in TASKS]
-    return ids if closeness(like, ids) > closeness(like, TASKS) else list(TASKS)
