@@ -23,7 +23,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "wasp": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2, "horizon": 6},
     "printed": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "rollouts": 2, "horizon": 6},
     "ida": {"vote": 0.0, "copilot": "diffusion"},
-    "diffusion": {}, "saferl": {}, "filter": {"candidates": 8, "segment": 4, "rollouts": 2}, "human": {},
+    "halfway:Halfway": {}, "diffusion": {}, "saferl": {}, "filter": {"candidates": 8, "segment": 4, "rollouts": 2}, "human": {},
 }  # fmt: skip
 VARIANTS = ("safety-only", "no-case2", "no-rollout")
 CASES = [

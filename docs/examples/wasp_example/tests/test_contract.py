@@ -62,6 +62,15 @@ def test_it_acts_within_bounds_and_only_where_its_gate_fired(parts):
     assert torch.equal(actions[~fired], commands[~fired])
 
 
+@torch.inference_mode()
+def test_it_decides_where_the_models_are(parts):
+    """Tensors of the device `meta` have shapes and no values; like those of a GPU they do not mix with those of the CPU."""
+    parts.skills.to("meta")
+    who, latent = operator(parts, SEEDS).to(parts.device), Latent(torch.zeros(len(SEEDS), H), torch.zeros(len(SEEDS), Z)).to(parts.device)
+    decision = Careful(CarefulConfig(limit=0.5), parts).decide(latent, who.command(latent.features), who)
+    assert {tensor.device for tensor in (decision.action, *decision.record)} == {parts.device}
+
+
 def test_the_same_episodes_go_the_same_way(parts):
     assert torch.equal(drive(parts, range(len(SEEDS)))[1], drive(parts, range(len(SEEDS)))[1])
 

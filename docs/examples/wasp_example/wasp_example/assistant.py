@@ -16,7 +16,7 @@ class Careful:
 
     def __init__(self, config, parts):
         self.limit = config.limit
-        self.risk = load_module(Risk, parts.inputs["risk"] / "risk.safetensors")  # what the stage `risk` has left
+        self.risk = load_module(Risk, parts.inputs["risk"] / "risk.safetensors").to(parts.device)  # what the stage `risk` has left
         self.expert = parts.skills.expert
 
     def reset(self, rows, seeds):
@@ -28,5 +28,5 @@ class Careful:
         risk = self.risk(features.unsqueeze(1).expand(-1, 3, -1), choices).sigmoid()  # [B, 3]
         fired = risk[:, 0] > self.limit  # [B]
         safest = choices[torch.arange(len(a_h)), risk.argmin(1)]  # [B, A]
-        record = blank_record(len(a_h))._replace(gate=(GATE_METHOD * fired).to(torch.int8), signal=risk[:, 0])
+        record = blank_record(len(a_h), device=a_h.device)._replace(gate=(GATE_METHOD * fired).to(torch.int8), signal=risk[:, 0])
         return Decision(torch.where(fired.unsqueeze(-1), safest, a_h), record)
