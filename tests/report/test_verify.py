@@ -14,6 +14,7 @@ from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
 from tests.view.conftest import brought
+from wasp_cli.learning.device import training_device
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -86,6 +87,12 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     assert not Path("imported").exists()
     elsewhere = told(1, settings={**record["settings"], "gone": 1}, provenance={**record["provenance"], "processor": "another"})
     assert ("error: KeyError: 'gone'" in elsewhere, "computed on another processor" in elsewhere) == (True, False)
+    devices = []
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("wasp_cli.stages.evaluate.EvaluateStage.run", lambda *_: devices.append(training_device().type))
+    for cuda in ({}, {"cuda": ["a GPU"]}):
+        told(1, provenance={**record["provenance"], **cuda})
+    assert devices == ["cpu", "cuda"]
     del record["provenance"]
     assert "error: KeyError: 'provenance'" in told(1)
 

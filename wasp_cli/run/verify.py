@@ -7,7 +7,9 @@ ship. Processors of several makers round differently, and then an episode may go
 
 from __future__ import annotations
 
+import os
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +25,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
 from wasp_cli.tasks.registry import TASKS
 
-EVALUATE = "evaluate"
+EVALUATE, DEVICE = "evaluate", "WASP_DEVICE"  # the stage; the variable that stages ask for a device
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,7 @@ def why_not(layout: Layout, key: str) -> str | None:
         if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:  # it could be code of the folder
             return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
-            kind = manifest["upstream_kinds"][name]
-            if (why := corruption(layout, kind, upstream)) is not None:
+            if (why := corruption(layout, manifest["upstream_kinds"][name], upstream)) is not None:
                 return why
     except (ArtifactError, LookupError, TypeError, AttributeError) as error:
         return str(error)
@@ -79,14 +80,12 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
 
 
 def again(root: Path, key: str) -> Answer:
-    import time
-
     from wasp_cli.registry import load_target
     from wasp_cli.run.worker import set_threads, settings_of
     from wasp_cli.stages.base import Job, Stage
     from wasp_cli.stages.registry import STAGES
 
-    layout, began = Layout(root), time.monotonic()
+    layout, began, asked = Layout(root), time.monotonic(), os.environ.get(DEVICE, "")
     manifest = read_manifest(layout, EVALUATE, key)
     libraries: tuple[str, ...] = ()
     means: tuple[tuple[str, float, float], ...] = ()
@@ -97,6 +96,8 @@ def again(root: Path, key: str) -> Answer:
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         out = Path(folder)
         try:
+            # A GPU rounds differently: what a CPU computed, one computes again. No text is as good as no variable.
+            os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
             libraries, then = tuple(library_changes(manifest)), manifest["provenance"].get("processor")
             stage.run(Job(
                 EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
@@ -107,6 +108,8 @@ def again(root: Path, key: str) -> Answer:
             means = tuple(means_of(stored, out)) if differing else ()
         except Exception as error:  # damaged, of another version, or of a plugin that is not here: one cell ends no draw
             differing = (f"error: {error.message if isinstance(error, WaspError) else described(error)}",)
+        finally:
+            os.environ[DEVICE] = asked
     elsewhere = None if then == processor() else then
     return Answer(str(manifest.get("label", key)), differing, libraries, time.monotonic() - began, elsewhere, means)
 
