@@ -316,6 +316,9 @@ def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
+    fakes.set(behave={"goal1": "refuse"})
+    result = execute(replace(job, sources={**job.sources, "not_on_this_machine": "0" * 12}), own_process=False)
+    assert result.message == "the loss is not finite", "an error that says what to do about an absent module stands"
 
 
 def closed_pipe() -> int:

@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -128,7 +129,7 @@ class Envelope:
         except (Exception, SystemExit) as error:
             artifact.discard(staging)
             # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
-            if not isinstance(error, SourceChanged) and (changed := _change_of_source(job)) is not None:
+            if (changed := _change_of_source(job, error)) is not None:
                 traceback.print_exception(error)
                 error = changed
             return self._explained(error)
@@ -190,9 +191,12 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
         raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
 
 
-def _change_of_source(job: NodeJob) -> SourceChanged | None:
+def _change_of_source(job: NodeJob, error: BaseException | None = None) -> SourceChanged | None:
     """The error where what ran is not what the key says: a module may have been saved between planning and its import here."""
+    # An error stands that is this one, or says what to do about modules that are not here at all.
     changed = changed_since(job.sources)
+    if isinstance(error, SourceChanged) or (isinstance(error, WaspError) and not any(find_spec(name.split(".")[0]) for name in changed)):
+        return None
     hint = "run again; results that the change does not affect are kept"
     return SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint) if changed else None
 
@@ -300,8 +304,8 @@ LARGEST = 32 * 1024**2  # blocks up to this size, in bytes, come from the heap; 
 KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 
 
-def keep_memory() -> bool:
-    """Let the C library keep what is freed instead of returning it to the system; whether it does.
+def keep_memory() -> None:
+    """Let the C library keep what is freed instead of returning it to the system.
 
     A planner allocates and frees the same megabytes hundreds of times per second. By default glibc returns them each time, and the system
     gives them back zeroed, page by page: up to a third of the time of a decision.
@@ -309,5 +313,5 @@ def keep_memory() -> bool:
     if sys.platform.startswith("linux"):
         with suppress(OSError, AttributeError):  # another C library than glibc
             library = ctypes.CDLL(None)
-            return bool(library.mallopt(MMAP_THRESHOLD, LARGEST)) and bool(library.mallopt(TRIM_THRESHOLD, KEPT))
-    return False
+            library.mallopt(MMAP_THRESHOLD, LARGEST)
+            library.mallopt(TRIM_THRESHOLD, KEPT)
