@@ -70,7 +70,7 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
 
 MISTAKES = {
     "1 / 0\n": "module 'halfway' does not import: ZeroDivisionError: division by zero",
-    "class Other: ...\n": "the assistant 'halfway:Halfway' is not there",
+    "class Other: ...\n": "the assistant 'halfway:Halfway' is not in {home}/halfway.py",
     "class Halfway:\n    def reset(self, rows, seeds): ...\n": "the assistant 'halfway:Halfway' has no decide",
     None: "module 'halfway' does not import: ModuleNotFoundError",
 }
@@ -100,5 +100,5 @@ def test_mistakes_in_it_are_shown_where_the_spec_names_it(home):
     assert len(told) == 1 + len(MISTAKES)
     for message, shown in zip(MISTAKES.values(), told[:-1], strict=True):
         assert "halfway.yaml:4:23: " in shown
-        assert message in shown
+        assert message.format(home=home) in shown
         assert "Traceback" not in shown

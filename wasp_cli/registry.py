@@ -34,10 +34,10 @@ E = TypeVar("E", bound=Entry)
 class Registry(Mapping[str, E], Generic[E]):
     """The entries of one package. `group` is the entry-point group through which others add theirs."""
 
-    def __init__(self, kind: str, group: str | None, entries: tuple[E, ...]) -> None:
+    def __init__(self, kind: str, group: str, entries: tuple[E, ...]) -> None:
         self.kind = kind
         self.group = group
-        self._type = type(entries[0]) if entries else object
+        self._type = type(entries[0])
         self._own = {entry.name: entry for entry in entries}
         self._all: dict[str, E] | None = None
 
@@ -49,7 +49,7 @@ class Registry(Mapping[str, E], Generic[E]):
     def plugins(self) -> Iterator[tuple[EntryPoint, E | WaspError]]:
         """Yield each entry point of another package, with its entry or with why it cannot be used."""
         names: set[str] = set()
-        for point in entry_points(group=self.group) if self.group else ():
+        for point in entry_points(group=self.group):
             try:
                 entry: E = _loaded(point)
                 self._require_new(entry, point, names)
@@ -97,25 +97,27 @@ class Registry(Mapping[str, E], Generic[E]):
         return len(self._entries())
 
     def load(self, name: str) -> Any:
-        return load_target(self[name].target)
+        return load_target(self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin")
 
 
 def _loaded(point: EntryPoint) -> Any:
     """What a plugin's entry point names; its code is another's, and may do anything."""
     source = f"plugin '{point.dist.name if point.dist else point.module}' (entry point '{point.name}' of group '{point.group}')"
-    hint = "repair the plugin, or uninstall it"
     try:
-        entry = point.load()
+        return point.load()
     except Exception as error:
-        raise WaspError(f"{source} does not load: {type(error).__name__}: {error}", hint) from error
-    if not isinstance(getattr(entry, "name", None), str) or not isinstance(getattr(entry, "target", None), str):
-        raise WaspError(f"{source} names no entry: '{point.value}' is of type {type(entry).__name__}", hint)
-    return entry
+        raise WaspError(f"{source} does not load: {described(error)}", "repair the plugin, or uninstall it") from error
 
 
-def load_target(target: str) -> Any:
+def load_target(target: str, whose: str = "") -> Any:
+    """Import and return what an import string names; where it is the code of others, `whose` begins the message of a failure."""
     module, _, attribute = target.partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except Exception as error:
+        if not whose:
+            raise
+        raise WaspError(f"{whose} does not load: {described(error)}", f"see '{target}'; wasp doctor names the package") from error
 
 
 def import_here(module: str) -> ModuleType:
@@ -133,6 +135,7 @@ def import_here(module: str) -> ModuleType:
     except (Exception, SystemExit) as error:  # the code is another's
         absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
         hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
+        hint = f"write '{module.removesuffix('.py')}', without .py" if module.endswith(".py") else hint
         raise WaspError(f"module '{module}' does not import: {described(error)}", hint) from error
 
 

@@ -61,6 +61,8 @@ class Odd:
     whole = MethodInfo("whole", "Whole", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig")
     taken = MethodInfo("wasp", "Mine", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig")
     no_class = OperatorInfo("no-class", "None", "wasp_cli.operators.noisy:Nothing", 0.0, 1.0, "nothing")
+    study = MethodInfo("study", "Study", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig")
+    none = OperatorInfo("none", "None", "wasp_cli.operators.noisy:NoisyOperator", 0.0, 1.0, "nothing")
     no_config = MethodInfo("no-config", "None", "wasp_cli.methods.human:HumanOnly", INFO)
 
 
@@ -72,6 +74,8 @@ class Odd:
         ("wasp.operators", "method", f"{__name__}:Odd.whole", "is of type MethodInfo"),
         ("wasp.methods", "taken", f"{__name__}:Odd.taken", "redefines the built-in method 'wasp'"),
         ("wasp.operators", "no-class", f"{__name__}:Odd.no_class", "AttributeError"),
+        ("wasp.methods", "study", f"{__name__}:Odd.study", "has the name of a field of every spec"),
+        ("wasp.operators", "none", f"{__name__}:Odd.none", "has the name of the unimpaired expert"),
         ("wasp.methods", "no-config", f"{__name__}:Odd.no_config", "is no configuration"),
     ],
 )

@@ -24,4 +24,3 @@ def test_orders_are_balanced(conditions: int) -> None:
 
 def test_numbers_beyond_the_square_begin_again() -> None:
     assert balanced_order(4, 9) == balanced_order(4, 1)
-    assert balanced_order(0, 3) == []

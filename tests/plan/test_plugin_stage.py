@@ -111,6 +111,9 @@ def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
         spec.write_text(SPEC + wrong, encoding="utf-8")
         refused = checked()
         assert (refused.exit_code, message in refused.stderr) == (3, True), refused.stderr
+    (outsider / "method.py").write_text("class Nugde: ...", encoding="utf-8")
+    assert "outside.yaml:5:18: the method 'nudge' of a plugin does not load" in checked().stderr
+    (outsider / "method.py").write_text("class Nudge: ...", encoding="utf-8")
     spec.write_text(SPEC + "stages: [habits]\n", encoding="utf-8")
     assert checked().exit_code == 0
     assert any("habits" in label for label in keys())
@@ -122,12 +125,13 @@ def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
 @pytest.mark.parametrize(
     ("found", "put", "message"),
     [
-        ('StageInfo("habits"', 'StageInfo("tasks"', "a plugin names a stage 'tasks', which is a field of every spec"),
-        ('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
+        ('StageInfo("habits"', 'StageInfo("tasks"', "the stage 'tasks' of a plugin has the name of a field of every spec"),
+        ('StageInfo("habits"', 'StageInfo("ida"', "the stage 'ida' of a plugin has the name of a method"),
         ('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
         ('presets=', 'unit="cell", presets=', "has unit 'cell'"),
         ('STAGE = StageInfo(', 'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(', "is of type MethodInfo"),
         ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
+        ("outsider.stage:HabitsStage", "outsider.stage:Habits", "the stage 'habits' of a plugin does not load: AttributeError"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):

@@ -82,6 +82,7 @@ def registries() -> tuple[Registry[Any], ...]:
 def _plugins() -> Iterator[Finding]:
     """What other packages add. One that cannot be used stops other commands, so that it must not stop this one."""
     from wasp_cli.methods.registry import MethodInfo
+    from wasp_cli.spec.model import check_plugin
 
     for registry in registries():
         for point, added in registry.plugins():
@@ -90,7 +91,7 @@ def _plugins() -> Iterator[Finding]:
             try:
                 if isinstance(added, WaspError):
                     raise added
-                load_target(added.target)
+                check_plugin(registry, added, load_target(added.target))
                 if isinstance(added, MethodInfo):
                     added.config_model()
             except Exception as error:  # its code is another's

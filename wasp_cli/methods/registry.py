@@ -55,10 +55,7 @@ class MethodInfo:
 
     def config_model(self) -> type[Config]:
         """Import and return the model of its configuration."""
-        try:
-            model = load_target(self.config)
-        except (ImportError, AttributeError) as error:
-            raise WaspError(f"the configuration of the method '{self.name}' does not load: {error}", f"see '{self.config}'") from error
+        model = load_target(self.config, f"the configuration of the method '{self.name}'")
         if not (isinstance(model, type) and issubclass(model, Config)):
             raise WaspError(f"'{self.config}' of the method '{self.name}' is no configuration", "derive it from wasp_cli.config.Config")
         return model
@@ -74,7 +71,7 @@ class OwnMethod(MethodInfo):
     def named(cls, name: str) -> OwnMethod:
         """Describe it without importing it."""
         module, _, title = name.partition(":")
-        return cls(name, title, name, "wasp_cli.config:Config", rule=f"{title} is a class of the module {module}.")
+        return cls(name, f"{title} ({module})", name, "wasp_cli.config:Config", rule=f"{title} is a class of the module {module}.")
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         # A spec that is to run has imported the class. Reports of somebody else's results import nothing.
@@ -84,10 +81,11 @@ class OwnMethod(MethodInfo):
     def load(self) -> Any:
         """Import and return the class."""
         module, _, name = self.target.partition(":")
-        found = getattr(import_here(module), name, None)
+        found = getattr(imported := import_here(module), name, None)
         lacks = [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]
         if lacks:
-            what = "is not there" if found is None else f"has no {' and no '.join(lacks)}"
+            where = getattr(imported, "__file__", None) or f"Python's own {module}"  # which hides a file of the same name
+            what = f"is not in {where}" if found is None else f"has no {' and no '.join(lacks)}"
             raise WaspError(f"the assistant '{self.name}' {what}", "wasp_cli.methods.base.Assistant says what an assistant has")
         return found
 

@@ -18,12 +18,12 @@ from wasp_cli.config import Config, assumed
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec.names import (
-    EXTENDS,
     NO_REPEATS,
     RECORDED,
-    SHORT,
+    TOP,
     MethodName,
     OperatorName,
     Seed,
@@ -35,7 +35,7 @@ from wasp_cli.spec.names import (
     unknown,
 )
 from wasp_cli.spec.presets import merged, preset_values
-from wasp_cli.stages.registry import STAGES
+from wasp_cli.stages.registry import STAGES, StageInfo
 
 Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
 Questionnaire = Literal["tlx", "assistance"]
@@ -81,11 +81,7 @@ def balanced_order(conditions: int, participant: int) -> list[int]:
     Every condition stands in every place, and follows every other one, equally often over `n` participants with consecutive numbers, or
     over `2 n` where the number of conditions is odd (Williams 1949).
     """
-    if conditions < 1:
-        return []
-    first = [0]
-    for k in range(1, conditions):
-        first.append((k + 1) // 2 if k % 2 else conditions - k // 2)
+    first = [(k + 1) // 2 if k % 2 else conditions - k // 2 for k in range(conditions)]
     rows = [[(start + shift) % conditions for start in first] for shift in range(conditions)]
     if conditions % 2:
         rows += [row[::-1] for row in rows]
@@ -208,13 +204,11 @@ def _check_tasks(spec: Spec) -> None:
                 hint = {"key": key, "hint": f"set '{key}' outside `by_task`"}
                 what = PydanticCustomError("everywhere", "'{key}' is the same for all tasks", hint)
                 errors.append(InitErrorDetails(type=what, loc=(*here, *places[key]), input=key))
-            if same:
-                continue
-            if name not in sections:
-                errors.append(InitErrorDetails(type=unknown("section", name, sections), loc=(*here, "[key]"), input=name))
-                continue
             try:
-                _over(getattr(spec, name), values)
+                if not same and name in sections:
+                    _over(getattr(spec, name), values)
+                elif not same:
+                    errors.append(InitErrorDetails(type=unknown("section", name, sections), loc=(*here, "[key]"), input=name))
             except ValidationError as error:
                 errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
@@ -223,8 +217,7 @@ def _check_tasks(spec: Spec) -> None:
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
     context = error.get("ctx", {})
-    pydantics = error["type"] in get_args(ErrorType)
-    what = error["type"] if pydantics else PydanticCustomError(error["type"], error["msg"], context)
+    what = error["type"] if error["type"] in get_args(ErrorType) else PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
 
 
@@ -280,28 +273,31 @@ def mixing_stages() -> tuple[str, ...]:
 
 @cache
 def spec_type() -> type[Spec]:
-    _check_plugins()
+    for registry in (STAGES, METHODS, OPERATORS):
+        for name in set(registry) - set(registry.own):
+            check_plugin(registry, registry[name], registry.load(name) if registry is STAGES else None)
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}
     fields: dict[str, Any] = {name: (model, Field(default_factory=model)) for name, model in models.items()}
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
 
 
-def _check_plugins() -> None:
-    """Refuse names of plugins that would hide a field of the spec, and stages that have no place in a plan."""
-    fields = {*Spec.model_fields, EXTENDS, SHORT}
-    hint = "rename it in the plugin, or uninstall the plugin"
-    for kind, others in ((STAGES, METHODS), (METHODS, STAGES)):
-        for name in set(kind) - set(kind.own):
-            if name in fields or name in others:
-                what = "a field of every spec" if name in fields else f"the name of a {others.kind}"
-                raise WaspError(f"a plugin names a {kind.kind} '{name}', which is {what}", hint)
-    for name in set(STAGES) - set(STAGES.own):
-        if STAGES[name].unit != "chain":
-            raise WaspError(f"the stage '{name}' of a plugin has unit '{STAGES[name].unit}'", "stages of plugins have the unit 'chain'")
-        section = getattr(STAGES.load(name), "config", None)
-        if not (isinstance(section, type) and issubclass(section, Config)):
-            raise WaspError(f"the class of stage '{name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
+def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
+    """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage (`made`: its class) that has no place in a plan."""
+    taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
+    if (other := METHODS if registry is STAGES else STAGES if registry is METHODS else None) is not None:
+        taken = dict.fromkeys((*other.own, *(getattr(added, "name", "") for _, added in other.plugins())), f"a {other.kind}")
+        taken |= dict.fromkeys((*Spec.model_fields, *TOP), "a field of every spec")
+    if entry.name in taken:
+        message = f"the {registry.kind} '{entry.name}' of a plugin has the name of {taken[entry.name]}"
+        raise WaspError(message, "rename it in the plugin, or uninstall the plugin")
+    if not isinstance(entry, StageInfo):
+        return
+    if entry.unit != "chain":
+        raise WaspError(f"the stage '{entry.name}' of a plugin has unit '{entry.unit}'", "stages of plugins have the unit 'chain'")
+    section = getattr(made, "config", None)
+    if not (isinstance(section, type) and issubclass(section, Config)):
+        raise WaspError(f"the class of stage '{entry.name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
 
 
 def validate(document: Mapping[str, Any]) -> Spec:

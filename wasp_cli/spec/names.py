@@ -12,10 +12,11 @@ from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
-from wasp_cli.methods.registry import METHODS, OwnMethod
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.registry import Registry
 from wasp_cli.stages.registry import STAGES, stages_of
-from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
+from wasp_cli.tasks.registry import TASKS, task_named
 
 EXTENDS = "extends"
 SHORT = "task"
@@ -55,16 +56,20 @@ def _task(name: str, info: ValidationInfo) -> str:
             hint = f"write '{registered}'"
             raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": hint})
     try:
-        task = TASKS[name]
+        TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    return _usable(name, info, task.examine) if isinstance(task, ForeignInfo) else name
+    return name if name in TASKS.own else _usable(name, info, lambda: TASKS.load(name))
 
 
-def _method(name: str, info: ValidationInfo) -> str:
-    if name not in METHODS:
-        raise unknown("method", name, METHODS)
-    return _usable(name, info, lambda: METHODS.load(name)) if isinstance(METHODS[name], OwnMethod) else name
+def _registered(registry: Registry[Any]) -> AfterValidator:
+    def check(name: str, info: ValidationInfo) -> str:
+        if name not in registry:
+            raise unknown(registry.kind, name, registry)
+        # The code of others is loaded now: it should not fail after the training.
+        return name if name in registry.own else _usable(name, info, lambda: registry.load(name))
+
+    return AfterValidator(check)
 
 
 def training_stages() -> list[str]:
@@ -100,10 +105,10 @@ SpecName = Annotated[str, Field(pattern=rf"^[A-Za-z0-9][A-Za-z0-9_.-]{{0,{LONGES
 SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
-MethodName = Annotated[str, AfterValidator(_method)]
+MethodName = Annotated[str, _registered(METHODS)]
 VariantName = Annotated[str, known("assistant variant", assistant_variants)]
 StageName = Annotated[str, AfterValidator(_stage)]
-OperatorName = Annotated[str, known("operator variant", lambda: OPERATORS)]
+OperatorName = Annotated[str, _registered(OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:

@@ -37,7 +37,7 @@ def test_an_assistant_from_a_file_of_ones_own_is_drawn_too(frame: Frame, tmp_pat
     own = [replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in cells]
     for draw in (cost_return_figure, profile_figure):
         _, svg = draw(Frame((*frame.cells, *own)), tmp_path)
-        assert "Halfway" in svg.read_text(encoding="utf-8")
+        assert "Halfway (halfway)" in svg.read_text(encoding="utf-8"), "others may have a class of that name"
 
 
 def test_methods_differ_in_colour_and_marker() -> None:
