@@ -70,7 +70,7 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
 
 MISTAKES = {
     "1 / 0\n": "module 'halfway' does not import: ZeroDivisionError: division by zero",
-    "class Other: ...\n": "the assistant 'halfway:Halfway' is not in {home}/halfway.py",
+    "class Other: ...\n": "the assistant 'halfway:Halfway' is not in <module 'halfway' from '{home}/halfway.py'>",
     "class Halfway:\n    def reset(self, rows, seeds): ...\n": "the assistant 'halfway:Halfway' has no decide",
     None: "module 'halfway' does not import: ModuleNotFoundError",
 }

@@ -82,11 +82,11 @@ class OwnMethod(MethodInfo):
         """Import and return the class."""
         module, _, name = self.target.partition(":")
         found = getattr(imported := import_here(module), name, None)
-        lacks = [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]
-        if lacks:
-            where = getattr(imported, "__file__", None) or f"Python's own {module}"  # which hides a file of the same name
-            what = f"is not in {where}" if found is None else f"has no {' and no '.join(lacks)}"
-            raise WaspError(f"the assistant '{self.name}' {what}", "wasp_cli.methods.base.Assistant says what an assistant has")
+        if found is None:  # Python's own modules hide files of the same name
+            raise WaspError(f"the assistant '{self.name}' is not in {imported}", "name a class of it; if your file is another, rename it")
+        if lacks := [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]:
+            what = f"the assistant '{self.name}' has no {' and no '.join(lacks)}"
+            raise WaspError(what, "wasp_cli.methods.base.Assistant says what an assistant has")
         return found
 
 
