@@ -34,6 +34,13 @@ def test_an_episode_and_a_decision_as_printed(mixed: Episode) -> None:
     assert decision_text(mixed, 2, 120) + "\n" == (GOLDEN / "explain_decision.txt").read_text(encoding="utf-8")
 
 
+def test_a_time_is_shared_by_the_episodes_of_a_batch(tmp_path: Path) -> None:
+    first, last = (Invented().read(tmp_path, episode=episode) for episode in (0, 2))
+    assert "2 ms: the time of 2 episodes decided side by side, 4 ms, divided by 2" in decision_text(first, 0)
+    assert "decision time  2 ms" in decision_text(last, 0)
+    assert "side by side" not in decision_text(last, 0) + episode_text(last)
+
+
 def test_what_came_is_counted_from_the_decision_on(mixed: Episode) -> None:
     facts = decision_of(mixed, 2)
     assert (facts.ahead.first, facts.ahead.last, facts.ahead.costly, facts.ahead.cost) == (2, 5, 2, 4)

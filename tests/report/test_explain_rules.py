@@ -57,6 +57,20 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     assert places_of(episode.missed) == (4,)
 
 
+def test_behind_a_vote_the_safety_gate_looks_at_what_was_voted_for(tmp_path: Path) -> None:
+    made = Invented(method="ida-guarded", thresholds=Thresholds(tau_c=0.3, tau_q=0.1), config={**WASP, "vote": 0.99})
+    made.signal[:], made.g_cost[:], made.delta_g[:] = 0.2, 0.125, 0.25
+    made.signal[3], made.gate[3], made.a[3] = 1.0, GATE_METHOD, [0.0, 0.0]
+    made.signal[4], made.gate[4], made.g_cost[4] = 1.0, GATE_SAFETY, 0.5
+    voted, guarded = (decision_text(made.read(tmp_path), t) for t in (3, 4))
+    for text in (voted, guarded):
+        assert "  vote    1.000      0.990  0.100  yes\n" in text
+        assert "within the next 4 decisions, discounted, if the expert follows IDA's action (Eq. 9)" in text
+        assert "this method has no such gate" in text
+    assert "search  none: the method decided by its own rule" in voted
+    assert "The safety gate fired (G^c 0.500 > τ_c 0.300)" in guarded
+
+
 def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> None:
     made = Invented(method="printed", config=dict(PRINTED))
     made.fire(2, GATE_SAFETY)

@@ -53,12 +53,17 @@ class Constants:
     action_repeat: int | None = None  # env steps of a decision
     decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
 
+    @property
+    def guards(self) -> bool:
+        """Tell whether the safety gate looks at the action of IDA, which votes first, and not at the command."""
+        return self.takeover and self.vote is not None
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
     cell: FoundCell
     row: Mapping[str, Any]  # the episode columns of `store.tables`
-    episodes: int  # in the cell, all decided side by side
+    episodes: int  # in the cell
     gate: NDArray[np.int64]  # [T]
     costly: Bools  # [T] any cost within the decision
     a_h: Floats  # [T, A]
@@ -77,6 +82,13 @@ class Episode:
     @property
     def method(self) -> str:
         return str(self.row["method"])
+
+    @property
+    def side_by_side(self) -> int:
+        """Episodes that were decided together with this one, and shared its time; 1 where the manifest does not say how many."""
+        size = self.cell.setting("settings", "side_by_side")
+        size = size if isinstance(size, int) and size > 0 else 1
+        return min(size, self.episodes - self.row["episode"] // size * size)
 
     @property
     def variant(self) -> str:
@@ -99,6 +111,11 @@ class Episode:
     @property
     def thresholds(self) -> Thresholds:
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
+
+    @property
+    def asks_task(self) -> bool:
+        """Tell whether there is a task gate: an ablation has none, nor has a safety gate behind another method."""
+        return self.variant != "safety-only" and (not self.constants.takeover or self.thresholds.tau_r is not None)
 
     @property
     def signal(self) -> Signal:
