@@ -14,6 +14,8 @@ Nothing is computed, and torch is imported by `replay` alone. Columns have the n
 
 from __future__ import annotations
 
+import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -90,7 +92,7 @@ class Results:
 
     def episodes(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
 
@@ -102,6 +104,7 @@ class Results:
             severity: the spec's name, such as `moderate`.
             value: of the severity.
             seed: of the evaluation.
+            key: of cells, whole.
             columns: which measures; None for all.
 
         Raises:
@@ -109,23 +112,23 @@ class Results:
             KeyError: no such column.
             StoreError: rows are damaged.
         """
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.stacked(self._layout, cells, reading.episodes_of, reading.EPISODE, columns)
 
     def steps(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return reading.stacked(self._layout, cells, reading.steps_of, reading.STEPS, columns)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
+        return reading.all_steps(self._layout, cells, columns)
 
     def branches(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.stacked(self._layout, cells, reading.branches_of, reading.BRANCH, columns)
 
     def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
@@ -175,8 +178,13 @@ class Results:
         return StoredCell(self._layout, cell)
 
     def _chosen(self, *values: Any) -> list[ListedCell]:
-        names = ("task", "method", "variant", "operator", "severity", "value", "seed")
-        return reading.chosen(self.cells, dict(zip(names, values, strict=True)))
+        names = ("task", "method", "variant", "operator", "severity", "value", "seed", "key")
+        cells = reading.chosen(self.cells, dict(zip(names, values, strict=True)))
+        alike = Counter((cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values())
+        if twice := sum(count for count in alike.values() if count > 1):
+            told = f"{twice} of {len(cells)} cells share their names with another, of other settings or code: `key` tells them apart"
+            warnings.warn(f"{told}, and key=[...] chooses", stacklevel=3)
+        return cells
 
 
 @dataclass(frozen=True)
@@ -216,13 +224,17 @@ class StoredCell:
         """Read a row per decision, of one episode or of all.
 
         Raises:
+            UsageError: there is no such episode, or its steps are not here.
             StoreError: the rows are damaged.
         """
-        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         if episode is None:
-            return rows
+            return reading.all_steps(self.layout, [self.names], None)
         import pyarrow.compute as pc
 
+        from wasp_cli.report.explain import read_episode
+
+        read_episode(self._found, episode)  # refuses an episode that is not here
+        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         return rows.filter(pc.equal(rows["episode"], episode))
 
     def branches(self) -> pa.Table:
@@ -248,6 +260,10 @@ class StoredCell:
         """
         from wasp_cli.video.replay import replay_frames
 
+        yield from replay_frames(self.layout, self._found, episode, every)
+
+    @property
+    def _found(self) -> FoundCell:
         path = reading.table_of(self.layout, self.names)
         assert path is not None  # the cell is computed: `Results.cell` has seen to it
-        yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)
+        return FoundCell(path, self.key, self.manifest)
