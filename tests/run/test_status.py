@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from tests.run.harness import ROOT, Fakes, finished, keys_of, run, start, wait_u
 from tests.run.recorded import dead_pid, key, planned, process, write_run
 from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_record
+from wasp_cli.store.artifact import commit, read_record, staging_folder
 from wasp_cli.store.layout import Layout
 
 RUN = "20260501-120000-small-0001"
@@ -110,6 +111,20 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     assert log("b") == "of b\n"  # computed in the first run; later ones found it there
     several = run_here("logs", "0000", "--results", layout.root, columns=80, code=2)
     assert "'0000' names 3 nodes" in several.stderr
+
+
+def test_a_label_names_the_node_of_the_newest_run_that_left_one(layout):
+    for number, run_id in enumerate((RUN, "20260501-130000-small-0002", "20260501-140000-small-0003"), 1):
+        write_run(layout, run_id, [planned(number, "a")])
+        if number < 3:
+            manifest = {"key": key(number), "kind": "expert", "label": "a"}
+            commit(layout, "expert", key(number), staging_folder(layout, key(number)), manifest)
+    for options, number in (([], 2), (["--run", "0001"], 1)):
+        done = run_here("show", "a", *options, "--json", "--results", layout.root, columns=80, code=0)
+        assert json.loads(done.stdout)["key"] == key(number)
+    shutil.rmtree(layout.runs)
+    assert "'a' names 2 nodes" in run_here("show", "a", "--results", layout.root, columns=80, code=2).stderr
+    run_here("show", key(2), "--results", layout.root, columns=80, code=0)
 
 
 def test_a_log_commands_no_terminal(layout):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -111,9 +112,23 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     raise UnknownName("run", text, [run.run_id for run in runs])
 
 
-def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
-    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
-    return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
+def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None:
+    """Return the keys that a label or the beginning of a key may mean; None: any.
+
+    Those of the run that `named_run` finds. Without one, those that a label has from the newest run on that left something of it.
+    """
+    from wasp_cli.store.find import same_label
+
+    if run is not None:
+        return frozenset(named_run(planned_runs(layout), run).nodes)
+    keys: set[str] = set()
+    with suppress(StoreError):  # a folder without runs
+        for planned in planned_runs(layout):
+            nodes = [node for node in planned.nodes.values() if same_label(node.label, " ".join(text.split()))]
+            keys.update(node.key for node in nodes)
+            if any(layout.artifact(node.kind, node.key).is_dir() for node in nodes):
+                return frozenset(keys)
+    return None
 
 
 def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:
