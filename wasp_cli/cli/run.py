@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +27,7 @@ from wasp_cli.cli.options import (
 )
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import err, out, plain, say
-from wasp_cli.errors import CellsFailed, UsageError, first
+from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -165,16 +166,26 @@ def run_and_report(
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper, redraw=False)
     session.layout.reporting(session.run_id).unlink(missing_ok=True)
-    say_next(results, {node.label: cell.method for cell, node in grid.cells})
+    say_next(results, [(cell.method, node.label, node.key) for cell, node in grid.cells])
     session.require_complete()
     require_cells([cell for cell in report.missing if selected is None or cell.key in selected], session.layout)
 
 
-def say_next(results: Path, methods: Mapping[str, str]) -> None:
+def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
+    """Say what may follow a run with cells: method, label and key of each."""
+    from wasp_cli.store.tables import cell_file, read_steps
+
+    def has_steps(key: str) -> bool:
+        """Published cells may have no steps, and what failed has none."""
+        with suppress(StoreError):
+            return read_steps(cell_file(Layout(results).artifact("evaluate", key))).num_rows > 0
+        return False
+
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
-    if methods:
-        example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
+    wasp_first = sorted(cells, key=lambda cell: cell[0] != "wasp")
+    example = next((label for _, label, key in wasp_first if has_steps(key)), None)
+    if example is not None:
         plain(f"      wasp explain {shlex.quote(example)} --episode 0{option}   (what the assistant did, and why)")
     plain(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
 
