@@ -97,14 +97,11 @@ class Results:
         """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
 
         Args:
-            task: only these; so for the next ones.
-            method: as the spec names it.
+            task, method: only these; so for the next ones.
             variant: the ablation; `full` for the method itself.
             operator: as the spec names it; `none` for the expert's.
-            severity: the spec's name, such as `moderate`.
-            value: of the severity.
-            seed: of the evaluation.
-            key: of cells, whole.
+            severity, value: the spec's name, such as `moderate`; and its number.
+            seed, key: of cells; a key is whole.
             columns: which measures; None for all.
 
         Raises:
@@ -173,26 +170,28 @@ class Results:
         if len(cells) > 1:
             raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
         (cell,) = cells.values()
-        if reading.table_of(self._layout, cell) is None:
+        path = reading.table_of(self._layout, cell)
+        if path is None:
             raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
-        return StoredCell(self._layout, cell)
+        return StoredCell(self._layout, cell, path)
 
     def _chosen(self, *values: Any) -> list[ListedCell]:
         names = ("task", "method", "variant", "operator", "severity", "value", "seed", "key")
         cells = reading.chosen(self.cells, dict(zip(names, values, strict=True)))
         alike = Counter((cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values())
         if twice := sum(count for count in alike.values() if count > 1):
-            told = f"{twice} of {len(cells)} cells share their names with another, of other settings or code: `key` tells them apart"
-            warnings.warn(f"{told}, and key=[...] chooses", stacklevel=3)
+            told = f"{twice} of {len(cells)} cells share their names with another, of other settings or code"
+            warnings.warn(f"{told}: the column `key` tells them apart, and key=[...] chooses", stacklevel=3)
         return cells
 
 
 @dataclass(frozen=True)
 class StoredCell:
-    """A computed cell; see `Results.cell`."""
+    """A computed cell; see `Results.cell`. Reading raises a StoreError where rows are damaged."""
 
     layout: Layout
     names: ListedCell
+    path: Path  # of its table
 
     @property
     def key(self) -> str:
@@ -213,11 +212,7 @@ class StoredCell:
         return f"<wasp cell '{self.label}', {self.key}>"
 
     def episodes(self) -> pa.Table:
-        """Read a row per episode.
-
-        Raises:
-            StoreError: the rows are damaged.
-        """
+        """Read a row per episode."""
         return reading.stacked(self.layout, [self.names], reading.episodes_of, reading.EPISODE, None)
 
     def steps(self, episode: int | None = None) -> pa.Table:
@@ -225,7 +220,6 @@ class StoredCell:
 
         Raises:
             UsageError: there is no such episode, or its steps are not here.
-            StoreError: the rows are damaged.
         """
         if episode is None:
             return reading.all_steps(self.layout, [self.names], None)
@@ -233,16 +227,12 @@ class StoredCell:
 
         from wasp_cli.report.explain import read_episode
 
-        read_episode(self._found, episode)  # refuses an episode that is not here
+        read_episode(FoundCell(self.path, self.key, self.manifest), episode)  # refuses what is not here
         rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         return rows.filter(pc.equal(rows["episode"], episode))
 
     def branches(self) -> pa.Table:
-        """Read a row per counterfactually tested decision.
-
-        Raises:
-            StoreError: the rows are damaged.
-        """
+        """Read a row per counterfactually tested decision."""
         return reading.stacked(self.layout, [self.names], reading.branches_of, reading.BRANCH, None)
 
     def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
@@ -260,10 +250,4 @@ class StoredCell:
         """
         from wasp_cli.video.replay import replay_frames
 
-        yield from replay_frames(self.layout, self._found, episode, every)
-
-    @property
-    def _found(self) -> FoundCell:
-        path = reading.table_of(self.layout, self.names)
-        assert path is not None  # the cell is computed: `Results.cell` has seen to it
-        return FoundCell(path, self.key, self.manifest)
+        yield from replay_frames(self.layout, FoundCell(self.path, self.key, self.manifest), episode, every)

@@ -250,12 +250,10 @@ def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[st
 
 
 def _array(values: Sequence[Any]) -> pa.Array:
-    kinds = {bool if isinstance(value, bool) else float if isinstance(value, int | float) else type(value) for value in values} - {
-        type(None)
-    }
-    if kinds == {float} and not all(isinstance(value, int | None) for value in values):
-        return pa.array([None if value is None else float(value) for value in values], pa.float64())
-    return pa.array(values) if len(kinds) == 1 else pa.array([None if value is None else str(value) for value in values], pa.string())
+    try:
+        return pa.array(values)
+    except (pa.ArrowException, OverflowError):  # numbers and words, or an integer without end
+        return pa.array([None if value is None else str(value) for value in values], pa.string())
 
 
 def report_table(layout: Layout, spec: str, name: str) -> pa.Table:

@@ -53,9 +53,11 @@ def run_ids(layout: Layout) -> list[str]:
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
             names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
+    except (FileNotFoundError, NotADirectoryError) as error:
+        what = "it holds no runs" if os.path.exists(layout.root) else "no such folder"
+        raise StoreError(f"no results in '{layout.root}': {what}", "wasp run SPEC --results DIR writes there") from error
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise StoreError(f"no results in '{layout.root}': {reason}", "wasp run SPEC --results DIR writes there") from error
+        raise StoreError(f"cannot read the results in '{layout.root}': {(error.strerror or str(error)).lower()}") from error
     return sorted(names, key=lambda name: (order_of(layout, name), name), reverse=True)
 
 
@@ -94,12 +96,11 @@ def planned_runs(layout: Layout) -> list[PlannedRun]:
 
 def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
     """Return what the last run of a spec was to do; empty where none is recorded."""
-    try:
-        ids = run_ids(layout)
-    except StoreError:
-        return {}
-    plans = (planned_run(layout, run_id) for run_id in ids)
-    return next((plan.nodes for plan in plans if plan is not None and plan.spec == spec), {})
+    with suppress(StoreError):
+        for run_id in run_ids(layout):
+            if (plan := planned_run(layout, run_id)) is not None and plan.spec == spec:
+                return plan.nodes
+    return {}
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:

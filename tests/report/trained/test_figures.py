@@ -1,7 +1,6 @@
 """Learning and calibration curves from the files of artifacts, whatever these hold."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,11 +98,9 @@ def test_damaged_files_leave_their_curve_out(content: str, tmp_path: Path) -> No
     assert draw_figures(layout, Frame(()), found, tmp_path) == []
 
 
-def test_curves_and_table_of_a_task_are_exported_under_one_name(tmp_path: Path) -> None:
+def test_a_row_of_the_table_is_exported_under_the_name_of_its_task(tmp_path: Path) -> None:
     driven = write(tmp_path, CellIdentity("formula1", "human", "full", "laggy", 0.5, 0), [invent(0, 1, 0.0, 0.1)])
-    learned = replace(artifact(Layout(tmp_path), "expert"), task="formula1")
-    names = [series.name for series in series_of(Layout(tmp_path), [learned], read_frame([driven]))]
-    assert names == ["formula1/s0/Expert", "formula1/table/Human-only"]
+    assert [series.name for series in series_of(Layout(tmp_path), [], read_frame([driven]))] == ["formula1/table/Human-only"]
 
 
 def test_figures_name_what_they_show(tmp_path: Path) -> None:

@@ -49,14 +49,9 @@ class Constants:
     """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
     bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
     gamma_c: float | None = None
-    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over
+    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over; a safety gate then looks at its action
     action_repeat: int | None = None  # env steps of a decision
     decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
-
-    @property
-    def guards(self) -> bool:
-        """Tell whether the safety gate looks at the action of IDA, which votes first, and not at the command."""
-        return self.takeover and self.vote is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +80,10 @@ class Episode:
 
     @property
     def side_by_side(self) -> int:
-        """Episodes that were decided together with this one, and shared its time; 1 where the manifest does not say how many."""
-        size = self.cell.setting("settings", "side_by_side")
-        size = size if isinstance(size, int) and size > 0 else 1
-        return min(size, self.episodes - self.row["episode"] // size * size)
+        """Episodes that shared the time of this one's decisions; 1 where the manifest does not say how many."""
+        stated = self.cell.setting("settings", "side_by_side")
+        size = stated if isinstance(stated, int) and stated > 0 else 1
+        return min(size, self.episodes - int(self.row["episode"]) // size * size)
 
     @property
     def variant(self) -> str:

@@ -97,7 +97,7 @@ def cost_meaning(constants: Constants) -> str:
 def goes_on(constants: Constants) -> str:
     if not constants.takeover:
         return "the operator goes on alone"
-    return "the expert follows IDA's action" if constants.guards else "the expert follows"
+    return "the expert follows" if constants.vote is None else "the expert follows IDA's action"
 
 
 def gain_meaning(constants: Constants) -> str:

@@ -95,7 +95,7 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    thresholds, signal, off = episode.thresholds, episode.signal, _off(episode)
+    thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
     above = "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
     gates = [(GATE_METHOD, decider(episode.method), above)]
@@ -175,12 +175,9 @@ FIRES = {
     "no candidate": "no: no correction is predicted safe (Eq. 11)",
     "withheld": "no: the correction is not predicted safe, or changes no force",
     "late": "not asked: the assistant was late",
+    "off": "this assistant has no such gate",
     "unknown": "not recorded",
 }
-
-
-def _off(episode: Episode) -> str:
-    return "this method has no such gate" if episode.variant == "full" else "off in this variant"
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
@@ -199,16 +196,15 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
             (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r")
         ):  # fmt: skip
             value, threshold = beside(gate.value, gate.threshold)
-            rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES.get(gate.state) or _off(episode)])
+            rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
             styles.append(look.style if gate.state == "fired" else "")
         meanings = notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
         yield from section("Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings)
         yield from section("Plan", *_plan(episode, facts))
     if facts.signal is not None:
-        # A safety gate may have fired over a vote.
-        signal, limit = episode.signal, episode.signal_limit
-        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, limit))
-        row = [signal.name, *beside(facts.signal, limit), short(episode.thresholds.tau_q), "yes" if fired else "no"]
+        signal, needed = episode.signal, episode.signal_limit
+        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))  # a gate behind a vote
+        row = [signal.name, *beside(facts.signal, needed), short(episode.thresholds.tau_q), "yes" if fired else "no"]
         drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
     shared, time = episode.side_by_side, "not recorded" if facts.ms is None else ms(facts.ms)
@@ -322,7 +318,7 @@ def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     comparable = constants.horizon == facts.window and constants.bootstrap_cost is False
     if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
         came = f"observed{', with the interventions' if ahead.intervened else ''}"
-        first = "IDA's action" if constants.guards else "the command"
+        first = "the command" if constants.vote is None else "IDA's action"
         expected = f"{first}, then the expert" if constants.takeover else "the operator alone"
         rows = [[f"expected of {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
         yield table(["costly decisions", f"discounted (γ_c {short(constants.gamma_c)})"], rows)
