@@ -14,6 +14,7 @@ from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
+from wasp_cli.cli.run import say_next
 from wasp_cli.errors import CellsFailed
 from wasp_cli.plan.plan import with_keys
 from wasp_cli.run.record import Recorded, new_run
@@ -267,3 +268,12 @@ def test_who_was_started_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-P", "-c", program, "--version"], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stdout[:5]) == (0, "wasp ")
+
+
+def test_what_a_run_suggests_can_be_explained(monkeypatch):
+    """Of the published cells one has no steps; another is not there."""
+    cells = [("wasp", "empty", "0f90b6fff576de2b8175"), ("wasp", "missing", "0" * 20), ("ida", "whole", "bc484850ba1f80f0a26a")]
+    told: list[str] = []
+    monkeypatch.setattr("wasp_cli.cli.run.plain", told.append)
+    say_next(ROOT / "results" / "published", cells)
+    assert [line.split()[2] for line in told if "wasp explain" in line] == ["whole"]

@@ -25,6 +25,7 @@ from wasp_cli.notebook import Results
 from wasp_cli.store.tables import cell_file, read_episodes
 
 GOLDEN = Path(__file__).parents[1] / "golden"
+BY_TEN = "bc484850ba1f80f0a26a"  # a published cell
 NAMES = ["key", "spec", "task", "method", "variant", "operator", "severity", "value", "seed"]
 
 
@@ -80,6 +81,19 @@ def test_rows_are_those_of_the_files(results: Results) -> None:
     by_episode = steps.group_by("episode").aggregate([("reward", "sum")]).sort_by("episode")
     assert np.allclose(by_episode["reward_sum"].to_numpy(), stored["return"].to_numpy(), rtol=1e-5)
     assert cell.steps(1).num_rows == stored["decisions"].to_pylist()[1]
+    with pytest.raises(UsageError, match="no episode 99"):
+        cell.steps(99)
+    assert results.steps(method="wasp", key=cell.key, columns="reward").column_names == [*NAMES, "reward"]
+
+
+def test_what_is_published_says_what_it_lacks_and_what_has_two_cells() -> None:
+    published = wasp_cli.results(ROOT / "results" / "published")
+    with pytest.warns(UserWarning, match="^1 of 30 episodes have steps"):
+        assert {*published.steps(key=BY_TEN)["episode"].to_pylist()} == {0}
+    with pytest.raises(UsageError, match="the steps of episode 5 are not here"):
+        published.cell(BY_TEN).steps(5)
+    with pytest.warns(UserWarning, match=r"^\d+ of \d+ cells share their names with another"):
+        published.episodes(method="ida", columns="return")
 
 
 def test_rows_are_chosen_by_names(results: Results) -> None:
@@ -272,8 +286,3 @@ def test_an_episode_has_its_frames(replayable: Path) -> None:
     decisions = cell.episodes()["decisions"][1].as_py()
     assert len(frames) == len({*range(0, decisions, 10), decisions - 1})
     assert len({frame.tobytes() for frame in frames}) == len(frames)
-
-
-def test_an_episode_that_is_not_there_is_refused(replayable: Path) -> None:
-    with pytest.raises(UsageError, match="episode 7"):
-        next(wasp_cli.results(replayable).cell(CELL[:6]).replay(episode=7))

@@ -86,7 +86,7 @@ class Invented:
             "key": KEY,
             "label": self.label(),
             "axes": {"method": self.method, "method_config": self.config},
-            "settings": {"action_repeat": 4, "returns": {"gamma_c": 0.5}},
+            "settings": {"action_repeat": 4, "side_by_side": 2, "returns": {"gamma_c": 0.5}},
             "provenance": {"started_at": "2026-05-01T12:34:56+00:00"},
         }
 
@@ -97,9 +97,9 @@ class Invented:
         times = [np.full(self.steps, 2.0)] * self.episodes
         return write_cell(folder, cell, [trajectory] * self.episodes, rows, self.thresholds, times, range(100, 100 + self.episodes))
 
-    def read(self, folder: Path, manifest: bool = True) -> Episode:
+    def read(self, folder: Path, manifest: bool = True, episode: int = 0) -> Episode:
         path = self.write(folder)
-        return read_episode(FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), 0)
+        return read_episode(FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), episode)
 
     def store(self, results: Path) -> None:
         """As an artifact."""

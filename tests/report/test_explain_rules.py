@@ -44,24 +44,33 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     made = Invented(method="filter", thresholds=Thresholds(tau_c=0.4), config={})
     made.signal[:] = 0.1
     made.signal[3], made.gate[3], made.a[3] = 0.7, GATE_METHOD, [0.0, 0.0]
-    made.pay(3, 4)
     episode = made.read(tmp_path)
-    assert not episode.gated
     assert "  signal  value  threshold  intervenes\n  Q_c     0.700      0.400  yes\n" in decision_text(episode, 3)
-    assert "Q_c: costly decisions to be expected of the command, discounted" in decision_text(episode, 3)
-    assert "The command was executed." in decision_text(episode, 4)
-    summary = episode_text(episode)
-    assert "  Safety filter  Q_c > 0.400          1  12.5%\n" in summary
-    assert "safety gate" not in summary + decision_text(episode, 3)
-    assert "looks one imagined step ahead" in summary
-    assert places_of(episode.missed) == (4,)
+    assert "  Safety filter  Q_c > 0.400          1  12.5%\n" in episode_text(episode)
+    assert "safety gate" not in episode_text(episode) + decision_text(episode, 3)
+
+
+def test_behind_a_vote_the_safety_gate_looks_at_what_was_voted_for(tmp_path: Path) -> None:
+    made = Invented(method="ida-guarded", thresholds=Thresholds(tau_c=0.3, tau_q=0.1), config={**WASP, "vote": 0.99})
+    made.signal[:], made.g_cost[:], made.delta_g[:] = 0.2, 0.125, 0.25
+    made.signal[3], made.gate[3], made.a[3] = 1.0, GATE_METHOD, [0.0, 0.0]
+    made.signal[4], made.gate[4], made.g_cost[4] = 1.0, GATE_SAFETY, 0.5
+    voted, guarded = (decision_text(made.read(tmp_path), t) for t in (3, 4))
+    for text in (voted, guarded):
+        assert "  vote    1.000      0.990  0.100  yes\n" in text
+        assert "within the next 4 decisions, discounted, if the expert follows IDA's action (Eq. 9)" in text
+        assert "this assistant has no such gate" in text
+    assert "search  none: the method decided by its own rule" in voted
+    assert "The safety gate fired (G^c 0.500 > τ_c 0.300)" in guarded
 
 
 def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> None:
     made = Invented(method="printed", config=dict(PRINTED))
     made.fire(2, GATE_SAFETY)
     made.fire(6, GATE_TASK, safe=(12, 25, 30))
+    made.delta_g[1] = NAN
     episode = made.read(tmp_path)
+    assert "  task    ΔG -       τ_r 0.500  no: no correction is predicted safe (Eq. 11)" in decision_text(episode, 1)
     text = decision_text(episode, 6)
     assert "ΔG: expected gain in return by the best safe correction of 20 that are tried" in text
     assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
@@ -88,7 +97,6 @@ def test_late_is_not_missed(late: Episode) -> None:
     assert "4 decisions with cost, 1 of them missed (no gate fired), 2 while the assistant was late." in text
     assert "1 missed, 1 although a gate fired, 2 while the assistant was late" in text
     assert "late no answer in time 3 37.5%" in text
-    assert "no gate was asked" in text
     assert (places_of(late.missed), places_of(late.late)) == ((1,), (4, 6))
     assert episode_json(late)["totals"]["gate_share"]["late"] == 3 / 8
 
@@ -99,19 +107,8 @@ def test_a_late_decision_asked_no_gate(late: Episode) -> None:
     assert text.count("not asked: the assistant was late") == 2
     assert "search  none: the assistant was late" in text
     assert "no gate fired" not in text.lower()
-
-
-def test_the_timeline_shows_them(late: Episode) -> None:
     acts = next(lane for lane in timeline(late) if lane.name == "acts")
     assert acts.marks == [("safety", 2, 1), ("late", 4, 3)]
-
-
-def test_a_method_that_always_intervenes_misses_nothing_where_it_is_late(tmp_path: Path) -> None:
-    made = Invented(method="saferl", config={}, thresholds=Thresholds())
-    made.gate[:] = 3
-    made.gate[4] = GATE_LATE
-    made.pay(1, 4)
-    assert not made.read(tmp_path).selective
 
 
 def test_a_search_that_was_cut_off_shows_the_iterations_that_it_made(tmp_path: Path) -> None:
@@ -219,7 +216,6 @@ def test_the_command_by_key_label_and_path(results: Path) -> None:
     [
         (["0123", "-e", "3"], "this cell has the episodes 0 to 2"),
         (["0123", "-e", "0", "-s", "8"], "episode 0 has the decisions 0 to 7"),
-        (["0123", "-e", "0", "-s", "-1"], "episode 0 has the decisions 0 to 7"),
         (["goal1 s0 wasp lagy=0.7", "-e", "0"], "did you mean 'goal1 s0 wasp laggy=0.7'?"),
         (["../../x", "-e", "0"], "no evaluation '../../x'"),
         (["0123"], "Missing option"),

@@ -290,7 +290,7 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     def forbid(path: Path) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr("wasp_cli.run.record.os.scandir", forbid)
+    monkeypatch.setattr("wasp_cli.plan.recorded.os.scandir", forbid)
     with pytest.raises(StoreError, match="permission denied"):
         results_of(tmp_path)
 

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,9 +14,9 @@ from pathlib import Path
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, finished, keys_of, run, start, wait_until
 from tests.run.recorded import dead_pid, key, planned, process, write_run
-from wasp_cli.plan.recorded import order_of, run_ids
+from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_record
+from wasp_cli.store.artifact import commit, read_record, staging_folder
 from wasp_cli.store.layout import Layout
 
 RUN = "20260501-120000-small-0001"
@@ -112,6 +113,23 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     assert "'0000' names 3 nodes" in several.stderr
 
 
+def test_a_label_names_the_node_of_the_newest_run_that_left_one(layout):
+    """A run whose number does not read is the oldest, whatever its name says."""
+    orders = {"20300101-120000-small-0001": "no number", "20260503-120000-small-0002": "1\n", "20260502-120000-small-0003": "2\n"}
+    for number, run_id in enumerate(orders, 1):
+        write_run(layout, run_id, [planned(number, "a")])
+        layout.order(run_id).write_text(orders[run_id])
+        if number < 3:
+            manifest = {"key": key(number), "kind": "expert", "label": "a"}
+            commit(layout, "expert", key(number), staging_folder(layout, key(number)), manifest)
+    for options, number in (([], 2), (["--run", "0001"], 1)):
+        done = run_here("show", "a", *options, "--json", "--results", layout.root, columns=80, code=0)
+        assert json.loads(done.stdout)["key"] == key(number)
+    shutil.rmtree(layout.runs)
+    assert "'a' names 2 nodes" in run_here("show", "a", "--results", layout.root, columns=80, code=2).stderr
+    run_here("show", key(2), "--results", layout.root, columns=80, code=0)
+
+
 def test_a_log_commands_no_terminal(layout):
     """A pipe gets a log as it is; a terminal its colours, and of a bar that redraws itself the last state."""
     write_run(layout, RUN, [planned(1, "a")])
@@ -152,18 +170,6 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_p
     assert json.loads(run_here("status", results, "--json", columns=80).stdout)[0]["run_id"] == newest
     run_here("gc", results, "--yes", columns=80, code=0)
     assert finished(results) == keys_of(later, results)
-
-
-def test_a_run_without_a_number_is_older(tmp_path):
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    names = [f"{day}-120000-small-000{n}" for n, day in enumerate(("20260503", "20300101", "20260502"))]
-    for name in names:
-        write_run(layout, name, [planned(1, "a")])
-    for name, text in ((names[0], "2\n"), (names[2], "1\n"), (names[1], "no number")):
-        layout.order(name).write_text(text)
-    assert [order_of(layout, name) for name in names] == [2, 0, 1]
-    assert run_ids(layout) == [names[0], names[2], names[1]]
 
 
 def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_spec, tmp_path):

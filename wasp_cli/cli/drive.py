@@ -6,26 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.options import (
-    RESULTS,
-    Folder,
-    JobsOption,
-    JsonOption,
-    NoBrowserOption,
-    PortOption,
-    PresetOption,
-    ResultsArgument,
-    ResultsOption,
-    SetOption,
-    Sized,
-    argument,
-    command,
-    flag,
-    method_names,
-    option,
-    print_json,
-    require_extra,
-)
+from wasp_cli.cli import options
+from wasp_cli.cli.options import argument, command, flag, method_names, option, print_json, require_extra
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import out, say
 from wasp_cli.errors import UsageError
@@ -50,19 +32,19 @@ def drive(
     number: Annotated[int | None, option("N", "Number of the session: its worlds. (default: the next one)", "--session", min=0)] = None,
     speed: Annotated[float | None, option("X", "Simulated seconds per second. (default: 1)", min=0.05, max=4.0)] = None,
     hide: Annotated[list[str] | None, option("NAME", "Do not show: cameras, map, cost, goals, gate or imagined (repeatable).")] = None,
-    port: PortOption = 0,
-    browser: NoBrowserOption = False,
+    port: options.PortOption = 0,
+    browser: options.NoBrowserOption = False,
     check: Annotated[bool, flag("--check", "Measure with a scripted driver whether decisions are in time; record nothing.")] = False,
     simulate: Annotated[
         bool, flag("--simulate", "Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
     ] = False,
     orders: Annotated[bool, flag("--orders", "Only show who drives what in which order.")] = False,
     withdraw: Annotated[bool, flag("--withdraw", "Delete what the participant drove on this task, or on those of the spec.")] = False,
-    preset: PresetOption = None,
-    results: ResultsOption = RESULTS,
-    jobs: JobsOption = None,
-    set_: SetOption = None,
-    json: JsonOption = False,
+    preset: options.PresetOption = None,
+    results: options.ResultsOption = options.RESULTS,
+    jobs: options.JobsOption = None,
+    set_: options.SetOption = None,
+    json: options.JsonOption = False,
 ) -> None:
     """Drive a task in a browser, with an assistant or alone.
 
@@ -104,11 +86,11 @@ def drive(
     "wasp clone results/ --participant 7", codes="0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 interrupted"
 )
 def clone(
-    asked: Sized,
-    folder: ResultsArgument = None,
+    asked: options.Sized,
+    folder: options.ResultsArgument = None,
     participant: Annotated[int | None, option("N", "Number of the participant.", min=0)] = None,
-    jobs: JobsOption = None,
-    json: JsonOption = False,
+    jobs: options.JobsOption = None,
+    json: options.JsonOption = False,
 ) -> None:
     """Fit a policy to what a participant commanded.
 
@@ -122,7 +104,7 @@ def clone(
 
     if participant is None:
         raise UsageError("whose commands?", "name the participant with --participant N")
-    results = Folder(folder=folder, results=asked.results).path
+    results = options.Folder(folder=folder, results=asked.results).path
     clones = []
     for name in asked.task or driven_tasks(results, participant):
         drives = f"operators={{{CLONED}: {{p{participant}: {participant}}}}}"

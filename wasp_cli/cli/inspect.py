@@ -81,11 +81,10 @@ def show(node: options.NodeArgument, place: options.Whereabouts, json: options.J
     """Show a node: numbers, inputs, provenance, last failure."""
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.node import node_facts, node_lines
-    from wasp_cli.run.record import results_of
     from wasp_cli.store.find import find_node
 
-    layout = results_of(place.results)
-    facts = node_facts(layout, find_node(layout, node, keys_of(layout, place.run)))
+    layout = Layout(place.results)
+    facts = node_facts(layout, find_node(layout, node, keys_of(layout, place.run, node)))
     if json:
         print_json(facts)
     else:
@@ -116,7 +115,7 @@ def explain(
     from wasp_cli.store.find import find_cell
 
     layout = Layout(place.results)
-    stored = read_episode(find_cell(layout, cell, keys_of(layout, place.run)), episode)
+    stored = read_episode(find_cell(layout, cell, keys_of(layout, place.run, cell)), episode)
     if json:
         print_json(episode_json(stored) if step is None else decision_json(stored, step))
         return
@@ -166,7 +165,7 @@ def replay(
     if every is not None and step is not None:
         raise UsageError("--every cannot be used with --step", "the video of one decision has a frame for every decision")
     layout = Layout(place.results.absolute())
-    stored = find_cell(layout, cell, keys_of(layout, place.run))
+    stored = find_cell(layout, cell, keys_of(layout, place.run, cell))
     with following("replay") as progress:
         if step is None:
             path, made = written(layout, stored, episode, out, every, progress)
@@ -254,7 +253,7 @@ def note(
     if invalid and valid:
         raise UsageError("--invalid and --valid exclude each other", "name one of them")
     layout = Layout(place.results)
-    stored = find_cell(layout, cell, keys_of(layout, place.run))
+    stored = find_cell(layout, cell, keys_of(layout, place.run, cell))
     if stored.key is None or stored.path.absolute().parent.parent != layout.kind("evaluate").absolute():
         raise UsageError(f"'{cell}' is no cell of '{place.results}'", "a note is of a cell in the store: name it by its label or its key")
     if episode is not None:

@@ -9,20 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.options import (
-    Folder,
-    JobsOption,
-    JsonOption,
-    SelectOption,
-    SizedSpec,
-    argument,
-    command,
-    directory,
-    flag,
-    option,
-    parse_folder,
-    print_json,
-)
+from wasp_cli.cli import options
+from wasp_cli.cli.options import argument, command, directory, flag, option, parse_folder, print_json
 from wasp_cli.console import err, say, size, waiting_aloud
 from wasp_cli.console import out as console
 from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
@@ -47,7 +35,7 @@ class NotWritten(WaspError):
     "changed), 2 usage, 3 invalid paper",
 )
 def report(
-    results: Folder,
+    results: options.Folder,
     spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
     paper: Annotated[
         Path | None, option("FILE|none", "File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)")
@@ -169,7 +157,7 @@ def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw
 
 @command("wasp export results/ --tensorboard runs/", "wasp export results/ --spec quickstart --trackio trackio/")
 def export(
-    results: Folder,
+    results: options.Folder,
     spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
     tensorboard: Annotated[Path | None, directory("Write event files to DIR/<spec>.")] = None,
     trackio: Annotated[Path | None, directory("Write Trackio projects to DIR, one a spec.")] = None,
@@ -208,7 +196,7 @@ def compare(
     spec_b: Annotated[str | None, option("NAME", "The spec in B; needs --spec-a.")] = None,
     out: Annotated[Path | None, directory("Also write the comparison there, as Markdown, CSV, LaTeX and HTML.")] = None,
     strict: Annotated[bool, flag("--strict", "Exit with 1 if a cell differs by more than noise, or is missing in A or B.")] = False,
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Compare two results folders, cell by cell.
 
@@ -240,7 +228,7 @@ def compare(
     codes="0 done, 1 the results cannot be read, 2 usage, 3 invalid spec",
 )
 def gc(
-    results: Folder,
+    results: options.Folder,
     keep: Annotated[list[Path] | None, option("SPEC", "Also keep what this spec needs, as it is now (repeatable).")] = None,
     older_than: Annotated[float | None, option("DAYS", "Only what is older than this.", min=0)] = None,
     runs: Annotated[bool, flag("--runs", "Also remove run folders and their logs, except the newest of each spec.")] = False,
@@ -277,9 +265,9 @@ def gc(
     codes="0 done, 1 a result is missing, damaged or names this machine, 2 usage, 3 invalid spec",
 )
 def publish(
-    asked: SizedSpec,
+    asked: options.SizedSpec,
     to: Annotated[Path | None, directory("Destination folder. (default: published/ in the results folder)")] = None,
-    select: SelectOption = None,
+    select: options.SelectOption = None,
     largest: Annotated[float, option("MB", "Leave out larger artifacts.", min=0)] = 8.0,
     reuse: Annotated[str, option("none|published|DIR", "none: only what this code computed; otherwise as for wasp run.")] = "none",
     steps: Annotated[int | None, option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0)] = None,
@@ -316,10 +304,10 @@ def publish(
 
 @command("wasp verify results/ --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage")
 def verify(
-    results: Folder,
+    results: options.Folder,
     cells: Annotated[int, option("N", "Cells that are drawn.", min=1)] = 30,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
-    jobs: JobsOption = None,
+    jobs: options.JobsOption = None,
 ) -> None:
     """Compute some cells again and compare to the bit.
 

@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from wasp_cli.cli.options import (
-    JobsOption,
-    JsonOption,
-    MethodOption,
-    ReuseOption,
-    SelectedSpec,
-    Sized,
-    SizedSpec,
-    Work,
-    command,
-    flag,
-    option,
-    print_json,
-    setting_names,
-    spec_names,
-    variant_names,
-)
+from wasp_cli.cli import options
+from wasp_cli.cli.options import command, flag, option, print_json, setting_names, spec_names, variant_names
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import err, out, plain, say
-from wasp_cli.errors import CellsFailed, UsageError, first
+from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -41,7 +27,7 @@ if TYPE_CHECKING:
     "wasp run specs/table1.yaml --task goal1 -j 8 --set episodes=10",
     codes="0 done, 1 some cells failed, 2 usage, 3 invalid spec, 130 interrupted",
 )
-def run(asked: SelectedSpec, work: Work) -> None:
+def run(asked: options.SelectedSpec, work: options.Work) -> None:
     """Run a spec and print its tables.
 
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
@@ -49,20 +35,20 @@ def run(asked: SelectedSpec, work: Work) -> None:
     """
     from wasp_cli.run.session import planned
 
-    loaded, options = asked.load(), work.options()
+    loaded, how = asked.load(), work.options()
     if work.dry_run:
         plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
-        print_plan(plan, loaded.spec.name, options.jobs)
+        print_plan(plan, loaded.spec.name, how.jobs)
     else:
-        run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
+        run_and_report(loaded, asked.results, how, asked.select or (), asked.reuse, failed=asked.failed)
 
 
 @command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
 def plan(
-    asked: SelectedSpec,
-    jobs: JobsOption = None,
+    asked: options.SelectedSpec,
+    jobs: options.JobsOption = None,
     every: Annotated[bool, flag("--all", "List every node with its state and reason.")] = False,
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Show what a run would compute, why, and for how long."""
     from wasp_cli.run.session import cores, planned
@@ -75,10 +61,10 @@ def plan(
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
 def ablate(
     variant: Annotated[str, option("NAME", "The ablation, for example no-case2.", among=variant_names)],
-    asked: Sized,
-    work: Work,
+    asked: options.Sized,
+    work: options.Work,
     spec: Annotated[Path, option("SPEC", "Gives operators, seeds and budgets.", among=spec_names)] = Path("specs/table2.yaml"),
-    reuse: ReuseOption = None,
+    reuse: options.ReuseOption = None,
 ) -> None:
     """Compare a method with one of its ablations.
 
@@ -88,11 +74,11 @@ def ablate(
     from wasp_cli.run.session import planned
     from wasp_cli.spec.load import ablation
 
-    options = work.options()
+    how = work.options()
     loaded = ablation(spec, variant, asked.task, asked.preset, asked.set_ or ())
-    print_plan(planned(loaded.spec, asked.results, reuse=reuse), loaded.spec.name, options.jobs, aside=not work.dry_run)
+    print_plan(planned(loaded.spec, asked.results, reuse=reuse), loaded.spec.name, how.jobs, aside=not work.dry_run)
     if not work.dry_run:
-        run_and_report(loaded, asked.results, options, reuse=reuse)
+        run_and_report(loaded, asked.results, how, reuse=reuse)
 
 
 @command(
@@ -101,12 +87,12 @@ def ablate(
     codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, 130 interrupted",
 )
 def sweep(
-    asked: SizedSpec,
+    asked: options.SizedSpec,
     vary: Annotated[list[str], option("KEY=V1,V2,...", "The setting and its values, each written as for --set.", among=setting_names)],
-    work: Work,
-    method: MethodOption = None,
-    reuse: ReuseOption = None,
-    json: JsonOption = False,
+    work: options.Work,
+    method: options.MethodOption = None,
+    reuse: options.ReuseOption = None,
+    json: options.JsonOption = False,
 ) -> None:
     """Run a spec with several values of one setting.
 
@@ -121,11 +107,11 @@ def sweep(
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
     varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
-    options = work.options()
+    how = work.options()
     if work.dry_run:
-        print_plan(planned_sweep(varied, Layout(asked.results.absolute()), reuse), varied.name, options.jobs, json=json)
+        print_plan(planned_sweep(varied, Layout(asked.results.absolute()), reuse), varied.name, how.jobs, json=json)
         return
-    session, grids = run_sweep(varied, asked.results, options, reuse)
+    session, grids = run_sweep(varied, asked.results, how, reuse)
     layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
@@ -151,7 +137,7 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
 
 
 def run_and_report(
-    loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
+    loaded: Loaded, results: Path, how: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded
@@ -159,23 +145,28 @@ def run_and_report(
     from wasp_cli.spec.paper import load_paper
 
     paper = load_paper()  # a mistake in it is told before anything runs
-    session = run_spec(loaded, results, options, select, reuse, failed=failed)
+    session = run_spec(loaded, results, how, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper, redraw=False)
     session.layout.reporting(session.run_id).unlink(missing_ok=True)
-    say_next(results, {node.label: cell.method for cell, node in grid.cells})
+    say_next(results, [(cell.method, node.label, node.key) for cell, node in grid.cells])
     session.require_complete()
     require_cells([cell for cell in report.missing if selected is None or cell.key in selected], session.layout)
 
 
-def say_next(results: Path, methods: Mapping[str, str]) -> None:
+def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
+    """Say what may follow a run of cells: method, label and key of each."""
+    from wasp_cli.store.tables import cell_file, read_steps
+
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
-    if methods:
-        example = next((label for label, method in methods.items() if method == "wasp"), next(iter(methods)))
-        plain(f"      wasp explain {shlex.quote(example)} --episode 0{option}   (what the assistant did, and why)")
+    for _, label, key in sorted(cells, key=lambda cell: cell[0] != "wasp"):
+        with suppress(StoreError):  # what failed has no steps, nor have some published cells
+            if read_steps(cell_file(Layout(results).artifact("evaluate", key))).num_rows:
+                plain(f"      wasp explain {shlex.quote(label)} --episode 0{option}   (what the assistant did, and why)")
+                break
     plain(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
 
 

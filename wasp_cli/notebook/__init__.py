@@ -14,6 +14,8 @@ Nothing is computed, and torch is imported by `replay` alone. Columns have the n
 
 from __future__ import annotations
 
+import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -90,18 +92,16 @@ class Results:
 
     def episodes(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
 
         Args:
-            task: only these; so for the next ones.
-            method: as the spec names it.
+            task, method: only these; so for the next ones.
             variant: the ablation; `full` for the method itself.
             operator: as the spec names it; `none` for the expert's.
-            severity: the spec's name, such as `moderate`.
-            value: of the severity.
-            seed: of the evaluation.
+            severity, value: the spec's name, such as `moderate`; and its number.
+            seed, key: of cells; a key is whole.
             columns: which measures; None for all.
 
         Raises:
@@ -109,23 +109,23 @@ class Results:
             KeyError: no such column.
             StoreError: rows are damaged.
         """
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.stacked(self._layout, cells, reading.episodes_of, reading.EPISODE, columns)
 
     def steps(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
-        return reading.stacked(self._layout, cells, reading.steps_of, reading.STEPS, columns)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
+        return reading.all_steps(self._layout, cells, columns)
 
     def branches(
         self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
     ) -> pa.Table:  # fmt: skip
         """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
-        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.stacked(self._layout, cells, reading.branches_of, reading.BRANCH, columns)
 
     def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
@@ -170,21 +170,28 @@ class Results:
         if len(cells) > 1:
             raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
         (cell,) = cells.values()
-        if reading.table_of(self._layout, cell) is None:
+        path = reading.table_of(self._layout, cell)
+        if path is None:
             raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
-        return StoredCell(self._layout, cell)
+        return StoredCell(self._layout, cell, path)
 
     def _chosen(self, *values: Any) -> list[ListedCell]:
-        names = ("task", "method", "variant", "operator", "severity", "value", "seed")
-        return reading.chosen(self.cells, dict(zip(names, values, strict=True)))
+        names = ("task", "method", "variant", "operator", "severity", "value", "seed", "key")
+        cells = reading.chosen(self.cells, dict(zip(names, values, strict=True)))
+        alike = Counter((cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values())
+        if twice := sum(count for count in alike.values() if count > 1):
+            told = f"{twice} of {len(cells)} cells share their names with another, of other settings or code"
+            warnings.warn(f"{told}: the column `key` tells them apart, and key=[...] chooses", stacklevel=3)
+        return cells
 
 
 @dataclass(frozen=True)
 class StoredCell:
-    """A computed cell; see `Results.cell`."""
+    """A computed cell; see `Results.cell`. Reading raises a StoreError where rows are damaged."""
 
     layout: Layout
     names: ListedCell
+    path: Path  # of its table
 
     @property
     def key(self) -> str:
@@ -205,32 +212,27 @@ class StoredCell:
         return f"<wasp cell '{self.label}', {self.key}>"
 
     def episodes(self) -> pa.Table:
-        """Read a row per episode.
-
-        Raises:
-            StoreError: the rows are damaged.
-        """
+        """Read a row per episode."""
         return reading.stacked(self.layout, [self.names], reading.episodes_of, reading.EPISODE, None)
 
     def steps(self, episode: int | None = None) -> pa.Table:
         """Read a row per decision, of one episode or of all.
 
         Raises:
-            StoreError: the rows are damaged.
+            UsageError: there is no such episode, or its steps are not here.
         """
-        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         if episode is None:
-            return rows
+            return reading.all_steps(self.layout, [self.names], None)
         import pyarrow.compute as pc
 
+        from wasp_cli.report.explain import read_episode
+
+        read_episode(FoundCell(self.path, self.key, self.manifest), episode)  # refuses what is not here
+        rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         return rows.filter(pc.equal(rows["episode"], episode))
 
     def branches(self) -> pa.Table:
-        """Read a row per counterfactually tested decision.
-
-        Raises:
-            StoreError: the rows are damaged.
-        """
+        """Read a row per counterfactually tested decision."""
         return reading.stacked(self.layout, [self.names], reading.branches_of, reading.BRANCH, None)
 
     def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
@@ -248,6 +250,4 @@ class StoredCell:
         """
         from wasp_cli.video.replay import replay_frames
 
-        path = reading.table_of(self.layout, self.names)
-        assert path is not None  # the cell is computed: `Results.cell` has seen to it
-        yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)
+        yield from replay_frames(self.layout, FoundCell(self.path, self.key, self.manifest), episode, every)

@@ -6,6 +6,7 @@ names of its cell.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -152,7 +153,7 @@ Read = Callable[[Layout, ListedCell], pa.Table | None]  # reads the rows of one 
 def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Sequence[pa.Field], columns: Iterable[str] | None) -> pa.Table:
     """Read columns of many cells into one table, in the order of the cells; those that are not computed have no rows."""
     known = {field.name: field for field in fields}
-    asked = list(known if columns is None else dict.fromkeys(columns))
+    asked = list(known if columns is None else dict.fromkeys(_values(columns)))
     for name in asked:
         if name not in known and name not in NAMES.names:
             raise KeyError(f"no column '{name}'; there are {', '.join(known)}")
@@ -189,6 +190,18 @@ def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
         return None
     _own_episodes(path, cell)
     return read_steps(path)
+
+
+def all_steps(layout: Layout, cells: Sequence[ListedCell], columns: Iterable[str] | None) -> pa.Table:
+    """Read the steps of cells; a warning says of how many episodes they are not here."""
+    asked = None if columns is None else list(_values(columns))
+    rows = stacked(layout, cells, steps_of, STEPS, None if asked is None else [*asked, "episode"])
+    whole = stacked(layout, cells, episodes_of, EPISODE, ["episode"])
+    here, many = (table.group_by(["key", "episode"]).aggregate([]).num_rows for table in (rows, whole))
+    if here < many:
+        told = "published results leave out the others: wasp run SPEC --reuse none computes cells whole"
+        warnings.warn(f"{here} of {many} episodes have steps; {told}", stacklevel=3)
+    return rows if asked is None or "episode" in asked else rows.drop_columns("episode")
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
@@ -237,12 +250,10 @@ def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[st
 
 
 def _array(values: Sequence[Any]) -> pa.Array:
-    kinds = {bool if isinstance(value, bool) else float if isinstance(value, int | float) else type(value) for value in values} - {
-        type(None)
-    }
-    if kinds == {float} and not all(isinstance(value, int | None) for value in values):
-        return pa.array([None if value is None else float(value) for value in values], pa.float64())
-    return pa.array(values) if len(kinds) == 1 else pa.array([None if value is None else str(value) for value in values], pa.string())
+    try:
+        return pa.array(values)
+    except (pa.ArrowException, OverflowError):  # numbers and words, or an integer without end
+        return pa.array([None if value is None else str(value) for value in values], pa.string())
 
 
 def report_table(layout: Layout, spec: str, name: str) -> pa.Table:

@@ -1,6 +1,6 @@
 """A trained world model that filters what was seen, imagines what follows, and decodes it.
 
-    model = wasp_cli.load_world_model("race1 s1 world_model", results="results/published")
+    model = wasp_cli.load_world_model("f6cb21a6", results="results/published")
     latents = model.filter(images, actions)                # of an episode
     future = model.imagine(latents[10], actions[10:25])    # fifteen steps from its eleventh observation on
     model.decode(future), model.reward(future), model.cost(future)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -52,9 +53,11 @@ def run_ids(layout: Layout) -> list[str]:
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
             names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
+    except (FileNotFoundError, NotADirectoryError) as error:
+        what = "it holds no runs" if os.path.exists(layout.root) else "no such folder"
+        raise StoreError(f"no results in '{layout.root}': {what}", "wasp run SPEC --results DIR writes there") from error
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise StoreError(f"no results in '{layout.root}': {reason}", "wasp run SPEC --results DIR writes there") from error
+        raise StoreError(f"cannot read the results in '{layout.root}': {(error.strerror or str(error)).lower()}") from error
     return sorted(names, key=lambda name: (order_of(layout, name), name), reverse=True)
 
 
@@ -93,12 +96,11 @@ def planned_runs(layout: Layout) -> list[PlannedRun]:
 
 def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
     """Return what the last run of a spec was to do; empty where none is recorded."""
-    try:
-        ids = run_ids(layout)
-    except StoreError:
-        return {}
-    plans = (planned_run(layout, run_id) for run_id in ids)
-    return next((plan.nodes for plan in plans if plan is not None and plan.spec == spec), {})
+    with suppress(StoreError):
+        for run_id in run_ids(layout):
+            if (plan := planned_run(layout, run_id)) is not None and plan.spec == spec:
+                return plan.nodes
+    return {}
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
@@ -111,9 +113,23 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     raise UnknownName("run", text, [run.run_id for run in runs])
 
 
-def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
-    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is."""
-    return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
+def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None:
+    """Return the keys that a label or the beginning of a key may mean; None: any.
+
+    Those of the run that `named_run` finds. Without one, those that a label has from the newest run on that left something of it.
+    """
+    from wasp_cli.store.find import same_label
+
+    if run is not None:
+        return frozenset(named_run(planned_runs(layout), run).nodes)
+    keys: set[str] = set()
+    with suppress(StoreError):  # a folder without runs
+        for planned in planned_runs(layout):
+            nodes = [node for node in planned.nodes.values() if same_label(node.label, " ".join(text.split()))]
+            keys.update(node.key for node in nodes)
+            if any(layout.artifact(node.kind, node.key).is_dir() for node in nodes):
+                return frozenset(keys)
+    return None
 
 
 def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:

@@ -153,13 +153,7 @@ def results_of(folder: Path) -> Layout:
     """Return the layout of an existing results folder; a StoreError where there is none, or it cannot be read or has links in it."""
     layout = Layout(folder)
     layout.require_own_folders()
-    try:
-        os.scandir(layout.runs).close()
-    except (FileNotFoundError, NotADirectoryError) as error:
-        what = "it holds no runs" if os.path.exists(folder) else "no such folder"
-        raise StoreError(f"no results in '{folder}': {what}", "wasp run SPEC --results DIR writes there") from error
-    except OSError as error:
-        raise StoreError(f"cannot read the results in '{folder}': {(error.strerror or str(error)).lower()}") from error
+    run_ids(layout)
     return layout
 
 

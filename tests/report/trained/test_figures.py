@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.report.stats import Frame
+from tests.report.invented import invent, write
+from wasp_cli.report.stats import Frame, read_frame
 from wasp_cli.report.summarize import draw_figures
 from wasp_cli.report.trained import Trained
-from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities
+from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities, series_of
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CellIdentity
 
 RELIABLE = [
     {"predicted": 0.05, "seen": 0.0, "size": 90},
@@ -94,6 +96,11 @@ def test_damaged_files_leave_their_curve_out(content: str, tmp_path: Path) -> No
     found = [artifact(layout, kind, content=content) for kind in FILES]
     assert (driving_curves(layout, found), loss_curves(layout, found), list(reliabilities(layout, found))) == ([], [], [])
     assert draw_figures(layout, Frame(()), found, tmp_path) == []
+
+
+def test_a_row_of_the_table_is_exported_under_the_name_of_its_task(tmp_path: Path) -> None:
+    driven = write(tmp_path, CellIdentity("formula1", "human", "full", "laggy", 0.5, 0), [invent(0, 1, 0.0, 0.1)])
+    assert [series.name for series in series_of(Layout(tmp_path), [], read_frame([driven]))] == ["formula1/table/Human-only"]
 
 
 def test_figures_name_what_they_show(tmp_path: Path) -> None:

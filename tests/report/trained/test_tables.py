@@ -102,8 +102,6 @@ def test_the_report_names_what_is_wrong_with_a_dataset(tmp_path: Path) -> None:
     warned, same = with_warnings(layout, [one, other])
     assert warned.summary == {"warning": "1.0% of the steps cost, not 3% to 15%"}
     assert same == other
-    earlier = Trained("dataset", "goal1", 0, one.key, 1.0, {"warning": "as it was written"}, "dataset")
-    assert with_warnings(layout, [earlier]) == (earlier,)
     for text in ("{", "[]", '{"all": 3}', '{"all": {"sources": {"a": "x"}, "costly_share": null}}'):
         contents_file.write_text(text)
         assert with_warnings(layout, [one]) == (one,)

@@ -49,7 +49,7 @@ class Constants:
     """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
     bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
     gamma_c: float | None = None
-    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over
+    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over; a safety gate then looks at its action
     action_repeat: int | None = None  # env steps of a decision
     decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
 
@@ -58,7 +58,7 @@ class Constants:
 class Episode:
     cell: FoundCell
     row: Mapping[str, Any]  # the episode columns of `store.tables`
-    episodes: int  # in the cell, all decided side by side
+    episodes: int  # in the cell
     gate: NDArray[np.int64]  # [T]
     costly: Bools  # [T] any cost within the decision
     a_h: Floats  # [T, A]
@@ -77,6 +77,13 @@ class Episode:
     @property
     def method(self) -> str:
         return str(self.row["method"])
+
+    @property
+    def side_by_side(self) -> int:
+        """Episodes that shared the time of this one's decisions; 1 where the manifest does not say how many."""
+        stated = self.cell.setting("settings", "side_by_side")
+        size = stated if isinstance(stated, int) and stated > 0 else 1
+        return min(size, self.episodes - int(self.row["episode"]) // size * size)
 
     @property
     def variant(self) -> str:
@@ -99,6 +106,11 @@ class Episode:
     @property
     def thresholds(self) -> Thresholds:
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
+
+    @property
+    def asks_task(self) -> bool:
+        """Tell whether there is a task gate: an ablation has none, nor has a safety gate behind another method."""
+        return self.variant != "safety-only" and (not self.constants.takeover or self.thresholds.tau_r is not None)
 
     @property
     def signal(self) -> Signal:

@@ -19,7 +19,7 @@ from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, Floats, nu
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
-`late`: nor was any gate asked in time. `off`: this variant of the method does without it."""
+`late`: nor was any gate asked in time. `off`: this method, or this variant of it, does without it."""
 
 Range = tuple[float, float]  # least and greatest
 
@@ -172,7 +172,7 @@ def _task(episode: Episode, t: int) -> Gate:
     state: State = "silent"
     if episode.gate[t] == GATE_TASK:
         state = "fired"
-    elif episode.variant == "safety-only" or (episode.constants.takeover and episode.thresholds.tau_r is None):
+    elif not episode.asks_task:
         state = "off"
     elif episode.gate[t] == GATE_LATE:
         state = "late"

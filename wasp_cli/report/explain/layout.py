@@ -95,7 +95,9 @@ def cost_meaning(constants: Constants) -> str:
 
 
 def goes_on(constants: Constants) -> str:
-    return "the expert follows" if constants.takeover else "the operator goes on alone"
+    if not constants.takeover:
+        return "the operator goes on alone"
+    return "the expert follows" if constants.vote is None else "the expert follows IDA's action"
 
 
 def gain_meaning(constants: Constants) -> str:

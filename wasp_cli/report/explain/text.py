@@ -67,7 +67,7 @@ def _counts(episode: Episode) -> tuple[int, int, int, int]:
 
 
 def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
-    row, constants, many = episode.row, episode.constants, episode.episodes
+    row, constants, many = episode.row, episode.constants, episode.side_by_side
     intervened, costly, missed, late = _counts(episode)
     outcome = f"return {plain(row['return'])}, {count(row['goals'], 'goal')} ({'success' if row['success'] else 'no success'})"
     outcome += f", {count(episode.decisions, 'decision')}"
@@ -90,18 +90,18 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
     if p50 is None or p95 is None:
         yield "time", "not recorded"
     else:
-        shared = "" if many == 1 else f"; the time of all {many} episodes, decided side by side, divided by {many}"
+        shared = "" if many == 1 else f"; the time of {many} episodes decided side by side, divided by {many}"
         yield "time", f"{ms(p50)} per decision (p50), {ms(p95)} (p95){shared}"
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    thresholds, signal, off = episode.thresholds, episode.signal, "off in this variant"
+    thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
-    above = "-" if episode.gated or episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
+    above = "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
     gates = [(GATE_METHOD, decider(episode.method), above)]
     if episode.gated:
         safety = off if episode.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
-        task = off if episode.variant == "safety-only" else f"ΔG > τ_r {short(thresholds.tau_r)}"
+        task = f"ΔG > τ_r {short(thresholds.tau_r)}" if episode.asks_task else off
         own = gates if (episode.gate == GATE_METHOD).any() else []
         gates = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *own]
     rows = []
@@ -175,7 +175,7 @@ FIRES = {
     "no candidate": "no: no correction is predicted safe (Eq. 11)",
     "withheld": "no: the correction is not predicted safe, or changes no force",
     "late": "not asked: the assistant was late",
-    "off": "off in this variant",
+    "off": "this assistant has no such gate",
     "unknown": "not recorded",
 }
 
@@ -201,12 +201,13 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
         meanings = notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
         yield from section("Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings)
         yield from section("Plan", *_plan(episode, facts))
-    elif facts.signal is not None:
-        signal, fired = episode.signal, facts.gate == "method"
-        row = [signal.name, *beside(facts.signal, episode.signal_limit), short(episode.thresholds.tau_q), "yes" if fired else "no"]
+    if facts.signal is not None:
+        signal, needed = episode.signal, episode.signal_limit
+        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))  # a gate behind a vote
+        row = [signal.name, *beside(facts.signal, needed), short(episode.thresholds.tau_q), "yes" if fired else "no"]
         drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
-    shared, time = episode.episodes, "not recorded" if facts.ms is None else ms(facts.ms)
+    shared, time = episode.side_by_side, "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
         time += f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, divided by {shared}"
     yield from section("What then happened", *_happened(episode, facts), fields([("decision time", time)]))
@@ -247,7 +248,7 @@ def _action(facts: Decision) -> RenderableType:
 def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     plan = facts.plan
     if plan is None:
-        why = "the assistant was late" if facts.gate == "late" else "no gate fired"
+        why = {"late": "the assistant was late", "method": "the method decided by its own rule"}.get(facts.gate, "no gate fired")
         yield fields([("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")])
         return
     if plan.searched:
@@ -317,6 +318,7 @@ def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     comparable = constants.horizon == facts.window and constants.bootstrap_cost is False
     if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
         came = f"observed{', with the interventions' if ahead.intervened else ''}"
-        expected = "command, then the expert" if constants.takeover else "operator alone"
-        rows = [[f"expected of the {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
+        first = "the command" if constants.vote is None else "IDA's action"
+        expected = f"{first}, then the expert" if constants.takeover else "the operator alone"
+        rows = [[f"expected of {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
         yield table(["costly decisions", f"discounted (γ_c {short(constants.gamma_c)})"], rows)

@@ -289,7 +289,7 @@ def dataset_warnings(contents: Document) -> list[str]:
 
 def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, ...]:
     def judged(artifact: Trained) -> Trained:
-        if artifact.kind != "dataset" or "warning" in artifact.summary:
+        if artifact.kind != "dataset":
             return artifact
         try:
             warnings = dataset_warnings(read_json(layout, artifact, "contents.json"))

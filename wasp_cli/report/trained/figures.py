@@ -23,7 +23,7 @@ from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.tables import task_title
-from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.main import full_groups, main_table
 from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -275,10 +275,10 @@ def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Itera
     for curve in loss_curves(layout, trained):  # a curve a term of the loss, over its first value
         _add(runs.setdefault(f"{curve.task}/s{curve.seed}/World model", {}), curve.x, {f"loss, {curve.name}": curve.y["loss"]})
     table = main_table(frame)
-    for row in table.rows:
+    for group, row in zip(full_groups(frame), table.rows, strict=True):
         pairs = zip(table.columns, row.values, strict=True)
         numbers = {column.key: value.mean * column.scale for column, value in pairs if value.mean is not None}
-        runs["/".join([row.labels[0].lower(), "table", row.labels[1]])] = {0: numbers}
+        runs[f"{group.task}/table/{row.labels[1]}"] = {0: numbers}
     for name, points in runs.items():
         yield Series(name, points)
 
