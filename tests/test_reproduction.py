@@ -59,6 +59,27 @@ def test_differences_of_ablations_are_those_of_the_published_rows():
         assert said in words
 
 
+def test_differences_of_training_2_are_those_of_the_published_rows():
+    told, words = reproduction.differences(reproduction.NEXT), " ".join(section("Training 2").split())
+    for row, exact, said in (
+        ("race1 ida", "cost +4.575 [-0.392, +11.792]", "costs 4.6 [-.4, 11.8] less than IDA on Race1"),
+        ("race1 ida-guarded", "cost -2.392 [-4.259, -0.741]", "IDA + safety gate costs 2.4 [.7, 4.3] less than WASP"),
+        ("race1 diffusion", "cost -2.800 [-4.626, -1.050]", "Diffusion 2.8 [1.1, 4.6] less"),
+        ("goal1 ida", "cost +21.200 [+15.716, +27.033]", "21.2 [15.7, 27.0] less on Goal1"),
+        ("goal1 ida-guarded", "cost +1.725 [+0.392, +3.117]", "IDA + safety gate costs 1.7 [.4, 3.1] more than WASP"),
+        ("goal1 ida", "return +1.345 [+0.566, +2.152]", "IDA returns 1.3 [.6, 2.2] more"),
+    ):
+        assert exact in told[row]
+        assert said in words
+    cells = {
+        (cell.identity.task, cell.identity.operator, cell.identity.method): cell.pooled
+        for cell in reproduction.frame(reproduction.NEXT).cells
+    }
+    alone, assisted = (cells["race1", "limited-skill", method] for method in ("human", "wasp"))
+    assert (alone["cost"], f"alone they return {alone['return']:.1f} at no cost" in words) == (0.0, True)
+    assert f"WASP brings them to {assisted['return']:.1f}, at a cost of {assisted['cost']:.1f}" in words
+
+
 def test_the_first_edition_is_the_published_one():
     with (REPORTS / "first-edition" / "table1.csv").open(encoding="utf-8") as file:
         published = {(row["method"], row["task"]): row for row in csv.DictReader(file)}

@@ -56,16 +56,13 @@ def rows_of(spec: str) -> Iterator[dict[str, Any]]:
     asked = load(ROOT / "specs" / f"{spec}.yaml").spec
     cells = {node.key for _, node in lay_out_over(asked, Layout(Path("nowhere")), str(PUBLISHED)).cells}
     run = wasp_cli.results(PUBLISHED)
-    chosen = {cell.key: cell for cell in run.cells if cell.key in cells}
-    axes = {name: sorted({getattr(cell, name) for cell in chosen.values()}) for name in ("task", "method", "seed")}
+    chosen = sorted(cell.key for cell in run.cells if cell.key in cells)
     branches: dict[tuple[Any, ...], list[tuple[bool, bool]]] = {}
-    for row in run.branches(**axes, columns=["episode", "unnecessary", "unnecessary_swapped"]).to_pylist():
+    for row in run.branches(key=chosen, columns=["episode", "unnecessary", "unnecessary_swapped"]).to_pylist():
         branches.setdefault((row["key"], row["episode"]), []).append((row["unnecessary"], row["unnecessary_swapped"]))
     judged = {key for key, _ in branches}
     order = {name: i for i, name in enumerate(asked.methods)}
-    for row in sorted(run.episodes(**axes, columns=COLUMNS_READ).to_pylist(), key=lambda row: order.get(row["method"], 0)):
-        if row["key"] not in chosen:
-            continue
+    for row in sorted(run.episodes(key=chosen, columns=COLUMNS_READ).to_pylist(), key=lambda row: order.get(row["method"], 0)):
         tested = branches.get((row["key"], row["episode"]), []) if row["key"] in judged else None
         yield {
             "task": row["task"], "method": row["method"], "operator": row["operator"] if row["value"] is not None else UNIMPAIRED,
