@@ -337,8 +337,8 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     variants = list(dict.fromkeys(variant for variant, _ in under))
     conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
     tasks = list(dict.fromkeys(group.task for group in assistants))
-    if not tasks or len(conditions) < 2:
-        return []
+    if not tasks or len(conditions) == len(variants):
+        return []  # no operator has two severities: the table of operators says the same
     with drawn((max(7.5, 2.2 + 0.9 * len(conditions)), 0.6 + 2.9 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), len(SEVERITY_MEASURES), squeeze=False, sharex=True)
         for row, task in zip(panels, tasks, strict=True):

@@ -28,16 +28,18 @@ def staging_folder(layout: Layout, key: str) -> Path:
     return folder
 
 
-def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any]) -> Path:
+def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any], copied: bool = False) -> Path:
     """Complete an artifact with its manifest and move it to its place.
 
     Everything is on disk before the move, and the move is one rename, so that a reader sees the whole artifact or none.
     When the place is taken, someone else has computed the same key: theirs stays, unless it is damaged.
+    `copied`: the original exists. Then nothing waits for the disk; what a power failure empties is damaged, and is copied again.
     """
     (staging / MANIFEST).write_text(dumps({**manifest, "files": _files(staging)}), encoding="utf-8")
-    for path in sorted(staging.rglob("*"), reverse=True):
-        _sync(path)
-    _sync(staging)
+    if not copied:
+        for path in sorted(staging.rglob("*"), reverse=True):
+            _sync(path)
+        _sync(staging)
     place = layout.artifact(kind, key)
     place.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -51,7 +53,8 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
         os.replace(place, rubbish)
         os.replace(staging, place)
         discard(rubbish)
-    _sync(place.parent)
+    if not copied:
+        _sync(place.parent)
     return place
 
 

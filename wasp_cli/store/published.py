@@ -122,7 +122,7 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
             manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
             if offer.episodes is not None:
                 manifest["summary"] = first_episodes(staging, offer.episodes)
-            artifact.commit(layout, offer.kind, offer.key, staging, manifest)
+            artifact.commit(layout, offer.kind, offer.key, staging, manifest, copied=True)
         except BaseException:
             artifact.discard(staging)
             raise

@@ -64,8 +64,9 @@ def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_p
     assert "Expert" not in severity  # it has no severity
 
 
-def test_one_condition_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
-    one = [cell for cell in grid(seeds=(0,)) if cell.identity.operator == "noisy" and cell.identity.value == 0.2]
+def test_one_severity_an_operator_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
+    one = [cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5)]
+    assert {cell.identity.operator for cell in one} == {"noisy", "laggy"}
     assert severity_figure(read_frame(one), tmp_path) == []
     assert severity_figure(Frame(()), tmp_path) == cost_return_figure(Frame(()), tmp_path) == []
 
