@@ -14,7 +14,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import difference_of
-from wasp_cli.report.claims import Answer, Judged, VerdictReport, any_of, judge
+from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
 from wasp_cli.report.stats import Frame, groups, read_frame, with_branches
@@ -28,7 +28,9 @@ from wasp_cli.store.layout import Layout
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, NEXT = (1,), (2,)  # those of the tables, and those of which not all tasks are there
+TRAININGS, FIRST = (1, 2), (1,)  # those of Table 1, and the one with all of Table 2 and Figure 3
+
+ABLATED = ("variants=[full, safety-only, task-only, no-case2, no-rollout]", "stages=[counterfactual]", "counterfactual.stride=10")
 
 LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
@@ -36,12 +38,10 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 @cache
 def grid(trainings: tuple[int, ...] = TRAININGS) -> Grid:
-    """Return the cells of Table 1, its ablations included, with the nodes of their branches."""
+    """Return the cells of Table 1 and, of the first training, of ablations, with the nodes of their branches."""
     settings = (
         f"seeds={list(trainings)}",
-        "variants=[full, safety-only, task-only, no-case2, no-rollout]",
-        "stages=[counterfactual]",
-        "counterfactual.stride=10",
+        *(ABLATED if trainings == FIRST else ()),
     )
     spec = load(ROOT / "specs" / "table1.yaml", settings).spec
     return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
@@ -72,24 +72,27 @@ def decides(judged: Judged) -> str:
     return f"{either}{sentence(first)}; {len(deciding)} of {len(judged.answers)} comparisons"
 
 
-def rows_of(verdict: VerdictReport) -> Iterator[tuple[str, ...]]:
-    """Yield the row of every claim: with WASP, and with WASP (as printed) in its place."""
-    printed = [who.method for who in verdict.others].index("printed") if verdict.others else None
-    for judged in verdict.claims:
-        other = None if printed is None else judged.others[printed]
-        yield f"{judged.claim.says} (`{judged.claim.id}`)", word(judged), word(other), decides(judged)
+def verdicts() -> Iterator[tuple[Judged, Judged | None, tuple[int, ...]]]:
+    """Yield of every claim the verdict, the one with WASP (as printed), and on which trainings they rest: on all, where these can be asked."""
+    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, FIRST)}
+    printed = [who.method for who in reports[FIRST].others].index("printed")
+    for whole, first in zip(*(report.claims for report in reports.values()), strict=True):
+        judged, trainings = (first, FIRST) if whole.outcome == "untested" else (whole, TRAININGS)
+        yield judged, judged.others[printed], trainings
 
 
 def claims() -> str:
     """Return the table of all claims in Markdown."""
-    rows = rows_of(judge(frame(), load_paper()))
+    rows = [
+        (f"{judged.claim.says} (`{judged.claim.id}`)", word(judged), word(other), decides(judged) + ("; training 1" if on == FIRST else ""))
+        for judged, other, on in verdicts()
+    ]
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
 
 
 def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
-    made = {"Table 1": main_table(frame()), "Training 2": main_table(frame(NEXT))}
-    made |= {"Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame())}
+    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame(FIRST)), "Figure 3": necessity_table(frame(FIRST))}
     return {"The 21 claims": claims()} | {name: rows_alone(table) for name, table in made.items() if table is not None}
 
 
@@ -127,7 +130,7 @@ def rows_alone(table: Table) -> str:
 if __name__ == "__main__":
     for name, text in tables().items():
         print(f"## {name}\n\n{text}\n")
-    for trainings in (TRAININGS, NEXT):
+    for trainings in dict.fromkeys((TRAININGS, *((training,) for training in TRAININGS))):
         print(f"Minus WASP, trainings {trainings}:")
         for name, text in differences(trainings).items():
             print(f"    {name}: {text}")

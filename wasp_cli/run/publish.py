@@ -202,7 +202,7 @@ def fewer_steps(publication: Publication, target: Layout) -> int:
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
-    table = count_table("kind", "new", "size", "there already")
+    table = count_table("kind", "new", "size here", "there already")  # copies without steps or images are smaller
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]
         there = sum(item.node.kind == kind for item in publication.there)
