@@ -43,8 +43,7 @@ def short() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """The folder of an episode in which an assistant without any patience assists, its key, and what the terminal said."""
-    results = tmp_path_factory.mktemp("late") / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path_factory.mktemp("late") / "results")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(block, "PATIENCE", 1e-6)
         said: list[str] = []

@@ -22,7 +22,6 @@ from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import read_json_lines
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -112,12 +111,6 @@ def as_undisturbed(spec: Path, results: Path) -> bool:
 
 def finished(results: Path) -> set[str]:
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
-
-
-def events(results: Path) -> list[str]:
-    """What the journal of the only run tells."""
-    (journal,) = results.glob("runs/*/journal.jsonl")
-    return [str(event["event"]) for event in read_json_lines(journal)]
 
 
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
