@@ -75,11 +75,20 @@ def fakes(tmp_path):
         yield state
 
 
+def written(path: Path, *change: str) -> Path:
+    path.write_text(SMALL.replace(*change) if change else SMALL, encoding="utf-8")
+    return path
+
+
 @pytest.fixture
 def small_spec(tmp_path) -> Path:
-    path = tmp_path / "small.yaml"
-    path.write_text(SMALL, encoding="utf-8")
-    return path
+    return written(tmp_path / "small.yaml")
+
+
+@pytest.fixture
+def other_spec(tmp_path) -> Path:
+    """The same experiment with another seed, under the same name."""
+    return written(tmp_path / "other.yaml", "seeds: [0, 1]", "seeds: [1, 7]")
 
 
 def prepared(spec: Path, results: Path) -> tuple[Loaded, Layout, Plan]:
