@@ -42,3 +42,5 @@ def run_here(*arguments: str | Path, columns: int | None, code: int | None = Non
     return done
     assert code in (None, done.exit_code), done.output
     return done
+    assert code in (None, done.exit_code), done.output
+    return done
