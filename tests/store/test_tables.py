@@ -188,7 +188,6 @@ def test_newer_version_is_refused(write, monkeypatch):
     path = write()
     with pytest.raises(StoreError, match="table version 6, this wasp reads up to 5") as caught:
         read_episodes([path])
-    assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
 
 
