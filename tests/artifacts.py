@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from wasp_cli.models.base import Latent
 from wasp_cli.models.consistency import Consistency
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
@@ -47,6 +48,14 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))
     return folders
+
+
+def tiny_latents(rows: int, seed: int) -> Latent:
+    """Random ones of the tiny world model."""
+    source = torch.Generator().manual_seed(seed)
+    h = torch.randn(rows, SIZES.deter, generator=source)
+    drawn = torch.randint(SIZES.classes, (rows, SIZES.variables), generator=source)
+    return Latent(h, torch.nn.functional.one_hot(drawn, SIZES.classes).float().flatten(1))
 
 
 def tiny_expert(folder: Path, inputs: int) -> Path:

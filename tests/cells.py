@@ -9,10 +9,13 @@ import pytest
 
 from wasp_cli import seeds
 from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
+from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.evaluate import EvaluateStage
+from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.base import VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.race.task import Race
@@ -51,6 +54,11 @@ class Evaluated(NamedTuple):
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(self.episodes)]
         context = OperatorContext(load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes)
+
+    def rerun(self, **changes: Any) -> Rerun:
+        """What was recorded, carried out again."""
+        world, recorded = self.world(), Recorded(**read_recorded(self.path))._replace(**changes)
+        return Rerun(world, load_world_model(self.inputs["world_model"]), self.operator(world), recorded)
 
 
 def evaluated(

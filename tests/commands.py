@@ -1,5 +1,8 @@
-"""Commands run in this process."""
+"""Commands run in this process, and in one of their own."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 from click.testing import Result
@@ -7,6 +10,19 @@ from typer.testing import CliRunner
 
 from wasp_cli import console
 from wasp_cli.cli import app
+
+ROOT = Path(__file__).parents[1]
+
+
+def python(folder: Path, *arguments: str, path: tuple[Path, ...] = ()) -> subprocess.CompletedProcess[str]:
+    """Python in a folder, as the console script of `wasp` is run: with `-P` it does not search the current folder by itself."""
+    variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [*path, ROOT])), "NO_COLOR": "1", "COLUMNS": "200"}
+    command = [sys.executable, "-P", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
+
+
+def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return python(folder, "-m", "wasp_cli", *arguments)
 
 
 def run_here(*arguments: str | Path, columns: int | None, code: int | None = None) -> Result:
@@ -22,6 +38,8 @@ def run_here(*arguments: str | Path, columns: int | None, code: int | None = Non
     finally:
         for made in consoles:
             made.cache_clear()
+    assert code in (None, done.exit_code), done.output
+    return done
     assert code in (None, done.exit_code), done.output
     return done
     assert code in (None, done.exit_code), done.output

@@ -14,7 +14,7 @@ import typer
 from PIL import Image
 
 import wasp_cli
-from tests.commands import run_here
+from tests.commands import ROOT, run_here
 from wasp_cli.cli import app
 from wasp_cli.drive.session import shipped
 from wasp_cli.methods.registry import METHODS
@@ -24,7 +24,6 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
-ROOT = Path(__file__).parent.parent
 PUBLISHED = ROOT / "results" / "published"
 PLUGIN = "extending.md"
 """Its spec needs the package that it shows: see test_plugin_example.py."""
@@ -85,6 +84,15 @@ def test_shown_specs_are_valid(text, tmp_path):
     shutil.copytree(ROOT / "specs", tmp_path, dirs_exist_ok=True)  # which they may extend
     (tmp_path / "spec.yaml").write_text(text, encoding="utf-8")
     assert load(tmp_path / "spec.yaml").spec.tasks
+
+
+@pytest.mark.parametrize(
+    ("page", "name"),
+    [("extending.md", "halfway.py"), ("extending.md", "halfway.yaml"), ("own_task.md", "puddle.py"), ("own_task.md", "puddle.yaml")],
+)
+def test_pages_show_the_files_of_examples_as_they_are(page, name):
+    language = "python" if name.endswith(".py") else "yaml"
+    assert (ROOT / "docs/examples" / name).read_text(encoding="utf-8") in blocks(ROOT / "docs" / page, language)
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md", ROOT / "REPRODUCTION.md"], ids=lambda page: page.name)

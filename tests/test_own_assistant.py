@@ -1,30 +1,16 @@
 """An assistant in one file, as a user runs it: `module:Class` in a spec, and `wasp run`."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.commands import ROOT, python, wasp
+
 EXAMPLES = ROOT / "docs" / "examples"
 NAME = "halfway:Halfway"
-
-
-def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return python(folder, "-m", "wasp_cli", *arguments)
-
-
-def python(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """As the console script of `wasp` is run: with `-P`, Python does not search the current folder by itself."""
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "160"}
-    return subprocess.run(
-        [sys.executable, "-P", *arguments], cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False
-    )
 
 
 @pytest.fixture
@@ -32,12 +18,6 @@ def home(tmp_path) -> Path:
     for name in ("halfway.py", "halfway.yaml"):
         shutil.copy(EXAMPLES / name, tmp_path)
     return tmp_path
-
-
-def test_the_page_shows_both_files_as_they_are():
-    page = (EXAMPLES.parent / "extending.md").read_text(encoding="utf-8")
-    for name, language in (("halfway.py", "python"), ("halfway.yaml", "yaml")):
-        assert f"```{language}\n{(EXAMPLES / name).read_text(encoding='utf-8')}```" in page
 
 
 def nodes(home: Path) -> dict[str, dict[str, str]]:

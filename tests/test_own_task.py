@@ -1,34 +1,23 @@
 """The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and `wasp run`."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.commands import ROOT, wasp
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes
 
-ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
-PAGE = ROOT / "docs" / "own_task.md"
 SETTINGS = (
     "preset=smoke", "episodes=2", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=2", "dataset.steps=300",
     "policies.evaluation_episodes=2", "policies.reinforce.interactions=0",
 )  # fmt: skip
 SMALL = [part for setting in SETTINGS for part in ("--set", setting)]
 """One round and few episodes: every stage runs, and nothing is learned."""
-
-
-def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run `wasp` as its console script does: with `-P`, Python does not search the current folder by itself."""
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "160"}
-    command = [sys.executable, "-P", "-m", "wasp_cli", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +30,6 @@ def home(tmp_path_factory) -> Path:
     assert done.returncode == 0, done.stderr
     (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
     return folder
-
-
-@pytest.mark.parametrize(("language", "name"), [("python", "puddle.py"), ("yaml", "puddle.yaml")])
-def test_the_page_shows_the_files_as_they_are(language, name):
-    blocks = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    assert (EXAMPLES / name).read_text(encoding="utf-8") in blocks
 
 
 @pytest.mark.slow

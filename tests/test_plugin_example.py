@@ -1,20 +1,17 @@
 """The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.commands import run_here
+from tests.commands import ROOT, python, run_here
 from tests.plugins import forget, installed
 
-ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
 PAGE = ROOT / "docs" / "extending.md"
 SMALL = (
@@ -37,9 +34,7 @@ class Home:
         assert done.returncode == 0, done.stderr
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.site), str(ROOT)]), "NO_COLOR": "1", "COLUMNS": "200"}
-        command = [sys.executable, "-P", *arguments]
-        return subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
+        return python(self.folder, *arguments, path=(self.site,))
 
     def wasp(self, *arguments: str, sets: tuple[str, ...] = ()) -> str:
         done = self.python("-m", "wasp_cli", *arguments, *(part for each in sets for part in ("--set", each)))

@@ -11,7 +11,7 @@ import pytest
 from click.testing import Result
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, fakes, prepared, small_spec
+from tests.run.harness import Fakes, fakes, prepared, small_spec, written
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
 from wasp_cli.cli.run import say_next
@@ -175,9 +175,7 @@ def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
 @pytest.mark.parametrize("record", ["plan.json", "spec.json"])
 def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    other = tmp_path / "other.yaml"
-    other.write_text(small_spec.read_text(encoding="utf-8").replace("name: small", "name: other"), encoding="utf-8")
-    for path in (small_spec, other):
+    for path in (small_spec, written(tmp_path / "other.yaml", "name: small", "name: other")):
         loaded, layout, plan = prepared(path, results)
         new_run(layout, loaded, plan)
     (damaged,) = layout.runs.glob(f"*-small-*/{record}")
@@ -248,7 +246,6 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
     command = [sys.executable, "-P", "-X", "importtime", "-c", "import wasp_cli.__main__ as program; program.main()", "doctor"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     sent, said = False, []
-    assert process.stderr is not None
     for line in process.stderr:
         if not line.startswith("import time:"):
             said.append(line)

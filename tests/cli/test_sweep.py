@@ -15,6 +15,7 @@ from tests.compare.two_runs import episodes, write_results
 from tests.report.invented import write_rows
 from tests.report.swept import two_episodes
 from tests.run.harness import Fakes, fakes, small_spec
+from tests.store.test_untrusted import snapshot
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.stages.base import Job
@@ -147,10 +148,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_results(path / "other", lambda identity: episodes(identity, count=10, risk=0.9), name="mine")
     (path / "empty").mkdir()
     return path
-
-
-def snapshot(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_a_copy_is_alike(folder: Path) -> None:

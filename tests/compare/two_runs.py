@@ -1,11 +1,12 @@
 """Whole results folders of invented cells, to be compared."""
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from tests.report.invented import invent, write_rows
-from tests.store.untrusted import write_run_of
+from tests.run.recorded import at
 from wasp_cli.compare import Side
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.plan.grid import lay_out
@@ -14,7 +15,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.model import validate
-from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
@@ -22,6 +23,7 @@ SPEC: Mapping[str, Any] = {
     "name": "tiny", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0, 1],
     "operators": {"noisy": {"mild": 0.2}, "laggy": {"mild": 0.5}},
 }  # fmt: skip
+RUN = "20260501-120000-tiny-0000"
 Make = Callable[[CellIdentity], list[Trajectory]]
 
 
@@ -36,7 +38,12 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
     layout.prepare()
     spec = validate({**SPEC, **changes})
     grid = lay_out(spec)
-    write_run_of(layout, spec.model_dump(mode="json"), plan_against(grid, layout).as_json())
+    run = layout.run(RUN)
+    for part in ("logs", "running"):
+        (run / part).mkdir(parents=True)
+    write_record(run / "spec.json", spec.model_dump(mode="json"))
+    write_record(run / "plan.json", {"spec": spec.name, **plan_against(grid, layout).as_json()})
+    (run / "journal.jsonl").write_text(json.dumps({"at": at(0), "event": "run started"}) + "\n")
     cells = {node.key: identity_of(cell) for cell, node in grid.cells}
     for node in grid.nodes:
         staging = staging_folder(layout, node.key)
@@ -44,9 +51,8 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
             identity = cells[node.key]
             write_rows(staging, identity, make(identity))
         commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
-    (run,) = layout.runs.iterdir()
-    recorded = read_run(layout, run.name)
-    return Side(layout, run.name, recorded.spec, recorded.cells)
+    recorded = read_run(layout, RUN)
+    return Side(layout, RUN, recorded.spec, recorded.cells)
 
 
 def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:

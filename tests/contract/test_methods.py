@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.artifacts import tiny_latents
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Assistant, Heldout, Parts
 from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 ROWS, STEPS = 5, 4
@@ -37,13 +37,6 @@ def assistant(parts: Parts, name: str, variant: str, **changes: Any) -> Assistan
     return build_assistant(name, config | ({"variant": variant} if len(METHODS[name].variants) > 1 else {}), parts)
 
 
-def latents(parts: Parts, rows: int, step: int) -> Latent:
-    source = torch.Generator().manual_seed(step)
-    h = torch.randn(rows, 12, generator=source)
-    z = torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1)
-    return Latent(h, z)
-
-
 def operator(parts: Parts, rows: list[int]) -> Operator:
     return build_operator("laggy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([100 + r for r in rows]), len(rows))
 
@@ -55,8 +48,7 @@ def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tenso
     made.reset(torch.ones(len(rows), dtype=torch.bool), [7 + r for r in rows])
     commands, actions, decisions = [], [], []
     for t in range(STEPS):
-        whole = latents(parts, ROWS, t)
-        latent = whole.rows(torch.tensor(rows))
+        latent = tiny_latents(ROWS, t).rows(torch.tensor(rows))
         a_h = who.command(latent.features).clamp(-1, 1)
         before = a_h.clone()
         decision = made.decide(latent, a_h, who)
@@ -99,7 +91,7 @@ def test_an_episode_does_not_depend_on_those_beside_it(parts, name, variant, set
 @pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].calibrated])
 def test_calibration_gives_finite_thresholds(parts, name):
     rows = 30
-    latent = latents(parts, rows, 0)
+    latent = tiny_latents(rows, 0)
     zeros = torch.zeros(rows)
     heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long(), zeros)
     who = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)

@@ -29,9 +29,9 @@ def make(name: str, seeds: list[int]) -> Operator:
     return build_operator(name, LADDER.get(name), context(), EpisodeNoise(seeds), len(seeds))
 
 
-def features(rows: int = ROWS) -> list[Tensor]:
+def features() -> list[Tensor]:
     source = torch.Generator().manual_seed(7)
-    return [torch.randn(rows, 5, generator=source) for _ in range(STEPS)]
+    return [torch.randn(ROWS, 5, generator=source) for _ in range(STEPS)]
 
 
 def commands(operator: Operator, seen: list[Tensor]) -> Tensor:
@@ -47,13 +47,6 @@ def test_commands_are_bounded_and_repeatable(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_row_does_not_depend_on_the_others(name):
-    together = commands(make(name, [1, 2, 3, 4]), features())
-    alone = commands(make(name, [3]), [f[2:3] for f in features()])
-    assert torch.equal(together[:, 2:3], alone)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_memory_is_cleared_at_the_start_of_an_episode(name):
     used, seen = make(name, [1, 2, 3, 4]), features()
     commands(used, seen)
@@ -63,16 +56,6 @@ def test_memory_is_cleared_at_the_start_of_an_episode(name):
         assert torch.equal(value[[0, 2]], fresh.memory[key][[0, 2]])
     same = torch.equal(used.memory["queue"][1], fresh.memory["queue"][1]) if "queue" in used.memory else False
     assert not same
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_snapshot_brings_the_same_commands_back(name):
-    operator, seen = make(name, [1, 2, 3, 4]), features()
-    commands(operator, seen[:6])
-    snapshot = operator.snapshot()
-    wanted = commands(operator, seen[6:])
-    operator.restore(snapshot)
-    assert torch.equal(commands(operator, seen[6:]), wanted)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -112,7 +95,7 @@ def test_only_those_who_react_go_on_otherwise_when_they_are_overridden(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_row_does_not_depend_on_what_was_executed_in_the_others(name):
+def test_a_row_depends_neither_on_the_others_nor_on_what_was_executed_in_them(name):
     together = overridden(make(name, [1, 2, 3, 4]), features(), 0.5)
     alone = overridden(make(name, [3]), [f[2:3] for f in features()], 0.5)
     assert torch.equal(together[:, 2:3], alone)
@@ -131,7 +114,7 @@ def test_what_is_observed_changes_memory_only_and_no_tensor_of_it_in_place(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_snapshots_and_forks_carry_the_reaction(name):
+def test_snapshots_and_forks_bring_the_same_commands_back_and_carry_the_reaction(name):
     operator, seen = make(name, [1, 2, 3, 4]), features()
     overridden(operator, seen[:6], 0.5)
     snapshot = operator.snapshot()

@@ -9,20 +9,14 @@ import math
 import pytest
 import torch
 
+from tests.artifacts import tiny_latents
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
-from wasp_cli.methods.base import Heldout, Parts
+from wasp_cli.methods.base import Heldout
 from wasp_cli.methods.configs import DiffusionConfig
 from wasp_cli.methods.diffusion import assist
-from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
-
-
-def latents(parts: Parts, rows: int) -> Latent:
-    source = torch.Generator().manual_seed(3)
-    h = torch.randn(rows, 12, generator=source)
-    return Latent(h, torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1))
 
 
 def test_the_reverse_chain_undoes_as_many_steps_as_were_taken():
@@ -77,7 +71,7 @@ class Nearness(torch.nn.Module):
 @pytest.mark.parametrize("copilot", ["expert", "diffusion"])
 def test_ida_overrules_an_exploring_expert_in_one_decision_of_twenty_and_the_expert_itself_no_more(parts, copilot):
     rows = 1000
-    latent, zeros = latents(parts, rows), torch.zeros(rows)
+    latent, zeros = tiny_latents(rows, 3), torch.zeros(rows)
     expert = parts.skills.expert(latent.features)
     heldout = Heldout(latent, expert, zeros, zeros, zeros.long(), zeros)
     operator = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)

@@ -4,8 +4,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from tests.tasks.test_gym import text
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.base import Observation, Step, VectorTask
+from wasp_cli.tasks.base import Observation, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
@@ -28,19 +29,6 @@ def name(request) -> str:
 
 def actions(task: VectorTask, steps: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(task.action_low, task.action_high, (steps, task.batch, task.action_size))
-
-
-def fields(result: Observation | Step) -> list[bytes]:
-    """A result as bytes, field by field."""
-    out: list[bytes] = []
-    for value in result:
-        if isinstance(value, Observation):
-            out += fields(value)
-        elif isinstance(value, dict):
-            out += [array.tobytes() for array in value.values()]
-        elif value is not None:
-            out.append(value.tobytes())
-    return out
 
 
 def check_observation(task: VectorTask, seen: Observation) -> None:
@@ -82,11 +70,11 @@ def test_only_what_was_asked_for_is_shown(name):
 
 def test_a_seed_names_an_episode(name):
     one, two = make_task(name, BATCH, observe=ALL), make_task(name, BATCH, observe=ALL)
-    assert fields(one.reset([5, 6, 5])) == fields(two.reset([5, 6, 5]))
+    assert text(one.reset([5, 6, 5])) == text(two.reset([5, 6, 5]))
     for action in actions(one, 5):
         action[2] = action[0]
         step = one.step(action)
-        assert fields(step) == fields(two.step(action))
+        assert text(step) == text(two.step(action))
     assert step.observation.state[0].tobytes() == step.observation.state[2].tobytes()
     assert step.observation.state[0].tobytes() != step.observation.state[1].tobytes()
 
@@ -94,14 +82,14 @@ def test_a_seed_names_an_episode(name):
 def test_results_belong_to_the_caller(name):
     task = make_task(name, BATCH, observe=ALL)
     seen = task.reset([0, 1, 2])
-    before = fields(seen)
+    before = text(seen)
     kept = task.snapshot()
     copy = {key: array.copy() for key, array in kept.items()}
     step = task.step(actions(task, 1)[0])
-    held = fields(step)
+    held = text(step)
     task.step(actions(task, 1, seed=1)[0])
-    assert fields(seen) == before
-    assert fields(step) == held
+    assert text(seen) == before
+    assert text(step) == held
     assert all(array.tobytes() == copy[key].tobytes() for key, array in kept.items())
 
 
@@ -113,10 +101,10 @@ def test_restore_is_bit_exact(name):
         last = task.step(action)
     kept = task.snapshot()
     plan = actions(task, 6, seed=1)
-    future = [fields(task.step(action)) for action in plan]
+    future = [text(task.step(action)) for action in plan]
     for again in (task, other):
-        assert fields(again.restore(kept)) == fields(last.observation)
-        assert [fields(again.step(action)) for action in plan] == future
+        assert text(again.restore(kept)) == text(last.observation)
+        assert [text(again.step(action)) for action in plan] == future
 
 
 @pytest.mark.parametrize("name", ["goal1", "race1", "formula1", FOREIGN[0]])  # levels are of the same classes, and episodes are long
@@ -159,7 +147,7 @@ def test_actions_are_clipped(name):
     task, other = make_task(name, 1, observe=("state",)), make_task(name, 1, observe=("state",))
     task.reset([0])
     other.reset([0])
-    assert fields(task.step(np.full((1, task.action_size), 7.0))) == fields(other.step(task.action_high[None]))
+    assert text(task.step(np.full((1, task.action_size), 7.0))) == text(other.step(task.action_high[None]))
 
 
 @pytest.mark.parametrize("wrong", ["shape", "nan", "infinite"])

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -10,34 +12,33 @@ from wasp_cli.drive.desk import Clock, Decider
 from wasp_cli.store.people import percentiles
 
 
-def test_an_answer_in_time_is_taken_and_a_late_one_is_not() -> None:
-    decider: Decider[str] = Decider()
-    try:
-        assert decider.ask(lambda: "soon", 600.0)[0] == "soon"
-        told = threading.Event()
-        answer, seconds = decider.ask(lambda: "late" if told.wait(600.0) else "never", 0.05)
-        assert answer is None
-        assert seconds > 0.04
-        # While it is still being thought about, nothing new is asked, and what is thought about is never taken for the new answer.
-        assert decider.ask(lambda: "new", 0.05)[0] is None
-        told.set()
-        assert decider.ask(lambda: "new", 600.0)[0] == "new"
-        assert [(late, answer) for _, late, answer in decider.answers] == [(False, "soon"), (True, "late"), (False, "new")]
-    finally:
-        decider.close()
+@pytest.fixture
+def decider() -> Iterator[Decider[Any]]:
+    made: Decider[Any] = Decider()
+    yield made
+    made.close()
 
 
-def test_an_assistant_whose_beat_is_over_has_its_time_nevertheless() -> None:
+def test_an_answer_in_time_is_taken_and_a_late_one_is_not(decider: Decider[str]) -> None:
+    assert decider.ask(lambda: "soon", 600.0)[0] == "soon"
+    told = threading.Event()
+    answer, seconds = decider.ask(lambda: "late" if told.wait(600.0) else "never", 0.05)
+    assert answer is None
+    assert seconds > 0.04
+    # While it is still being thought about, nothing new is asked, and what is thought about is never taken for the new answer.
+    assert decider.ask(lambda: "new", 0.05)[0] is None
+    told.set()
+    assert decider.ask(lambda: "new", 600.0)[0] == "new"
+    assert [(late, answer) for _, late, answer in decider.answers] == [(False, "soon"), (True, "late"), (False, "new")]
+
+
+def test_an_assistant_whose_beat_is_over_has_its_time_nevertheless(decider: Decider[str]) -> None:
     """On a busy machine everything else once took up the whole period, and left less than 5 ms."""
-    decider: Decider[str] = Decider()
-    try:
-        clock = Clock(0.1)
-        for _ in range(50):
-            clock.spent(0.5)
-        clock.beat()
-        assert decider.ask(lambda: _after(0.05, "there"), 600.0, clock.deadline())[0] == "there"
-    finally:
-        decider.close()
+    clock = Clock(0.1)
+    for _ in range(50):
+        clock.spent(0.5)
+    clock.beat()
+    assert decider.ask(lambda: time.sleep(0.05) or "there", 600.0, clock.deadline())[0] == "there"
 
 
 class Hands:
@@ -57,40 +58,25 @@ def hands(monkeypatch: pytest.MonkeyPatch) -> Hands:
     return made
 
 
-def test_a_search_is_told_when_its_time_is_up(hands: Hands) -> None:
-    decider: Decider[list[bool]] = Decider()
-
+def test_a_search_is_told_when_its_time_is_up(decider: Decider[list[bool]], hands: Hands) -> None:
     def searches() -> list[bool]:
         found = [decider.time_is_up()]
         hands.now += 0.3
         return [*found, decider.time_is_up()]
 
-    try:
-        # Another step of 0.3 s would end after the 0.4 s that it has at least, one of no time before them.
-        assert decider.ask(searches, 600.0, hands.now, 0.4)[0] == [False, True]
-        assert decider.ask(searches, 600.0, hands.now + 20.0)[0] == [False, False]
-    finally:
-        decider.close()
+    # Another step of 0.3 s would end after the 0.4 s that it has at least, one of no time before them.
+    assert decider.ask(searches, 600.0, hands.now, 0.4)[0] == [False, True]
+    assert decider.ask(searches, 600.0, hands.now + 20.0)[0] == [False, False]
 
 
-def test_what_goes_wrong_in_a_late_answer_is_told() -> None:
-    decider: Decider[None] = Decider()
-
+def test_what_goes_wrong_in_a_late_answer_is_told(decider: Decider[None]) -> None:
     def fails() -> None:
         time.sleep(0.1)
         raise ValueError("it went wrong")
 
-    try:
-        assert decider.ask(fails, 0.01)[0] is None
-        with pytest.raises(ValueError, match="it went wrong"):
-            decider.ask(fails, 600.0)
-    finally:
-        decider.close()
-
-
-def _after(seconds: float, answer: str) -> str:
-    time.sleep(seconds)
-    return answer
+    assert decider.ask(fails, 0.01)[0] is None
+    with pytest.raises(ValueError, match="it went wrong"):
+        decider.ask(fails, 600.0)
 
 
 def test_a_slow_beat_moves_the_later_ones_instead_of_skipping_them(hands: Hands) -> None:

@@ -84,8 +84,7 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["policies", "evaluate"])
 def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(cloned[0], results)
+    results = shutil.copytree(cloned[0], tmp_path / "results")
     layout = Layout(results)
     shutil.rmtree(layout.artifact("clone", cloned[1]["key"]))
     key = cloned[1]["cells"][0]
@@ -114,8 +113,7 @@ def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dic
 
 @pytest.mark.slow
 def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(cloned[0], results)
+    results = shutil.copytree(cloned[0], tmp_path / "results")
     # A clone of other settings is another one.
     found = wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=100")
     assert found.exit_code == 0, found.output
@@ -165,8 +163,7 @@ def test_of_too_few_episodes_nothing_is_learnt(cloned: tuple[Path, dict[str, Any
 
 @pytest.mark.slow
 def test_a_missing_clone_is_said(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(cloned[0], results)
+    results = shutil.copytree(cloned[0], tmp_path / "results")
     shutil.rmtree(Layout(results).store / "clone")
     found = wasp("run", spec, "--results", results, "-j", "0", "--select", "operator=cloned")
     assert found.exit_code == 1

@@ -43,8 +43,7 @@ def short() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """The folder of an episode in which an assistant without any patience assists, its key, and what the terminal said."""
-    results = tmp_path_factory.mktemp("late") / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path_factory.mktemp("late") / "results")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(block, "PATIENCE", 1e-6)
         said: list[str] = []
@@ -148,7 +147,6 @@ def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     monkeypatch.setattr("wasp_cli.drive.check.BRIEF", 5)
     told = warning(wanted(imported, "wasp", 1.0).prepared())
-    assert told is not None
     assert "would keep it in time" in told
     assert warning(wanted(imported, "none", 1.0).prepared()) is None, "nobody is late who is not there"
 

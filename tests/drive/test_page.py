@@ -4,40 +4,26 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.drive.browser import CHROMIUM, Browser, chromium
+from tests.drive.browser import Browser
 from tests.drive.conftest import served, wanted
+from tests.run.harness import wait_until
+from tests.view.conftest import browser
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
 from wasp_cli.tasks.goal.task import Goal
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with chromium(tmp_path_factory.mktemp("chromium")) as running:
-        yield running
-
-
-def eventually(true: Callable[[], bool], seconds: float = 300.0) -> None:
-    """Wait until something holds: what the page says arrives a moment later."""
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+__all__ = ["browser"]
 
 
 def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Goal, "num_steps", 600)  # 150 decisions
-    results = tmp_path / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path / "results")
     session = wanted(results, "wasp", 4.0).prepared()
     with served(session) as (desk, server, clock):
         tab = browser.tab()
@@ -58,11 +44,9 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         assert tab.value(painted) > 10, "the map is drawn"
         assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
 
-        def held() -> frozenset[str]:
-            return desk.held.keys
-
         def comes(expected: set[str]) -> None:
-            eventually(lambda: held() == expected)
+            """What the page says arrives a moment later."""
+            wait_until(lambda: desk.held.keys == expected)
 
         tab.key(True, "ArrowUp")
         comes({"ArrowUp"})
@@ -86,7 +70,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         # A gamepad that is unplugged lets go.
         for plugged, axes in (("{axes: [0, -0.5]}", (0.5, 0.0)), ("null", (0.0, 0.0))):
             tab.value(f"void (navigator.getGamepads = () => [{plugged}])")
-            eventually(lambda axes=axes: desk.held.axes == axes)
+            wait_until(lambda axes=axes: desk.held.axes == axes)
 
         # A second tab is told, and changes nothing.
         second = browser.tab()

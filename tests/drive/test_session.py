@@ -40,8 +40,7 @@ pytestmark = pytest.mark.slow  # people drive in real time
 @pytest.fixture(scope="module")
 def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Two episodes with WASP, at twice the speed: some decisions are late."""
-    results = tmp_path_factory.mktemp("driven") / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path_factory.mktemp("driven") / "results")
     session = wanted(results, "wasp", 2.0, episodes=2, simulated=True).prepared()
     with swept_before_commit(session_module):
         summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
@@ -107,8 +106,7 @@ def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[s
 
 
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path / "results")
     session = wanted(results, episodes=2).prepared()
     with served(session) as (desk, server, clock):
         asyncio.run(drive(server.address, driver=asking(desk, {0: NEXT, 1: PAUSE, 2: END})))
@@ -174,8 +172,7 @@ def test_mistakes_are_told(tmp_path: Path, more: dict[str, Any], message: str) -
 @pytest.mark.parametrize("kind", ["world_model", "policies", "calibration"])
 def test_damaged_models_drive_nobody(kind: str, imported: Path, tmp_path: Path) -> None:
     """Before the page is served; and the next session has the model back."""
-    results = tmp_path / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path / "results")
     layout = Layout(results)
     (folder,) = layout.kind(kind).iterdir()
     victim = harmed(layout, kind, folder.name)
@@ -189,8 +186,7 @@ def test_damaged_models_drive_nobody(kind: str, imported: Path, tmp_path: Path) 
 
 
 def test_what_a_person_drove_is_never_replaced(driven: tuple[Path, str], tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(driven[0], results)
+    results = shutil.copytree(driven[0], tmp_path / "results")
     layout = Layout(results)
     steps = cell_file(layout.artifact("evaluate", driven[1]))
     steps.write_bytes(steps.read_bytes()[:-1])
@@ -201,8 +197,7 @@ def test_what_a_person_drove_is_never_replaced(driven: tuple[Path, str], tmp_pat
 
 
 def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(imported, results)
+    results = shutil.copytree(imported, tmp_path / "results")
     found = CliRunner().invoke(app, ["run", "drive", "--method", "human", "--results", str(results), "-j", "0"])
     assert found.exit_code == 1
     assert "a person has to drive this cell" in found.output

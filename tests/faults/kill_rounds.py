@@ -18,7 +18,7 @@ import wasp_cli.report.summarize
 import wasp_cli.run.publish
 from tests.faults.test_random_kills import artifacts, payload, require_whole
 from tests.run import fake_stages
-from tests.run.harness import SMALL, data_of
+from tests.run.harness import data_of, written
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import SESSION_FILE, Layout
@@ -61,7 +61,7 @@ def prepare(base: Path) -> None:
     """Fill a results folder: a session of one person."""
     base.mkdir()
     (base / "people.yaml").write_text(PEOPLE)
-    (base / "small.yaml").write_text(SMALL.replace("[0, 1]", "[0]"))
+    written(base / "small.yaml", "[0, 1]", "[0]")
     ends_well("drive", base / "people.yaml", "--participant", 7, "--simulate", "--speed", 4, "--results", base / "results")
 
 

@@ -16,11 +16,12 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from tests.faults.kill_rounds import COMMANDS, Command, prepare
+from tests.faults.test_random_kills import children
 from tests.run.harness import group_is_gone, wait_until
 
 VICTIMS = ("the command", "a worker", "its group")
@@ -64,14 +65,6 @@ def ended(child: int) -> int:
 
     wait_until(over)
     return os.waitstatus_to_exitcode(status[1])
-
-
-def children(parent: int) -> Iterator[int]:
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, IndexError):
-            line = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-            if int(line[1]) == parent and b"resource_tracker" not in (folder / "cmdline").read_bytes():
-                yield int(folder.name)
 
 
 class Storm:
@@ -123,7 +116,7 @@ class Storm:
         if over:  # faster than expected: no kill
             assert not code, log.read_text()
             return
-        victim, workers = self.chance.choice(VICTIMS), list(children(child))
+        victim, workers = self.chance.choice(VICTIMS), children(child)
         with suppress(ProcessLookupError):
             if victim == "a worker" and workers:
                 os.kill(self.chance.choice(workers), signal.SIGKILL)

@@ -17,7 +17,7 @@ from safetensors.numpy import load_file
 from tests.commands import run_here
 from tests.report.golden_store import STORE
 from tests.report.invented import invent, write_rows
-from tests.run.harness import ROOT, SMALL, as_undisturbed, prepared, run, wasp
+from tests.run.harness import ROOT, as_undisturbed, prepared, run, wasp, written
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed, StoreError
 from wasp_cli.report.notes import FILE, invalid, notes_of
@@ -116,8 +116,7 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
 
 def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeypatch):
     """A flipped bit in a cell keeps its size, so only who reads the numbers can see it."""
-    spec = tmp_path / "small.yaml"
-    spec.write_text(SMALL, encoding="utf-8")
+    spec = written(tmp_path / "small.yaml")
     loaded, layout, plan = prepared(spec, tmp_path / "results")
     cell, node = plan.grid.cells[0]
     folder = staging_folder(layout, node.key)

@@ -32,14 +32,14 @@ def require_whole(results: Path) -> None:
             assert file_digest(place / name) == known["sha256"]
 
 
-def workers_of(parent: int) -> list[int]:
-    """Child processes that compute nodes: loky's, without its resource tracker."""
+def children(parent: int, of: bytes = b"") -> list[int]:
+    """Child processes with this in their command; never loky's resource tracker, which computes no node."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
             fields = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
             command = (folder / "cmdline").read_bytes()
-            if int(fields[1]) == parent and b"resource_tracker" not in command and b"loky" in command:
+            if int(fields[1]) == parent and b"resource_tracker" not in command and of in command:
                 found.append(int(folder.name))
     return found
 
@@ -48,7 +48,7 @@ def kill(victim: str, process: subprocess.Popen[str], chance: random.Random) -> 
     """Kill; whether the run itself is dead then."""
     with suppress(ProcessLookupError):
         if victim == "a worker":
-            if workers := workers_of(process.pid):
+            if workers := children(process.pid, b"loky"):
                 os.kill(chance.choice(workers), signal.SIGKILL)
             return False
         (os.killpg if victim == "everything" else os.kill)(process.pid, signal.SIGKILL)

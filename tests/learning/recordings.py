@@ -11,6 +11,11 @@ TINY = WorldModelConfig(
 )  # fmt: skip
 SOURCES = ("hazards", "static geoms, contact")
 
+
+class Interrupted(Exception):
+    """Somebody presses Ctrl-C."""
+
+
 ROWS = np.arange(36)
 MIRROR = np.array([[1, 0], [0, -1]], np.float32)
 

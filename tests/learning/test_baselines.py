@@ -25,12 +25,10 @@ from wasp_cli.models.denoiser import Denoiser
 from wasp_cli.models.policy import Skills
 from wasp_cli.stages.base import no_progress
 
-EPISODES = (40,) * 30
-
 
 @pytest.fixture(scope="module")
 def data() -> tuple[Recording, Latents]:
-    recorded = recording(EPISODES)
+    recorded = recording((40,) * 30)
     recorded.cost_env[:] = 0
     source = torch.Generator().manual_seed(4)
     rows = len(recorded.first)
@@ -259,10 +257,8 @@ def test_one_step_of_the_student_lands_on_the_modes_where_one_of_the_teacher_fal
     assert sigma[0] == pytest.approx(SIGMA_MAX)
 
 
-def test_commands_are_brought_to_the_expert_s_actions_and_the_more_so_the_higher_the_level():
-    recorded = recording((40,) * 30)
-    rows = len(recorded.first)
-    latents = Latents(torch.randn(rows, 4, generator=generator(4)), torch.zeros(rows, 1, dtype=torch.uint8), 2)
+def test_commands_are_brought_to_the_expert_s_actions_and_the_more_so_the_higher_the_level(data):
+    recorded, latents = data
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
     torch.manual_seed(0)
     config = ConsistencyConfig(levels=20, width=48, batch=128, teacher_updates=500, updates=200, learning_rate=3e-3, ema=0.99)

@@ -1,6 +1,6 @@
 """Branches of the real task against the episodes they begin in, and the stage from a cell to its table of branches."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import CounterfactualConfig
 from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
 from wasp_cli.learning.heldout import load_heldout
-from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.learning.rerun import Recorded
 from wasp_cli.methods.base import Decision, Heldout
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.record import blank_record
@@ -35,15 +35,6 @@ from wasp_cli.store.tables import read_steps
 IDA = {"vote": 0.0}  # on untrained models it intervenes at some decisions, and not at others
 VALUES = {"limited-skill": 0.25, "reaction-time": 0.8}
 WINDOW = 6
-
-
-def rerun_of(cell: Evaluated) -> Rerun:
-    world = cell.world()
-    return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), Recorded(**read_recorded(cell.path)))
-
-
-def branched(cell: Evaluated, chosen: Sequence[Sequence[int]], window: int = WINDOW) -> list[Branch]:
-    return branches(rerun_of(cell), chosen, window, no_progress)
 
 
 def same(one: Branch, other: Branch) -> bool:
@@ -75,7 +66,7 @@ def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention
     recorded = Recorded(**read_recorded(cell.path))
     intervened = [np.flatnonzero((a != a_h).any(1)) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
     chosen = [[], [], intervened[2][[1]].tolist()]  # how many there are depends on the machine
-    found = branched(cell, chosen)
+    found = branches(cell.rerun(), chosen, WINDOW, no_progress)
     assert [(b.episode, b.t, b.name) for b in found] == [
         (e, t, name) for e, steps in enumerate(chosen) for t in steps for name in (ASSISTED, ALONE)
     ]
@@ -101,7 +92,7 @@ def test_without_an_intervention_both_branches_are_the_real_continuation(inputs,
     cell = evaluated(inputs, tmp_path, "human", {}, variant, VALUES.get(variant, 0.5))
     recorded = Recorded(**read_recorded(cell.path))
     chosen = [[0, 4, 8], [3], []]
-    found = branched(cell, chosen)
+    found = branches(cell.rerun(), chosen, WINDOW, no_progress)
     assert len(found) == 2 * 4
     for branch in found:
         assert len(branch.reward) == min(WINDOW, DECISIONS - branch.t)
@@ -134,11 +125,12 @@ def test_the_least_gain_is_a_share_of_what_the_expert_earns_in_a_window():
 SMALL = CounterfactualConfig(window=5, stride=2)
 
 
-def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, method: str = "ida", **inputs: Path) -> Mapping[str, Any]:
+def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, side_by_side: int = 10) -> Mapping[str, Any]:
     folder.mkdir(exist_ok=True)
-    axes = {"method": method, "method_config": {}, "operator": cell.variant, "value": cell.value}
-    read = {**cell.inputs, "evaluate": cell.path.parent, **inputs}
-    return CounterfactualStage().run(Job("counterfactual", cell.task, cell.seed, config, SETTINGS, axes, read, folder, folder))
+    settings = {**SETTINGS, "side_by_side": side_by_side}
+    axes = {"method": "ida", "method_config": {}, "operator": cell.variant, "value": cell.value}
+    read = {**cell.inputs, "evaluate": cell.path.parent}
+    return CounterfactualStage().run(Job("counterfactual", cell.task, cell.seed, config, settings, axes, read, folder, folder))
 
 
 def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_them(cell, tmp_path):

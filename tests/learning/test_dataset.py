@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from tests.cells import DECISIONS, REPEAT, SETTINGS, Evaluated, evaluated
+from tests.cells import DECISIONS, REPEAT, Evaluated, evaluated
 from tests.learning.recordings import SOURCES, recording
+from tests.learning.test_counterfactual import judge
 from wasp_cli.learning.configs import CounterfactualConfig, DatasetConfig, MixtureConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
 from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
@@ -25,7 +26,6 @@ from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job, no_progress
-from wasp_cli.stages.counterfactual import CounterfactualStage
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
@@ -212,17 +212,16 @@ def whole(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
 
 
-@pytest.mark.parametrize(("episodes", "kept"), [(3, 2)])
-def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(episodes, kept, whole, inputs, tmp_path, monkeypatch):
-    fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=episodes, side_by_side=2)
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(whole, inputs, tmp_path, monkeypatch):
+    fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=3, side_by_side=2)
     begun: list[int] = []
     monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
     resumed = evaluated(inputs, tmp_path / "resumed", "ida", EAGER, episodes=5, side_by_side=2, earlier=fewer.path.parent)
-    assert set(begun) == set(range(kept, 5))
+    assert set(begun) == {2, 3, 4}
     assert same_rows(whole.path, resumed.path)
     names = [name for name in pq.read_schema(whole.path).names if name not in TIMING]
     assert pq.read_table(whole.path, columns=names).equals(pq.read_table(resumed.path, columns=names))
-    for e in range(kept):  # their times are those of the first time
+    for e in (0, 1):  # their times are those of the first time
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
 
@@ -257,18 +256,11 @@ def counted(begun: list[int]) -> object:
     return seed
 
 
-def test_the_branches_of_every_batch_come_back_in_it(whole, inputs, tmp_path):
+def test_the_branches_of_every_batch_come_back_in_it(whole, tmp_path):
     """What the recorded action earns is what it earned: bit for bit, in all batches."""
-    cell = whole
-    out = tmp_path / "out"
-    out.mkdir()
-    settings = {**SETTINGS, "side_by_side": 2}
-    axes = {"method": "ida", "method_config": {}, "operator": cell.variant, "value": cell.value}
-    read = {**inputs, "evaluate": cell.path.parent}
-    config = CounterfactualConfig(window=1)
-    summary = CounterfactualStage().run(Job("counterfactual", "race1", 0, config, settings, axes, read, out, out))
-    steps = {(step["episode"], step["t"]): step for step in read_steps(cell.path).to_pylist()}
-    rows = [row for row in pq.read_table(out / BRANCHES_FILE).to_pylist() if row["branch"] == ASSISTED]
+    summary = judge(whole, tmp_path, CounterfactualConfig(window=1), side_by_side=2)
+    steps = {(step["episode"], step["t"]): step for step in read_steps(whole.path).to_pylist()}
+    rows = [row for row in pq.read_table(tmp_path / BRANCHES_FILE).to_pylist() if row["branch"] == ASSISTED]
     assert {row["episode"] for row in rows} == set(range(5))
     assert len(rows) == summary["interventions"]
     for row in rows:

@@ -11,6 +11,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
+from tests.learning.recordings import Interrupted
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.configs.recorded import Bars, ExpertConfig
@@ -69,10 +70,6 @@ def test_the_multiplier_follows_the_cost_over_an_episodes_length():
         assert row["multiplier"] == pytest.approx(expected), k
         expected = rule.next(expected, float(np.mean(costs[max(0, k - 2) : k + 1])))
     assert env.multiplier == pytest.approx(expected)
-
-
-class Interrupted(Exception):
-    pass
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """Vector environments and the closed loop over episodes that end at different times, with a world model and without one."""
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import count, product
 from types import SimpleNamespace
 from typing import Any
 
@@ -75,13 +75,8 @@ class Staggered:
         )  # fmt: skip
 
 
-def counter(start: int = 0) -> Any:
-    numbers = iter(range(start, 10_000))
-    return lambda: next(numbers)
-
-
 def test_episodes_restart_row_by_row_with_their_terminal_observation():
-    env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, counter())
+    env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, count().__next__)
     env.multiplier = 0.5
     seen = env.reset()
     assert seen[:, 0].tolist() == [0, 1, 2]

@@ -99,7 +99,6 @@ def test_visited_rows_are_what_the_filter_showed_at_each_decision(parts):
     for begin, end, seed, fraction in ((0, 2, 0, 1.0), (2, 5, 1, 1.0), (5, 10, 3, 0.25)):
         seen, latent = task.reset([seed]), model.initial(1)
         for t, row in enumerate(range(begin, end)):
-            assert seen.pixels is not None
             action = torch.from_numpy(met.action[row : row + 1])
             with torch.inference_mode():
                 latent = model.filter(latent, action, torch.from_numpy(seen.pixels), torch.tensor([float(t == 0)]))

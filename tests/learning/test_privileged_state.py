@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
-from wasp_cli.learning.configs import WorldModelConfig
+from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, Interrupted, recording
 from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
 from wasp_cli.learning.readout import embeddings, fit_ridge
 from wasp_cli.learning.shards import Recording, write_shard
@@ -31,13 +30,6 @@ def blocks(rows: int = 400) -> Recording:
     return data._replace(pixels=pixels, privileged=vector)
 
 
-def fresh(data: Recording, config: WorldModelConfig = TAUGHT) -> SafetyWorldModel:
-    torch.manual_seed(0)
-    model = build(config, 2)
-    model.mean_image.copy_(mean_image(data))
-    return model
-
-
 def told(model: SafetyWorldModel, data: Recording, learned: np.ndarray, rest: np.ndarray) -> float:
     ridge = fit_ridge(embeddings(model, data.pixels[learned]), data.privileged[learned], 1e-2)
     return ridge.explained(embeddings(model, data.pixels[rest]), data.privileged[rest], {"place": slice(0, 2)})["place"]
@@ -47,7 +39,9 @@ def told(model: SafetyWorldModel, data: Recording, learned: np.ndarray, rest: np
 def test_a_taught_encoder_tells_more_of_images_that_it_has_not_seen(mirror):
     data = blocks()
     learned, rest = np.arange(300), np.arange(300, 400)
-    model = fresh(data)
+    torch.manual_seed(0)
+    model = build(TAUGHT, 2)
+    model.mean_image.copy_(mean_image(data))
     before = told(model, data, learned, rest)
     curve = teach_encoder(model, data, learned, TAUGHT, 3, no_progress, mirror=mirror)
     after = told(model, data, learned, rest)
@@ -114,10 +108,6 @@ def test_without_weight_training_is_that_of_eq_6_alone(tmp_path):
     for name, curve in plain.items():
         assert along[name] == pytest.approx(curve, rel=1e-4), name
     assert all(torch.allclose(weights[name], others[name], atol=1e-4) for name in weights)
-
-
-class Interrupted(Exception):
-    """Somebody presses Ctrl-C."""
 
 
 def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = no_progress) -> Job:

@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.cells import DECISIONS, Evaluated, evaluated
-from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
+from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, Interrupted, recording
 from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.checkpoint import restore_training, save_training
@@ -17,11 +17,11 @@ from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.playback import play, side_by_side
 from wasp_cli.learning.privileged_state import Readout, new_readout
-from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.learning.rerun import Recorded
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.learning.shards import Recording, cost_sources, read_shards, write_shard
 from wasp_cli.learning.world_model import Report, build, refit_heads, train
-from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
+from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.seeds import layout_seed, method_seed
 from wasp_cli.stages.base import no_progress
 from wasp_cli.store.recorded import read_recorded
@@ -87,9 +87,6 @@ def test_training_resumes_bit_for_bit(tmp_path, mirror, weight):
         (tmp_path / name).mkdir()
     whole = fresh()
     head = go_on(whole, "a", no_progress)
-
-    class Interrupted(Exception):
-        pass
 
     def interrupt(share: float, text: str) -> None:
         if (tmp_path / "b" / "training.safetensors").exists():
@@ -213,12 +210,6 @@ def cell(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("cell"), "saferl", {})
 
 
-def again(cell: Evaluated, **changes: Any) -> Rerun:
-    world = cell.world()
-    recorded = Recorded(**read_recorded(cell.path))._replace(**changes)
-    return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), recorded)
-
-
 def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, parts, tmp_path):
     variant, value = "reaction-time", 0.8
     cell = evaluated(inputs, tmp_path, "saferl", {}, variant, value, episodes=2)
@@ -228,7 +219,7 @@ def test_latents_commands_and_actions_of_an_assisted_cell_come_back(inputs, part
     assistant = build_assistant("saferl", {}, parts)
     loop = run_episodes(world, parts.world_model, cell.operator(world), assistant, layouts, own, keep_latents=True)
     decisions = 0
-    for moment in again(cell):
+    for moment in cell.rerun():
         alive = moment.alive
         assert alive.tolist() == loop.alive[moment.t].tolist()
         assert moment.t == decisions
@@ -246,14 +237,14 @@ def test_a_changed_action_is_noticed(cell):
     changed = [actions.copy() for actions in recorded.a]
     changed[1][5] = -changed[1][5]
     with pytest.raises(ArtifactError, match=r"episode 1 is not the recorded one from decision [56] on"):
-        list(again(cell, a=changed))
+        list(cell.rerun(a=changed))
 
 
 def test_a_changed_command_is_noticed_at_once_and_counted_within_its_cell(cell):
     changed = [commands.copy() for commands in Recorded(**read_recorded(cell.path)).a_h]
     changed[2][4, 0] = np.nextafter(changed[2][4, 0], np.float32(2.0))
     with pytest.raises(ArtifactError, match="episode 12 is not the recorded one from decision 4 on: the command of the operator"):
-        list(again(cell, a_h=changed, first=10))
+        list(cell.rerun(a_h=changed, first=10))
 
 
 LENGTHS = (4, 2, 3)

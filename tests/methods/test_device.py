@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.artifacts import tiny_latents
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods import filter as safety_filter
@@ -14,7 +15,6 @@ from wasp_cli.methods.base import Assistant, Decision, Parts
 from wasp_cli.methods.noise import DecisionNoise
 from wasp_cli.methods.wasp import assistant as wasp
 from wasp_cli.methods.wasp import printed
-from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 B = 5
@@ -32,14 +32,6 @@ CASES = [
 NOWHERE = [*((name, {}, "laggy") for name in METHODS), ("wasp", {"variant": "no-case2"}, "noisy"), ("printed", {}, "reaction-time")]
 
 
-def filtered(parts: Parts) -> Latent:
-    source = torch.Generator().manual_seed(0)
-    rssm = parts.world_model.rssm
-    h = torch.randn((B, rssm.deter), generator=source).tanh()
-    drawn = torch.randint(0, rssm.classes, (B, rssm.variables), generator=source)
-    return Latent(h, torch.nn.functional.one_hot(drawn, rssm.classes).float().flatten(1))
-
-
 def made(parts: Parts, method: str, changes: dict[str, Any], variant: str = "laggy") -> tuple[Assistant, Operator]:
     assistant = build_assistant(method, METHODS[method] | changes, parts)
     context = OperatorContext(parts.skills.at, 2, 0.08)
@@ -53,7 +45,7 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
     assistant, operator = made(parts, method, changes)
     if tau is not None:
         assistant.tau_c, assistant.tau_r = tau
-    latent, found = filtered(parts).to(parts.device), []
+    latent, found = tiny_latents(B, 0).to(parts.device), []
     with torch.inference_mode():
         for _ in range(3):
             a_h = operator.command(latent.features).clamp(-1, 1)
@@ -70,7 +62,7 @@ def test_no_assistant_looks_at_a_number_on_another_device(artifacts, method, cha
             look(torch.zeros(2, device=nowhere))
     parts = load_parts(artifacts, ReturnsConfig(), nowhere)
     assistant, issuing = made(parts, method, changes, operator)
-    latent = filtered(parts).to(nowhere)
+    latent = tiny_latents(B, 0).to(nowhere)
     with torch.inference_mode():
         for _ in range(2):
             a_h = issuing.command(latent.features).clamp(-1, 1)
@@ -80,36 +72,29 @@ def test_no_assistant_looks_at_a_number_on_another_device(artifacts, method, cha
         assert field.device == nowhere
 
 
+MASKED = {"wasp": wasp, "printed": printed, "filter": safety_filter}
+
+
 def everything(mask: Tensor) -> Tensor:
     return torch.arange(len(mask))
 
 
 def thresholds(parts: Parts, method: str, changes: dict[str, Any]) -> tuple[float, float]:
-    """tau_c and tau_r that about half of the rows exceed."""
-    signals = decide(parts, method, changes, (1e9, 1e9))
-    costs = torch.cat([d.record.g_cost for d in signals if d.record is not None])
-    gains = torch.cat([d.record.delta_g for d in signals if d.record is not None])
+    """tau_c and tau_r that about half of the rows exceed; the filter has one threshold, of its signal."""
+    records = [d.record for d in decide(parts, method, changes, (1e9, 1e9)) if d.record is not None]
+    if method == "filter":
+        return float(torch.cat([record.signal for record in records]).median()), 0.0
+    costs, gains = torch.cat([record.g_cost for record in records]), torch.cat([record.delta_g for record in records])
     gains = gains[gains.isfinite()].sort().values
     return float(costs.quantile(0.6)), float(gains[len(gains) // 2 - 1 :][:2].mean()) if len(gains) else 0.0  # between two of them
 
 
-@pytest.mark.parametrize(("method", "changes"), [case for case in CASES if case[0] in ("wasp", "printed")])
+@pytest.mark.parametrize(("method", "changes"), [case for case in CASES if case[0] in MASKED])
 def test_masks_over_all_rows_decide_what_gathered_rows_do(parts, method, changes, monkeypatch):
     tau = thresholds(parts, method, changes)
     gathered = decide(parts, method, changes, tau)
-    monkeypatch.setattr(wasp if method == "wasp" else printed, "chosen", everything)
+    monkeypatch.setattr(MASKED[method], "chosen", everything)
     same(decide(parts, method, changes, tau), gathered)
-    gates = torch.cat([d.record.gate for d in gathered if d.record is not None])
-    assert (gates == 0).any()
-    assert (gates > 0).any()
-
-
-def test_the_filter_s_masks_decide_what_gathered_rows_do(parts, monkeypatch):
-    signal = torch.cat([d.record.signal for d in decide(parts, "filter", {}, (1e9, 0.0)) if d.record is not None])
-    tau = float(signal.median()), 0.0
-    gathered = decide(parts, "filter", {}, tau)
-    monkeypatch.setattr(safety_filter, "chosen", everything)
-    same(decide(parts, "filter", {}, tau), gathered)
     gates = torch.cat([d.record.gate for d in gathered if d.record is not None])
     assert (gates == 0).any()
     assert (gates > 0).any()

@@ -5,63 +5,34 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
-from wasp_cli.methods.base import Heldout
+from tests.worlds import Slope, calibrated, decided
 from wasp_cli.methods.configs import FilterConfig
 from wasp_cli.methods.filter import SafetyFilter
 from wasp_cli.methods.noise import DecisionNoise
-from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import EpisodeNoise, Operator
 
 GAMMA = 0.9
 
 
-class Slope:
-    """A step costs with probability h + 0.4 a_0 (within [0, 1]); noise of the latent moves it by nothing or, when asked, by a little."""
-
-    action_size, noise_size = 2, 3
-
-    def __init__(self, shake: float = 0.0) -> None:
-        self.shake = shake
-
-    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
-        return Latent(latent.h + 0.4 * action[:, :1] + self.shake * noise[:, :1], latent.z)
-
-    def cost(self, latent: Latent) -> Tensor:
-        return latent.h[..., 0].clamp(0, 1)
-
-    def continues(self, latent: Latent) -> Tensor:
-        return torch.ones(len(latent.h))
-
-
-def made(value: float = 0.0, shake: float = 0.0, **settings: Any) -> SafetyFilter:
-    """A filter on that world, with V_c the same everywhere."""
+def made(value: float = 0.0, **settings: Any) -> SafetyFilter:
+    """A filter on a slope, with V_c the same everywhere."""
     made = object.__new__(SafetyFilter)
     made.config = FilterConfig(**settings)
-    made.model, made.gamma_c = Slope(shake), GAMMA
+    made.model, made.gamma_c = Slope(0.4), GAMMA
     made.critics = SimpleNamespace(value_c=lambda latent: torch.full((len(latent.h),), value))
     made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
     made.noise = DecisionNoise()
     return made
 
 
-def decide(filter_: SafetyFilter, h: Tensor, a_h: Tensor) -> tuple[Tensor, Any]:
-    rows = len(h)
-    filter_.reset(torch.ones(rows, dtype=torch.bool), list(range(rows)))
-    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
-    decision = filter_.decide(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), a_h, operator)
-    return decision.action, decision.record
-
-
 def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_behind_it():
-    _, record = decide(made(value=2.0), torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
+    _, record = decided(made(value=2.0), torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
     assert record.signal.item() == pytest.approx(0.3 + 0.4 * 0.5 + GAMMA * 2.0)
 
 
 def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for():
     h, a_h = torch.tensor([0.5, 0.3, 0.6]), torch.tensor([[1.0, 0.3], [0.9, -0.2], [0.5, 0.0]])
-    action, record = decide(made(tau_c=0.6, segment=400), h, a_h)
+    action, record = decided(made(tau_c=0.6, segment=400), h, a_h)
     assert record.gate.tolist() == [3, 3, 3]
     # Brute force along the same line: all safest actions have a_0 = -1.
     wanted = (0.6 - h) / 0.4
@@ -74,13 +45,13 @@ def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for():
 
 
 def test_where_no_action_is_safe_the_safest_is_executed():
-    action, _ = decide(made(tau_c=0.1), torch.tensor([0.9]), torch.tensor([[1.0, 0.0]]))
+    action, _ = decided(made(tau_c=0.1), torch.tensor([0.9]), torch.tensor([[1.0, 0.0]]))
     assert action[0, 0] == -1
 
 
 def test_many_actions_have_too_many_corners_to_try_them_all():
     a_h = torch.full((2, 24), 0.9)  # 2^24 corners
-    action, _ = decide(made(tau_c=0.6, candidates=32, segment=8), torch.tensor([0.5, 0.1]), a_h)
+    action, _ = decided(made(tau_c=0.6, candidates=32, segment=8), torch.tensor([0.5, 0.1]), a_h)
     assert action[0, 0] < 0.9
     assert torch.equal(action[1], a_h[1])
 
@@ -91,14 +62,10 @@ def test_the_threshold_is_a_quantile_over_what_was_harmless():
     harmless = torch.arange(rows) % 2 == 0
     ahead = torch.where(harmless, 0.0, 3.0)
     ahead[:10] = torch.nan  # too near to the end of their episode to know
-    zeros = torch.zeros(rows)
-    heldout = Heldout(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), torch.zeros(rows, 2), zeros, zeros, zeros.long(), zeros)
-    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
     filter_ = made(quantile=0.8)
-    found = filter_.calibrate(heldout, ahead, operator, 3)
+    found = calibrated(filter_, h, torch.zeros(rows, 2), ahead)
     kept = h[(ahead == 0)]
     assert found["tau_c"] == pytest.approx(float(torch.quantile(kept, 0.8)), abs=1e-6)
     assert filter_.tau_c == found["tau_c"]
     assert found["expert_rate"] == pytest.approx(float((h > found["tau_c"]).float().mean()))
-    fixed = made(tau_c=0.7)
-    assert fixed.calibrate(heldout, ahead, operator, 3)["tau_c"] == 0.7
+    assert calibrated(made(tau_c=0.7), h, torch.zeros(rows, 2), ahead)["tau_c"] == 0.7

@@ -6,38 +6,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.methods.base import Heldout
+from tests.worlds import Slope, at, calibrated, decided
 from wasp_cli.methods.configs import MPMIConfig, ReachConfig
 from wasp_cli.methods.mpmi import MPMI
 from wasp_cli.methods.noise import DecisionNoise
 from wasp_cli.methods.reach import ReachabilityFilter
-from wasp_cli.methods.record import Record
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE
-from wasp_cli.models.base import Latent
 from wasp_cli.models.reachability import extreme_actions
-from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 GAMMA, H = 0.9, 4
-
-
-class Slope:
-    """A step adds 0.1 a_0 to h, and costs with probability h (within [0, 1]); noise moves h by nothing or, when asked, by a little."""
-
-    action_size, noise_size = 2, 3
-
-    def __init__(self, shake: float = 0.0) -> None:
-        self.shake = shake
-
-    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
-        return Latent(latent.h + 0.1 * action[:, :1] + self.shake * noise[:, :1], latent.z)
-
-    def cost(self, latent: Latent) -> Tensor:
-        return latent.h[..., 0].clamp(0, 1)
-
-    def continues(self, latent: Latent) -> Tensor:
-        return torch.ones_like(latent.h[..., 0])
 
 
 def expected(h: Tensor, a: Tensor) -> Tensor:
@@ -51,20 +30,11 @@ def expected(h: Tensor, a: Tensor) -> Tensor:
 def made(shake: float = 0.0, **settings: Any) -> MPMI:
     made = object.__new__(MPMI)
     made.config = MPMIConfig(**{"horizon": H, "rollouts": 2, **settings})
-    made.imagination = Imagination(Slope(shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)
+    made.imagination = Imagination(Slope(0.1, shake), None, lambda f: f[:, :2], GAMMA, GAMMA, 0.9)
     made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
     made.noise = DecisionNoise()
     made.inputs = 2 * torch.quasirandom.SobolEngine(2).draw(made.config.candidates) - 1
     return made
-
-
-def decide(mpmi: MPMI, h: Tensor, a_h: Tensor) -> tuple[Tensor, Record]:
-    rows = len(h)
-    mpmi.reset(torch.ones(rows, dtype=torch.bool), list(range(rows)))
-    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
-    decision = mpmi.decide(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), a_h, operator)
-    assert decision.record is not None
-    return decision.action, decision.record
 
 
 def situations(rows: int = 40) -> tuple[Tensor, Tensor]:
@@ -74,13 +44,13 @@ def situations(rows: int = 40) -> tuple[Tensor, Tensor]:
 
 def test_the_signal_is_the_cost_of_holding_the_command():
     h, a_h = situations()
-    torch.testing.assert_close(decide(made(), h, a_h)[1].signal, expected(h, a_h))
+    torch.testing.assert_close(decided(made(), h, a_h)[1].signal, expected(h, a_h))
 
 
 def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands():
     h, a_h = situations()
     mpmi = made(tau_c=1.4)
-    action, record = decide(mpmi, h, a_h)
+    action, record = decided(mpmi, h, a_h)
     fates = set()
     for row in range(len(h)):
         best, least = a_h[row], float("inf")
@@ -100,28 +70,24 @@ def test_every_input_meets_the_same_draws():
     mpmi.reset(torch.ones(1, dtype=torch.bool), [5])
     draws = mpmi._draws(mpmi.noise.streams())
     twice = torch.tensor([[[0.2, -0.3], [0.2, -0.3], [0.2, 0.9]]])
-    cost = mpmi.g_c(Latent(torch.full((1, 1), 0.5), torch.zeros(1, 1)), twice, draws)
+    cost = mpmi.g_c(at(torch.full((1,), 0.5)), twice, draws)
     assert cost[0, 0] == cost[0, 1] == cost[0, 2]  # a_1 moves nothing here
     assert cost[0, 0] != expected(torch.tensor(0.5), twice[0, 0])
 
 
 def test_the_threshold_is_a_quantile_under_the_expert_where_nothing_cost():
     h, a_h = situations(200)
-    latent, nothing = Latent(h.unsqueeze(-1), torch.zeros(200, 1)), torch.zeros(200)
     ahead = (h > 0.5).float()
     ahead[:3] = torch.nan  # unknown: less than W decisions are left
-    heldout = Heldout(latent, a_h, nothing, nothing, nothing, nothing)
     mpmi = made(quantile=0.8)
-    told = mpmi.calibrate(heldout, ahead, Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * 200), 200), 3)
+    told = calibrated(mpmi, h, a_h, ahead)
     wanted = torch.quantile(expected(h, a_h)[ahead == 0], 0.8)
     assert told["tau_c"] == mpmi.tau_c == pytest.approx(float(wanted), rel=1e-5)
     assert told["expert_rate"] == pytest.approx(float((expected(h, a_h) > wanted).float().mean()))
-    fixed = made(tau_c=0.7)
-    assert fixed.calibrate(heldout, ahead, Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * 200), 200), 3)["tau_c"] == 0.7
+    assert calibrated(made(tau_c=0.7), h, a_h, ahead)["tau_c"] == 0.7
 
 
 # The reachability filter against a safety value whose constraint can be searched on a fine grid.
-
 
 SPREAD = 2048
 
@@ -148,12 +114,6 @@ def made_reach(gamma: float | str = 0.9, motors: Motors = UNKNOWN, **settings: A
     return made_reach
 
 
-def decide_reach(filter_: ReachabilityFilter, h: Tensor, a_h: Tensor) -> tuple[Tensor, Any]:
-    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * len(h)), len(h))
-    decision = filter_.decide(Latent(h.unsqueeze(-1), torch.zeros(len(h), 1)), a_h, operator)
-    return decision.action, decision.record
-
-
 def states(rows: int = 60) -> tuple[Tensor, Tensor]:
     source = torch.Generator().manual_seed(0)
     return 0.2 + 0.8 * torch.rand(rows, generator=source), 2 * torch.rand(rows, 2, generator=source) - 1
@@ -161,7 +121,7 @@ def states(rows: int = 60) -> tuple[Tensor, Tensor]:
 
 def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_grid():
     h, a_h = states()
-    action, record = decide_reach(made_reach(0.9), h, a_h)
+    action, record = decided(made_reach(0.9), h, a_h)
     axis = torch.linspace(-1, 1, 401)
     grid = torch.cartesian_prod(axis, axis)
     moved = 0
@@ -181,7 +141,7 @@ def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_
 
 
 def test_where_failure_cannot_be_avoided_the_fallback_acts():
-    action, record = decide_reach(made_reach(0.9), torch.tensor([-0.3, -0.01]), torch.tensor([[0.9, -0.9], [0.0, 0.0]]))
+    action, record = decided(made_reach(0.9), torch.tensor([-0.3, -0.01]), torch.tensor([[0.9, -0.9], [0.0, 0.0]]))
     assert torch.equal(action, Bowl.safest.expand(2, 2))
     assert record.gate.tolist() == [3, 3]
 
@@ -198,7 +158,7 @@ def test_of_all_actions_with_one_force_the_nearest_is_executed():
             return torch.tensor([1.0, 0.0]).expand(len(features), 2), features[:, 0]
 
     filter_.value = Throttle()
-    action, _ = decide_reach(filter_, torch.tensor([0.2]), torch.tensor([[-0.8, 0.3]]))
+    action, _ = decided(filter_, torch.tensor([0.2]), torch.tensor([[-0.8, 0.3]]))
     assert action[0, 0] == pytest.approx(0.05, abs=0.005)
     assert action[0, 1] == pytest.approx(0.3, abs=0.05)
 
@@ -210,14 +170,11 @@ def test_gamma_is_a_quantile_of_what_the_expert_keeps_where_it_was_harmless():
     ahead = torch.where(harmless, 0.0, 3.0)
     ahead[:10] = torch.nan  # too near to the end of their episode to know
     h[10] = -0.5  # no share of a negative value says anything
-    zeros = torch.zeros(rows)
-    heldout = Heldout(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), a_h, zeros, zeros, zeros.long(), zeros)
-    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
     filter_ = made_reach("calibrated", quantile=0.8)
-    found = filter_.calibrate(heldout, ahead, operator, 3)
+    found = calibrated(filter_, h, a_h, ahead)
     q = Bowl()(h.unsqueeze(-1), a_h.unsqueeze(1))[:, 0]
     kept = (q / h)[(ahead == 0) & (h > 0)]
     assert found["gamma"] == pytest.approx(max(0.0, float(torch.quantile(kept, 0.2))), abs=1e-6)
     assert filter_.gamma == found["gamma"]
     assert found["expert_rate"] == pytest.approx(float((q < found["gamma"] * h).float().mean()))
-    assert made_reach(0.7).calibrate(heldout, ahead, operator, 3)["gamma"] == 0.7
+    assert calibrated(made_reach(0.7), h, a_h, ahead)["gamma"] == 0.7

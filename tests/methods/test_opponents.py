@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.artifacts import tiny_latents
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
@@ -28,13 +29,8 @@ def parts(artifacts) -> Parts:
 
 
 def situation(parts: Parts) -> tuple[Latent, Tensor, Operator]:
-    source = torch.Generator().manual_seed(0)
-    rssm = parts.world_model.rssm
-    drawn = torch.randint(0, rssm.classes, (B, rssm.variables), generator=source)
-    latent = Latent(
-        torch.randn((B, rssm.deter), generator=source).tanh(), torch.nn.functional.one_hot(drawn, rssm.classes).float().flatten(1)
-    )
-    return latent, 2 * torch.rand((B, 2), generator=source) - 1, Operator(parts.skills.expert, 2, EpisodeNoise([0] * B), B)
+    a_h = 2 * torch.rand((B, 2), generator=torch.Generator().manual_seed(0)) - 1
+    return tiny_latents(B, 0), a_h, Operator(parts.skills.expert, 2, EpisodeNoise([0] * B), B)
 
 
 def decided(assistant: Assistant, parts: Parts, command: Tensor | None = None) -> Decision:
@@ -97,30 +93,24 @@ ROWS = 5
 
 
 @pytest.fixture
-def latent() -> Latent:
-    source = torch.Generator().manual_seed(1)
-    return Latent(torch.randn(ROWS, 12, generator=source), torch.rand(ROWS, 8, generator=source))
-
-
-@pytest.fixture
 def commands() -> Tensor:
     return 2 * torch.rand(ROWS, 2, generator=torch.Generator().manual_seed(2)) - 1
 
 
-def executed(made: CSA, latent: Latent, commands: Tensor, seed: int = 0) -> tuple[Tensor, list[int]]:
-    made.reset(torch.ones(len(commands), dtype=torch.bool), list(range(seed, seed + len(commands))))
+def executed(made: CSA, commands: Tensor) -> tuple[Tensor, list[int]]:
+    made.reset(torch.ones(len(commands), dtype=torch.bool), list(range(len(commands))))
     operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * len(commands)), len(commands))
-    decision = made.decide(latent, commands, operator)
+    decision = made.decide(tiny_latents(len(commands), 1), commands, operator)
     return decision.action, [] if decision.record is None else decision.record.gate.tolist()
 
 
-def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts, latent, commands):
-    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), latent, commands)
+def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts, commands):
+    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), commands)
     assert torch.equal(action, commands)
     assert gates == []
 
 
-def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(latent, commands):
+def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(commands):
     asked: list[tuple[Tensor, Tensor]] = []
 
     def network(features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
@@ -129,7 +119,7 @@ def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_
 
     made = object.__new__(CSA)
     made.ratio, made.model = 0.4, network
-    action, _ = executed(made, latent, commands)
+    action, _ = executed(made, commands)
     ((noisy, sigma),) = asked
     assert torch.equal(noisy, commands)
     assert sigma.tolist() == pytest.approx([sigma_at(0.4)] * ROWS)

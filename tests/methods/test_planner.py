@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.artifacts import tiny_latents
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.methods.base import Decision, Parts, checked
@@ -14,7 +15,6 @@ from wasp_cli.methods.planner import Planner
 from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.metrics.episode import GATE_METHOD
-from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.store.tables import Thresholds
 
@@ -25,18 +25,12 @@ SMALL: dict[str, Any] = {
 }  # fmt: skip
 
 
-def latents(step: int) -> Latent:
-    source = torch.Generator().manual_seed(step)
-    z = torch.nn.functional.one_hot(torch.randint(4, (B, 2), generator=source), 4).float().flatten(1)
-    return Latent(torch.randn(B, 12, generator=source), z)
-
-
 def drive(planner: Planner, parts: Parts, commands: Tensor, operator: str = "none") -> list[Decision]:
     """Decisions of T steps under commands [T, B, A] of some operator."""
     who = build_operator(operator, 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(list(range(B))), B)
     planner.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
     with torch.inference_mode():
-        return [checked(planner.decide(latents(t), a_h, who), planner, a_h, a_h.clone()) for t, a_h in enumerate(commands)]
+        return [checked(planner.decide(tiny_latents(B, t), a_h, who), planner, a_h, a_h.clone()) for t, a_h in enumerate(commands)]
 
 
 def planner(parts: Parts, **changes: Any) -> Planner:
@@ -51,7 +45,7 @@ def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts):
     one = drive(planner(parts), parts, first)
     other = drive(planner(parts), parts, second, "noisy")
     assert all(torch.equal(a.action, b.action) for a, b in zip(one, other, strict=True))
-    assert any((a.action - parts.skills.expert(latents(t).features)).abs().max() > 0.01 for t, a in enumerate(one))
+    assert any((a.action - parts.skills.expert(tiny_latents(B, t).features)).abs().max() > 0.01 for t, a in enumerate(one))
 
 
 def test_the_gate_is_set_where_the_action_is_not_the_command(parts):

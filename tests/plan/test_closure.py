@@ -173,12 +173,6 @@ def test_a_package_of_an_editable_installation_is_covered(write, tmp_path, monke
     assert closure_hash(("cabin.a",)) != before
 
 
-def test_orchestration_is_in_no_closure():
-    for name in closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.residual"]):
-        part = name.split(".")[1]
-        assert part not in module.ORCHESTRATION
-
-
 def test_nothing_is_imported():
     before = set(sys.modules)
     closure(["wasp_cli.stages.evaluate", module_of(METHODS["wasp"].target)])

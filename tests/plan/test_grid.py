@@ -85,12 +85,6 @@ def test_ablations_share_training_and_the_calibration_of_the_whole():
     assert {node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"} == {"full", "no-case2"}
 
 
-def test_the_planner_moves_wasp_alone():
-    moved = changed(wasp={"candidates": 9})
-    assert moved
-    assert all(" wasp" in label for label in moved)
-
-
 def test_the_world_model_moves_everything_after_it():
     moved = changed(world_model={"updates": 21})
     still = set(by_label(grid())) - moved

@@ -54,16 +54,17 @@ def test_the_plan_as_json_names_every_cell_and_node():
 def test_a_damaged_artifact_is_computed_again(tmp_path):
     layout, laid_out = Layout(tmp_path), grid()
     layout.prepare()
-    node, whole = laid_out.nodes[:2]
-    for each in (node, whole):
+    node, other, _ = nodes = laid_out.nodes[:3]
+    for each in nodes:
         folder = staging_folder(layout, each.key)
         (folder / "data.bin").write_bytes(b"12345")
         commit(layout, each.kind, each.key, folder, {})
-    assert plan_against(laid_out, layout).count("cached") == 2
+    assert plan_against(laid_out, layout).count("cached") == 3
     (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"123")
+    layout.manifest(other.kind, other.key).unlink()
     plan = plan_against(laid_out, layout)
-    (step,) = [step for step in plan.steps if step.node == node]
-    assert (step.state, step.runs) == ("damaged", True)
+    step, without_manifest = (next(step for step in plan.steps if step.node == each) for each in (node, other))
+    assert (step.state, step.runs, without_manifest.state) == ("damaged", True, "damaged")
     assert "data.bin' has 3 bytes, not 5" in step.reason
     assert "data.bin' has 3 bytes, not 5" in text_of(plan)
     assert plan.count("cached") == 1

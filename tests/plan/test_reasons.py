@@ -76,14 +76,3 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
     found = reasons_of(plan_against(grid(), layout))
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
-
-
-def test_an_artifact_that_changes_after_a_plan_is_seen(layout):
-    laid_out = grid()
-    fill(layout, laid_out)
-    plan_against(laid_out, layout)
-    first, second = laid_out.nodes[:2]
-    (layout.artifact(first.kind, first.key) / "data.bin").write_bytes(b"1")
-    layout.manifest(second.kind, second.key).unlink()
-    states = {step.node: step.state for step in plan_against(laid_out, layout).steps}
-    assert states[first] == states[second] == "damaged"

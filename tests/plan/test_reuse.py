@@ -2,9 +2,9 @@
 
 import random
 from pathlib import Path
-from typing import Any
 
 from tests.plan.test_grid import by_label, spec
+from tests.plan.test_grid import grid as own_grid
 from wasp_cli.plan import grid
 from wasp_cli.plan import node as keys
 from wasp_cli.plan.grid import Grid, lay_out
@@ -16,11 +16,6 @@ from wasp_cli.store.published import Offer
 MODEL, LATENTS, SKILLS = "goal1 s0 world_model", "goal1 s0 latents", "goal1 s0 policies"
 HELDOUT, CRITICS = "goal1 s0 heldout", "goal1 s0 critics"
 NOWHERE = Layout(Path("nowhere"))
-
-
-def own_grid(**changes: Any) -> Grid:
-    """A grid with recipes."""
-    return lay_out(spec(**changes))
 
 
 def recipes(laid_out: Grid) -> dict[str, str]:

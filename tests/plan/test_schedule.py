@@ -3,11 +3,11 @@
 import random
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out
@@ -92,7 +92,6 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed)
 
 
 ROOT = Path(__file__).resolve().parents[2]
-measured = times.speed
 
 
 @pytest.fixture(autouse=True)
@@ -104,16 +103,10 @@ def planned(spec: str, tmp_path: Path, *settings: str) -> Plan:
     return plan_against(lay_out(load(ROOT / "specs" / spec, settings).spec), Layout(tmp_path / "absent"))
 
 
-def manifest(kind: str, seconds: float, axes: dict[str, Any] | None = None, **config: int) -> dict[str, Any]:
-    return {"kind": kind, "task": "goal1", "axes": axes or {}, "config": config, "provenance": {"seconds": seconds}}
-
-
 @pytest.mark.parametrize("spec", ["selftest.yaml", "quickstart.yaml"])
 def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_is_an_estimate(
     spec: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from rich.console import Console
-
     loaded, layout = load(ROOT / "specs" / spec).spec, Layout(tmp_path / "absent")
     plan = plan_against(lay_out_over(loaded, layout), layout)
     seconds, unknown = plan.estimate(2)
@@ -127,26 +120,15 @@ def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_
 
 
 def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
-    from rich.console import Console
-
     layout = Layout(tmp_path / "absent")
-    grid = lay_out_over(
-        load(
-            ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
-        ).spec,
-        layout,
-    )
-    plan = plan_against(grid, layout)
+    more = ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
+    plan = plan_against(lay_out_over(load(ROOT / "specs/table1.yaml", more).spec, layout), layout)
     assert plan.count("published", "evaluate"), "the moderate operators are published"
     assert {node.axes["value"] for node in plan.to_run() if node.kind == "evaluate"} == {0.7}
     seconds, unknown = plan.estimate(1)
     assert (seconds > 1, unknown) == (True, 0)
     show(plan, Console(width=200), 1)
     assert "an estimate, from times of nodes like them" in capsys.readouterr().out
-
-
-def seconds_of(plan: Plan, label: str) -> float:
-    return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == "evaluate" and f" {label}" in node.label)
 
 
 def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import SMALL, Fakes, fakes, run
+from tests.run.harness import Fakes, fakes, run, written
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
@@ -18,9 +18,7 @@ __all__ = ["fakes"]
 def results(fakes: Fakes, tmp_path: Path) -> Path:
     """A run of one seed, in which one training failed."""
     fakes.set(behave={"s0 ida_q": "refuse"})
-    spec = tmp_path / "small.yaml"
-    spec.write_text(SMALL.replace("[0, 1]", "[0]"), encoding="utf-8")
-    run(spec, tmp_path / "results")
+    run(written(tmp_path / "small.yaml", "[0, 1]", "[0]"), tmp_path / "results")
     return tmp_path / "results"
 
 

@@ -22,7 +22,6 @@ from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import read_json_lines
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -76,11 +75,20 @@ def fakes(tmp_path):
         yield state
 
 
+def written(path: Path, *change: str) -> Path:
+    path.write_text(SMALL.replace(*change) if change else SMALL, encoding="utf-8")
+    return path
+
+
 @pytest.fixture
 def small_spec(tmp_path) -> Path:
-    path = tmp_path / "small.yaml"
-    path.write_text(SMALL, encoding="utf-8")
-    return path
+    return written(tmp_path / "small.yaml")
+
+
+@pytest.fixture
+def other_spec(tmp_path) -> Path:
+    """The same experiment with another seed, under the same name."""
+    return written(tmp_path / "other.yaml", "seeds: [0, 1]", "seeds: [1, 7]")
 
 
 def prepared(spec: Path, results: Path) -> tuple[Loaded, Layout, Plan]:
@@ -112,12 +120,6 @@ def as_undisturbed(spec: Path, results: Path) -> bool:
 
 def finished(results: Path) -> set[str]:
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
-
-
-def events(results: Path) -> list[str]:
-    """What the journal of the only run tells."""
-    (journal,) = results.glob("runs/*/journal.jsonl")
-    return [str(event["event"]) for event in read_json_lines(journal)]
 
 
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:

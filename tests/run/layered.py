@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.run.harness import SMALL, faked
+from tests.run.harness import faked, written
 from wasp_cli.console import err
 from wasp_cli.plan import grid, reasons
 from wasp_cli.plan.node import Node, closure
@@ -55,8 +55,7 @@ def moved(monkeypatch) -> Callable[[str], None]:
 def computed(tmp_path_factory) -> Path:
     """The results of the spec in `elsewhere`, and what was published of them in `results`."""
     folder = tmp_path_factory.mktemp("layered")
-    spec, elsewhere = folder / "small.yaml", Layout(folder / "elsewhere")
-    spec.write_text(SMALL, encoding="utf-8")
+    spec, elsewhere = written(folder / "small.yaml"), Layout(folder / "elsewhere")
     with faked(folder):
         run_spec(load(spec), elsewhere.root, RunOptions(jobs=0))
         publish(spec, elsewhere, Layout(folder / "results" / "published"))

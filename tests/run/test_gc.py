@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import SMALL, faked, finished, keys_of, run, start, wait_until
+from tests.run.harness import faked, finished, keys_of, run, start, wait_until, written
 from tests.run.recorded import key, planned, process, write_run
 from wasp_cli.cli.options import SelectedSpec
 from wasp_cli.errors import StoreError, UsageError
@@ -32,17 +32,6 @@ from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
-
-
-def written(path: Path, *change: str) -> Path:
-    path.write_text(SMALL.replace(*change) if change else SMALL, encoding="utf-8")
-    return path
-
-
-@pytest.fixture
-def other_spec(small_spec) -> Path:
-    """The same experiment with another seed, under the same name."""
-    return written(small_spec.with_name("other.yaml"), "seeds: [0, 1]", "seeds: [1, 7]")
 
 
 @pytest.fixture
@@ -66,8 +55,7 @@ def results(both, fakes, tmp_path) -> Path:
 
 
 def collect(results: Path, *options: str | Path) -> str:
-    done = run_here("gc", results, *options, columns=80, code=0)
-    return done.stdout
+    return run_here("gc", results, *options, columns=80, code=0).stdout
 
 
 def table(text: str) -> dict[str, tuple[int, str]]:
@@ -350,11 +338,6 @@ def left(layout: Layout) -> set[int]:
     return {int(path.name, 16) for path in layout.store.glob("*/*")}
 
 
-def collect_people(layout: Layout) -> str:
-    done = run_here("gc", layout.root, "--yes", "--runs", columns=80, code=0)
-    return done.stdout
-
-
 def test_the_next_participant_displaces_nobody(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", ALONE, MODEL, "person", session=True)
@@ -372,7 +355,7 @@ def test_the_next_participant_displaces_nobody(layout):
     second = drove(layout, 2, *begun)
     nobody = drove(layout, 3, planned(UNWANTED, "a grid of the same name", "cached"))
     newest = drove(layout, 4, planned(NEWEST, "newest"))
-    collect_people(layout)
+    collect(layout.root, "--yes", "--runs")
     assert left(layout) == {MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN_MODEL}
     assert (layout.work(key(BEGUN)) / "episodes.parquet").read_bytes() == b"two episodes"
     assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
@@ -383,7 +366,7 @@ def test_what_a_note_is_about_stays(layout):
     stored(layout, "evaluate", NOTED, MODEL)
     stored(layout, "evaluate", UNWANTED, MODEL)
     add_note(layout, Note(key(NOTED), "noted", 3, "it starts within a hazard", "invalid"))
-    collect_people(layout)
+    collect(layout.root, "--yes", "--runs")
     assert left(layout) == {MODEL, NOTED}
     (layout.root / "notes.jsonl").unlink()
     (layout.root / "notes.jsonl").mkdir()

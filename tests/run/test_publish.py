@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import SMALL, faked, run, wait_until
+from tests.run.harness import faked, run, wait_until, written
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
@@ -32,11 +32,10 @@ HOST = "a-machine-of-mine"
 def finished(tmp_path_factory) -> Iterator[Path]:
     """A results folder in which the spec has been run, on a machine of that name, with a report."""
     folder = tmp_path_factory.mktemp("finished")
-    (folder / "small.yaml").write_text(SMALL, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch, faked(folder):
         patch.setattr(platform, "node", lambda: HOST)
         provenance.cache_clear()
-        run(folder / "small.yaml", folder / "results")
+        run(written(folder / "small.yaml"), folder / "results")
         report = Layout(folder / "results").reports("small")
         report.mkdir(parents=True)
         (report / "report.md").write_text("# Report: small\n")
@@ -50,9 +49,7 @@ def results(finished, fakes, tmp_path) -> Path:
 
 
 def publish(spec: Path, results: Path, *options: str | Path, code: int = 0) -> str:
-    done = run_here("publish", spec, "--results", results, *options, columns=200)
-    assert done.exit_code == code, done.output
-    return done.output
+    return run_here("publish", spec, "--results", results, *options, columns=200, code=code).output
 
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:

@@ -307,12 +307,8 @@ def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(small_spec,
     assert not [*layout.runs.glob("*")]
 
 
-def test_changed_source_explains_a_failure(fakes, small_spec, tmp_path):
+def test_changed_source_explains_a_failure(fakes, job):
     fakes.set(behave={"goal1": "raise"})
-    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    run_id = new_run(layout, loaded, plan)
-    layout.journal(run_id).touch()
-    job = job_of(layout, run_id, plan.to_run()[0])
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")

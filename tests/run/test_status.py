@@ -23,8 +23,7 @@ RUN = "20260501-120000-small-0001"
 
 
 def status(layout: Layout, *options: str) -> str:
-    done = run_here("status", layout.root, *options, columns=120, code=0)
-    return done.stdout
+    return run_here("status", layout.root, *options, columns=120, code=0).stdout
 
 
 def test_a_run_that_died(layout):
@@ -102,8 +101,7 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     layout.log(RUN, "b", key(7)).write_text("of b\n")
 
     def log(*arguments: str) -> str:
-        done = run_here("logs", *arguments, "--results", layout.root, columns=80, code=0)
-        return done.stdout
+        return run_here("logs", *arguments, "--results", layout.root, columns=80, code=0).stdout
 
     assert log("a") == "of 20260501-140000-small-0003\n"
     assert log(key(1)) == "of 20260501-130000-small-0002\n"
@@ -148,14 +146,8 @@ def test_a_log_commands_no_terminal(layout):
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
 
 
-def other(spec: Path) -> Path:
-    path = spec.with_name("other.yaml")
-    path.write_text(spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
-    return path
-
-
-def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_path):
-    results, later = tmp_path / "results", other(small_spec)
+def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, other_spec, tmp_path):
+    results, later = tmp_path / "results", other_spec
     run(small_spec, results)
     layout = Layout(results)
     (first,) = run_ids(layout)
@@ -172,8 +164,8 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, tmp_p
     assert finished(results) == keys_of(later, results)
 
 
-def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_spec, tmp_path):
-    results, later, gate = tmp_path / "results", other(small_spec), tmp_path / "report now"
+def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes, small_spec, other_spec, tmp_path):
+    results, later, gate = tmp_path / "results", other_spec, tmp_path / "report now"
     fakes.set(report=str(gate))
     process = start("run", small_spec, "--results", results, "-j", "0")
     try:

@@ -176,7 +176,6 @@ class Late(InlinePool):
 def test_a_worker_that_does_not_see_the_folder_refuses_and_makes_none(fakes, small_spec, tmp_path):
     with pytest.raises(StoreError, match="does not see the results folder") as refused:
         run(small_spec, tmp_path / "results", Elsewhere(tmp_path / "local"))
-    assert refused.value.hint is not None
     assert "under the same path" in refused.value.hint
     assert not (tmp_path / "local").exists()
     assert fakes.executions() == []

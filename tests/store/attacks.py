@@ -93,7 +93,6 @@ def needs_that_are_paths(it: UntrustedStore, outside: Path) -> None:
 @attack
 def upstream_of_a_replay_elsewhere(it: UntrustedStore, outside: Path) -> None:
     kinds = ("world_model", "policies", "calibration")
-    it.played(4)
     it.manifest(upstream_kinds={kind: kind for kind in kinds}, upstream=dict.fromkeys(kinds, "../../../outside"))
     it.layout.kind("counterfactual").mkdir(exist_ok=True)
     link(it.layout.artifact("counterfactual", key(3)), outside)

@@ -79,10 +79,6 @@ def test_a_manifest_without_a_json_form_publishes_nothing(layout):
 
 def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):
     path = layout.lock(KEY)
-    assert not is_held(path)
-    with held(path, lambda: None):
-        assert is_held(path)
-    assert not is_held(path)
     code = f"import os; from pathlib import Path; from wasp_cli.store.lock import held\nwith held(Path({str(path)!r}), print): os._exit(9)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2]).returncode == 9
     assert path.exists()

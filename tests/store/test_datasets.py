@@ -39,12 +39,7 @@ READERS = (pandas_folder, polars_glob, duckdb_glob, arrow_dataset)
 
 
 @pytest.mark.parametrize("read", READERS)
-def test_a_folder_of_cells_reads_as_their_episodes(read, layout):
-    assert len(read(layout.kind("evaluate"))) == 9
-
-
-@pytest.mark.parametrize("read", READERS)
-def test_what_an_invalidated_cell_leaves_is_no_obstacle(read, layout):
+def test_a_folder_of_cells_reads_as_their_episodes_and_what_an_invalidated_one_leaves_is_no_obstacle(read, layout):
     invalidate(layout, "evaluate", KEYS[0], "its bytes changed")
     assert why_invalid(layout, "evaluate", KEYS[0]) == "its bytes changed"
     assert len(read(layout.kind("evaluate"))) == 9

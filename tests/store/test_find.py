@@ -24,9 +24,7 @@ def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12
 
 
 @pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
+def layout(layout) -> Layout:
     for key, label in KEYS.items():
         store(layout, key, label)
     return layout

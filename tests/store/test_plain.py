@@ -81,9 +81,7 @@ def test_an_artifact_has_no_files_elsewhere(name):
 
 
 @pytest.fixture
-def layout(tmp_path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
+def layout(layout) -> Layout:
     staging = staging_folder(layout, KEY)
     (staging / "deep").mkdir()
     (staging / "deep" / "data").write_text("1")
@@ -149,6 +147,7 @@ def test_locks_are_asked_for_as_nfs_allows(tmp_path, monkeypatch):
         real(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", flock)
+    assert not is_held(tmp_path / "key")
     with held(tmp_path / "key", nothing):
         assert is_held(tmp_path / "key")
     assert not is_held(tmp_path / "key")

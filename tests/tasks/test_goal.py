@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.tasks.test_gym import text
 from wasp_cli.tasks.camera.topdown import from_above
 from wasp_cli.tasks.goal.task import AGENT_KEEPOUT, GOAL_KEEPOUT, HAZARD_KEEPOUT, Goal
 from wasp_cli.tasks.goal.two import TwoGoals
@@ -15,21 +16,6 @@ def actions(steps: int, batch: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, batch, 2))
 
 
-def assert_same(ours, theirs) -> None:
-    """Two nested results of NamedTuples, dicts and arrays are equal bit for bit."""
-    if isinstance(ours, dict):
-        assert ours.keys() == theirs.keys()
-        ours, theirs = tuple(ours.values()), tuple(theirs.values())
-    if isinstance(ours, tuple):
-        for a, b in zip(ours, theirs, strict=True):
-            assert_same(a, b)
-    elif ours is None:
-        assert theirs is None
-    else:
-        assert ours.dtype == theirs.dtype
-        assert ours.tobytes() == theirs.tobytes()
-
-
 def row_of(result, row: int):
     """One row of such a result, kept as a batch of one."""
     if isinstance(result, dict):
@@ -39,10 +25,10 @@ def row_of(result, row: int):
     return None if result is None else result[row : row + 1]
 
 
-def before_the_goal(task: Goal, clearance: float = 0.302) -> None:
-    """Put every agent in front of its goal, facing it, away from the vase."""
+def before_the_goal(task: Goal, goal: str = "goal", clearance: float = 0.302) -> None:
+    """Put every agent in front of a goal, at rest and facing it, away from the vase."""
     state = task.snapshot()
-    state["qpos"][:, :2] = state["goal"] - [clearance, 0.0]
+    state["qpos"][:, :2] = state[goal] - [clearance, 0.0]
     state["qpos"][:, 2] = 0.0
     state["bodies"][..., :2] = 5.0
     state["qvel"][:] = 0.0
@@ -69,7 +55,7 @@ def test_a_row_does_not_depend_on_the_others():
     for action in plan:
         step = together.step(action)
         for row, task in enumerate(alone):
-            assert_same(row_of(step, row), tuple(task.step(action[row : row + 1])))
+            assert text(row_of(step, row)) == text(task.step(action[row : row + 1]))
 
 
 def test_decision_steps_only_cut_the_time():
@@ -80,7 +66,7 @@ def test_decision_steps_only_cut_the_time():
         before_the_goal(task)
     for action in plan:
         whole, parts = coarse.step(action), [fine.step(action) for _ in range(4)]
-        assert_same(whole.observation.state, parts[-1].observation.state)
+        assert text(whole.observation.state) == text(parts[-1].observation.state)
         assert whole.cost_env.tolist() == sum(part.cost_env for part in parts).tolist()
         assert whole.goals.tolist() == sum(part.goals for part in parts).tolist()
         np.testing.assert_allclose(whole.reward, sum(part.reward for part in parts), atol=1e-12)
@@ -143,8 +129,7 @@ def test_a_snapshot_carries_goals_to_come():
     other.reset([9, 9, 9])
     assert sum(int(step.goals.sum()) for step in first[1:-1]) >= 4
     for ours, theirs, fresh in zip(first, future(task), future(other), strict=True):
-        assert_same(ours, theirs)
-        assert_same(ours, fresh)
+        assert text(ours) == text(theirs) == text(fresh)
 
 
 def test_an_env_step_costs_within_a_hazard_and_only_there():
@@ -234,15 +219,6 @@ def exchange(task: TwoGoals) -> None:
     task.restore(state)
 
 
-def put_before(task: TwoGoals, name: str) -> None:
-    """Set the robots down just outside a goal, at rest and facing it, with hazards and the vase out of the way."""
-    state = task.snapshot()
-    state["qpos"][:, :2] = state[name] - [0.302, 0.0]
-    state["qpos"][:, 2], state["qvel"][:] = 0.0, 0.0
-    state["bodies"][..., :2], state["hazards"][:] = 5.0, 50.0
-    task.restore(state)
-
-
 def test_cameras_and_lidar_do_not_tell_whose_goal_is_whose():
     task = begun()
     for _ in range(20):  # seen from several places
@@ -259,7 +235,7 @@ def test_cameras_and_lidar_do_not_tell_whose_goal_is_whose():
 def test_only_the_operators_goal_is_rewarded():
     task = begun(())
     forward = np.tile([1.0, 0.0], (BATCH, 1))
-    put_before(task, "other")
+    before_the_goal(task, "other")
     before = task.snapshot()
     away = np.linalg.norm(before["goal"] - before["qpos"][:, :2], axis=1)
     step = task.step(forward)
@@ -272,7 +248,7 @@ def test_only_the_operators_goal_is_rewarded():
     task.step(forward)
     assert (task.tallies()["wrong_goals"] == 1).all(), "staying there is no second visit"
 
-    put_before(task, "goal")
+    before_the_goal(task)
     before, step = task.snapshot(), task.step(forward)
     assert (step.goals == 1).all()
     assert (step.reward > 0.9).all()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.tasks.test_camera import turned
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
 from wasp_cli.tasks.camera.topdown import draw_map
 from wasp_cli.tasks.formula.appearance import appearance as formula_appearance
@@ -10,11 +11,6 @@ from wasp_cli.tasks.goal.appearance import appearance as goal_appearance
 from wasp_cli.tasks.race.appearance import appearance as race_appearance
 
 SIZE = 256
-
-
-def turned(yaw: float) -> np.ndarray:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 def scene(appearance: Appearance, at=(0.0, 0.0), heading=0.0, **things) -> Scene:

@@ -9,11 +9,12 @@ import pytest
 from PIL import Image
 
 from tests.cells import Evaluated, evaluated
-from tests.learning.test_counterfactual import branched
 from tests.video.test_video import source_of
 from wasp_cli.errors import TaskError, UsageError
+from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
+from wasp_cli.stages.base import no_progress
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.video.branches import BranchPair
 from wasp_cli.video.film import film
@@ -34,7 +35,7 @@ def pair(cell: Evaluated, t: int, window: int = WINDOW) -> BranchPair:
 def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
     t = intervened(cell, True)
     found = pair(cell, t)
-    for branch in branched(cell, [[], [t], []], WINDOW):
+    for branch in branches(cell.rerun(), [[], [t], []], WINDOW, no_progress):
         trace = found.traces[branch.name]
         assert trace.cost == branch.cost.tolist()
         assert trace.cost_env == branch.cost_env.tolist()

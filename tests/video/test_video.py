@@ -111,7 +111,6 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
     assert len(things_of(appearance)) == 1 + len(appearance.kinds)
     for _, colour in things_of(appearance):
         assert (np.abs(above - ImageColor.getrgb(colour)) < 40).all(-1).sum() > 20
-    assert made.r2 is not None
     assert sorted(made.r2) == ["forward", "left", "turn"]
     assert shares == sorted(shares)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]

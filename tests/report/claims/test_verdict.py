@@ -52,7 +52,6 @@ def judged(frame: Frame, *statements: str) -> Judged:
 
 def in_the_open(limits: Limits | None, relation: Relation, threshold: float = 0.0) -> Outcome:
     """The rule, written out."""
-    assert limits is not None
     low, high = limits
     if relation == "lower":
         return "holds" if high < threshold else "fails" if low > threshold else "undecided"
