@@ -88,10 +88,10 @@ def imagine(
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
-    rows = sequences * ROLLOUTS
-    noise = gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1)).repeat(1, sequences, 1)
-    residuals = torch.from_numpy(start.residuals).repeat_interleave(ROLLOUTS, 0)  # [S * M, L, A]
-    now = torch.from_numpy(start.a_h).expand(rows, -1)
+    rows, device = sequences * ROLLOUTS, start.latent.h.device
+    noise = gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1)).repeat(1, sequences, 1).to(device)
+    residuals = torch.from_numpy(start.residuals).to(device).repeat_interleave(ROLLOUTS, 0)  # [S * M, L, A]
+    now = torch.from_numpy(start.a_h).to(device).expand(rows, -1)
     latent = start.latent.expand_rows(rows)
     features: list[Tensor] = []
     costs: list[Tensor] = []
@@ -105,10 +105,10 @@ def imagine(
         features.append(latent.features)
         costs.append(model.cost(latent).view(sequences, ROLLOUTS).mean(1))
         if k + 1 in shown:
-            images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).numpy()
+            images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).cpu().numpy()
     start.operator.restore(begun)
     whole = torch.stack(features, 1).unflatten(0, (sequences, ROLLOUTS))
-    return ImaginedTrajectories(whole.numpy(), torch.stack(costs, 1).numpy(), images)
+    return ImaginedTrajectories(whole.cpu().numpy(), torch.stack(costs, 1).cpu().numpy(), images)
 
 
 @dataclass(frozen=True)
