@@ -153,7 +153,7 @@ def correction(stored: Episode) -> Correction:
         else:
             changed = stored.numbers["deviation"][t] > INTERVENED
             residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
-    name = "with the plan" if planned else "executed action, then commands"
+    name = "with the plan" if planned else f"executed action, then {'the expert' if imagines_expert(stored.cell) else 'commands'}"
     hold = stored.row["method"] == "printed" or stored.cell.setting("axes", "method_config", "composition") == "hold"  # an earlier setting
     return Correction(residuals, name, hold)
 
