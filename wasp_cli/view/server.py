@@ -123,7 +123,7 @@ class ViewServer(LocalServer):
         """The token is right: a cookie has it from now on, and the address is one without it."""
         rest = "&".join(part for part in request.url.query.split("&") if part and not part.startswith("token="))
         answer = RedirectResponse(quote(request.url.path, "/=+%") + (f"?{rest}" if rest else ""), 303)
-        answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict", path="/")
+        answer.set_cookie(self._cookie, self.token, httponly=True, samesite="lax", path="/")
         answer.headers["Referrer-Policy"] = REFERRER
         return answer
 
