@@ -61,7 +61,7 @@ class Wanted:
 
     @property
     def _is_task(self) -> bool:
-        return self.what in TASKS and not Path(self.what).exists()
+        return self.what in TASKS and not Path(self.what).is_file()
 
     def prepared(self, *, recorded: bool = True) -> Session:
         """Find the cells and what they need; `recorded` is said by `session.prepared`."""
