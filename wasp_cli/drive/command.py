@@ -125,9 +125,9 @@ class Wanted:
         if not self._is_task:
             return
         layout, driven_of = session.layout, defaultdict[tuple[Any, ...], set[int]](set)
-        for _, manifest in driven(layout):
-            axes = manifest["axes"]
-            if manifest["task"] in TASKS and axes["method"] in METHODS:
+        for key, manifest in driven(layout):
+            axes, told = manifest["axes"], read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
+            if manifest["task"] in TASKS and axes["method"] in METHODS and not told.get("study"):
                 driven_of[manifest["config"]["episodes"], manifest["task"], axes["method"], int(axes["value"])].add(manifest["seed"])
         grids, cells = [], dict[Cell, Node]()
         for (episodes, task, method, number), seeds in sorted(driven_of.items()):  # the whole of a sitting after its beginning

@@ -169,7 +169,7 @@ class Session:
         return {
             "participant": self.participant, "number": int(cell.value or 0), "task": cell.task, "simulated": self.how.simulated,
             "block": number, "speed": self.how.speed, "shown": [name for name in SHOWN if name in self.how.shown],
-            "spec": self.loaded.spec.name, **self.facts,
+            "spec": self.loaded.spec.name, "study": self.study is not None, **self.facts,
         }  # fmt: skip
 
     def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
@@ -217,11 +217,13 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     for cell, node in mine:
         parts = [part[cell] for part in shorter if exists(layout, part[cell].kind, part[cell].key)]
         folders = [layout.artifact(each.kind, each.key) for each in (node, *parts)]
-        # No trial of a script passes for a person's session, nor the other way round; not the first episodes alone either.
-        for before in (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key))):
-            if before is not None and before.get("simulated", False) != how.simulated:
+        # No trial of a script passes for a person's session, no free drive for a study's, nor the other way round; no part either.
+        for before in filter(None, (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key)))):
+            elsewhere = (spec.study is not None or before.get("study", False)) and before.get("spec") != spec.name
+            if elsewhere or before.get("simulated", False) != how.simulated:
+                by = f"for '{before.get('spec')}'" if elsewhere else "by a person" if how.simulated else "by a script"
                 raise UsageError(
-                    f"{node.label} was driven by {'a person' if how.simulated else 'a script'} in '{layout.root}'",
+                    f"{node.label} was driven {by} in '{layout.root}'",
                     "use another folder with --results, or delete it: --participant N --withdraw",
                 )
         if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it

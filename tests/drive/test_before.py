@@ -1,0 +1,39 @@
+"""What a session finds that was driven before, and what it needs, without driving."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.drive.conftest import wanted
+from wasp_cli.drive import session as module
+from wasp_cli.errors import UsageError
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.store.artifact import commit, staging_folder, write_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import SESSION_FILE
+
+
+def driven(results: Path, episodes: int, **told: Any) -> SimpleNamespace:
+    """What a session of participant 1 with WASP leaves, without its rows."""
+    layout, loaded = Layout(results), wanted(results, "wasp", participant=1, episodes=episodes, session=0).loaded()
+    ((_, node),) = lay_out_over(loaded.spec, layout, None).cells
+    staging = staging_folder(layout, node.key)
+    write_record(staging / SESSION_FILE, told)
+    manifest = {"task": node.task, "seed": node.seed, "axes": dict(node.axes), "config": dict(node.config)}
+    commit(layout, node.kind, node.key, staging, manifest)
+    return SimpleNamespace(layout=layout, loaded=loaded)
+
+
+def test_a_study_and_what_is_driven_freely_stay_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "run_spec", lambda *_: SimpleNamespace(require_complete=lambda: None))
+    monkeypatch.setattr(module, "require_whole", lambda *_: None)
+    driven(tmp_path / "free", 2, spec="drive")
+    with pytest.raises(UsageError, match="was driven for 'drive'"):
+        wanted(tmp_path / "free", None, what="study", participant=1, episodes=None).prepared()
+    there, again = driven(tmp_path, 2, spec="study", study=True), wanted(tmp_path, "wasp", participant=1, episodes=2, session=0)
+    with pytest.raises(UsageError, match="was driven for 'study'"):
+        again.prepared()
+    again.record(there)
+    assert not there.layout.runs.exists(), "the report of free drives has no study"
