@@ -8,6 +8,7 @@ import pytest
 
 from tests.drive.conftest import wanted
 from wasp_cli.drive import session as module
+from wasp_cli.drive.desk import END
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.store.artifact import commit, staging_folder, write_record
@@ -24,6 +25,14 @@ def driven(results: Path, episodes: int, **told: Any) -> SimpleNamespace:
     manifest = {"task": node.task, "seed": node.seed, "axes": dict(node.axes), "config": dict(node.config)}
     commit(layout, node.kind, node.key, staging, manifest)
     return SimpleNamespace(layout=layout, loaded=loaded)
+
+
+def test_the_next_session_has_other_worlds_and_other_methods_the_same(tmp_path: Path) -> None:
+    for name, episodes, expected in (("whole", 5, [1, 1, 1, 1]), ("ended early", 2, [0, 1, 0, 0])):
+        driven(tmp_path / name, episodes, cut=[{"why": END, "before_episode": 2}])
+        asked = [wanted(tmp_path / name, "wasp", participant=1, episodes=episodes) for episodes in (5, 2, 3, 8)]
+        assert [each.loaded().spec.seeds[0] for each in asked] == expected
+    assert wanted(tmp_path / "whole", "human", participant=1).loaded().spec.seeds == (0,)
 
 
 def test_a_study_and_what_is_driven_freely_stay_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ whole; the same session continued takes these over.
 from __future__ import annotations
 
 import itertools
+import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -31,7 +32,7 @@ from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.node import Cell, Node
+from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
@@ -286,9 +287,18 @@ def driven_tasks(results: Path, participant: int) -> list[str]:
 
 
 def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
-    """Return the first number of a session whose worlds nobody has driven in these cells yet."""
-    grids = ((number, lay_out_over(of(number).spec, layout, None)) for number in itertools.count())
-    return next(number for number, grid in grids if not any(exists(layout, node.kind, node.key) for _, node in grid.cells))
+    """Return the first number of a session whose worlds nobody has driven in these cells yet, or one that ended early and goes on."""
+    most: dict[str, float] = {}  # episodes by cell; a whole one counts as endless, however many were asked for
+    for key, manifest in driven(layout):
+        cuts, episodes = (read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get("cut", ()), manifest["config"]["episodes"]
+        early = any(cut["why"] == END and cut["before_episode"] == episodes for cut in cuts)
+        cell = canonical([manifest["task"], manifest["seed"], manifest["axes"]])
+        most[cell] = max(most.get(cell, 0), episodes if early else math.inf)
+    for number in itertools.count():
+        nodes = [node for _, node in lay_out_over(of(number).spec, layout, None).cells]
+        if all(most.get(canonical([node.task, node.seed, node.axes]), 0) < node.config["episodes"] for node in nodes):
+            break
+    return number
 
 
 class CellRecord:
