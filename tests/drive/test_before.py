@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from tests.commands import run_here
 from tests.drive.conftest import wanted
 from wasp_cli.drive import session as module
 from wasp_cli.drive.desk import END
@@ -46,3 +47,12 @@ def test_a_study_and_what_is_driven_freely_stay_apart(tmp_path: Path, monkeypatc
         again.prepared()
     again.record(there)
     assert not there.layout.runs.exists(), "the report of free drives has no study"
+
+
+def test_driving_a_task_trains_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "run_spec", lambda *_: pytest.fail("it trains"))
+    monkeypatch.chdir(tmp_path)
+    Path("race0").mkdir()  # no spec
+    done = run_here("drive", "race0", "--results", "results", columns=400)
+    assert (done.exit_code, Path("results").exists()) == (2, False), done.output
+    assert "train them first: wasp run drive --set 'tasks=[race0]' --set 'methods=[wasp]' --select" in done.stderr

@@ -49,7 +49,7 @@ def drive(
     """Drive a task in a browser, with an assistant or alone.
 
     The page is served on this machine alone, under an address with a token; through an SSH tunnel it works from elsewhere. What is driven
-    is a cell like any other: wasp report, explain, replay and compare show it.
+    is a cell like any other: wasp report, explain, replay and compare show it. Only with --preset models of a task are trained.
     """
     require_extra("drive", "starlette", "uvicorn", "websockets")
     from wasp_cli.drive.check import Habits

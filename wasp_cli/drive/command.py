@@ -72,8 +72,9 @@ class Wanted:
         study = loaded.spec.study
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
-        options = RunOptions(cores() if self.jobs is None else self.jobs)
-        return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
+        options, how = RunOptions(cores() if self.jobs is None else self.jobs), How(speed, shown, simulated=self.simulated)
+        trains = not self._is_task or self.preset is not None
+        return prepared(loaded, self.results, options, self.participant, how, recorded=recorded, trains=trains)
 
     def everyone(self) -> list[Wanted]:
         """Return one for each participant of a spec; where a task or a participant is meant, this one."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -31,7 +32,7 @@ from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
@@ -42,6 +43,7 @@ from wasp_cli.run.worker import keep_memory, manifest_of, require_whole
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
+from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys, write_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held_if_free
@@ -185,10 +187,12 @@ class Session:
         return block
 
 
-def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True) -> Session:
+def prepared(
+    loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True, trains: bool = True
+) -> Session:
     """Find the cells that a participant (None: the only one) is to drive, and compute or bring in everything that they need.
 
-    Unless it is `recorded`, no run stays behind, only what had to be computed.
+    Unless it is `recorded`, no run stays behind, only what had to be computed. Unless it `trains`, models have to be there or published.
     """
     spec = loaded.spec
     numbers = participants(spec)
@@ -204,9 +208,19 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, None)
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
+    chosen = [f"stage={'|'.join(read)}"]
+    missing = [node for node in plan_against(grid, layout, wanted=select(grid, chosen)).to_run() if node.kind in stages_of("chain")]
+    if missing and not trains:
+        same = [
+            part for each in loaded.overrides if each.path[0] not in ("seeds", "operators", "episodes") for part in ("--set", each.text)
+        ]
+        raise UsageError(
+            f"driving trains nothing, and these are not there: {', '.join(node.label for node in missing)}",
+            f"train them first: {shlex.join(['wasp', 'run', str(SHIPPED), *same, '--select', *chosen, '--results', str(results)])}",
+        )
     # A check that is killed must not pass for the last run of its spec either.
     asked = loaded if recorded else replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
-    made = run_spec(asked, results, options, [f"stage={'|'.join(read)}"])
+    made = run_spec(asked, results, options, chosen)
     made.require_complete()
     mine = cells_of(grid, participant)
     if not recorded:
