@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote
@@ -16,10 +15,8 @@ import pytest
 
 from tests.commands import run_here
 from tests.view.conftest import brought, viewed
-from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE
-from wasp_cli.view.films import FILM, Films, frame_name
 from wasp_cli.view.server import ViewServer
 
 LABEL = "goal1 s1 human noisy=0.45"
@@ -97,19 +94,6 @@ def test_a_film_is_only_begun_by_a_page_of_ours(server: ViewServer) -> None:
     assert json.loads(ask(server, film)[2])["state"] == "absent"
     assert ask(server, f"{film}/frame/0")[0] == 404
     assert json.loads(ask(server, film, "POST", Origin=here)[2])["state"] == "drawing"
-
-
-def test_two_servers_of_one_folder_leave_each_other_their_films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wasp_cli.view.films.drawing", lambda *_: [sys.executable, "-c", "import time; time.sleep(600)"])
-    key = "0" * 20
-    with closing(Films(Layout(tmp_path), room=0)) as theirs:
-        with closing(Films(Layout(tmp_path))) as ours:
-            ours.ask(key, 0, FILM)
-            frame = ours.folder / f"{key}-0-{FILM}" / frame_name(0)
-            frame.write_bytes(b"drawn")
-            assert theirs.ask(key, 0, FILM)["state"] == theirs.ask(key, 1, FILM)["state"] == "drawing"
-            assert frame.exists(), "neither drawn again nor removed to make room"
-        assert theirs.state(key, 0, FILM)["state"] == "absent", "nobody draws it any more"
 
 
 def test_the_pages_change_nothing(server: ViewServer) -> None:

@@ -88,10 +88,11 @@ class Films:
 
     def close(self) -> None:
         with self._lock:
-            for process in self._drawing.values():
-                process.kill()
-                process.wait()
-            self._drawing.clear()
+            for name, process in self._drawing.items():
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+                    shutil.rmtree(self.folder / name, ignore_errors=True)
         if self._own is not None:
             self._own.cleanup()
 
