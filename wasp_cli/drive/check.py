@@ -88,7 +88,7 @@ class Habits:
 async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None) -> int:
     """Drive a whole session, from the first frame to the end; returns how many frames were seen.
 
-    `answers` fills in a form; None: consent, and the middle of every scale.
+    `answers` fills in a form; only studies have some.
     """
     frames, held, number = 0, [""], 0
     async with await connected(address) as ws:
@@ -121,11 +121,8 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                 if state["phase"] in ("ready", "paused"):
                     held = [""]
                     await send({"type": "ask", "what": "go"})
-                elif state["phase"] == "form":
-                    form = state["form"]
-                    middle = {"agreed": True if form["name"] == "consent" else None, "scales": {s["name"]: 50.0 for s in form["scales"]}}
-                    given = middle if answers is None else answers(form)
-                    await send({"type": "answers", **given})
+                elif state["phase"] == "form" and answers is not None:
+                    await send({"type": "answers", **answers(state["form"])})
                 elif state["phase"] == "over":
                     return frames
         except ConnectionClosed as error:
@@ -248,8 +245,7 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
 def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float, between: Sequence[float]) -> float:
     """Return the largest of SPEEDS at which all but a tolerated share of these answers would have been in time, and the world as well.
 
-    `fired` are the seconds of the answers with which a gate fired, `between` those from a decision to the next. The rest of the period is
-    kept free, as it was in the episode.
+    Seconds: of all answers, of those with which a gate `fired`, and `between` decisions. The rest of the period is kept free, as it was.
     """
     besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
     answers = [np.quantile(times, 1 - share) for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if times]

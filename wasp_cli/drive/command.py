@@ -207,8 +207,16 @@ def withdrawn(wanted: Wanted) -> int:
     if number is None:
         raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
     layout.require_own_folders()
+    stored = [
+        (kind.name, key, read_manifest(layout, kind.name, key))
+        for kind in sorted(layout.store.glob("*/"))
+        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
+    ]
+    own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in spec.tasks]
+    of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
+    left = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
     gone = 0
-    for kind, key, label in _left_by(layout, number, spec.tasks):
+    for kind, key, label in sorted(left, key=lambda artifact: artifact[1] not in own):
         discard(layout.artifact(kind, key))
         # Films that `wasp view` has drawn of it.
         for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
@@ -225,16 +233,3 @@ def withdrawn(wanted: Wanted) -> int:
         f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
     )
     return gone
-
-
-def _left_by(layout: Layout, number: int, tasks: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Kind, key and label of a participant's cells and clones, and of what was computed from them, step by step."""
-    stored = [
-        (kind.name, key, read_manifest(layout, kind.name, key))
-        for kind in sorted(layout.store.glob("*/"))
-        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
-    ]
-    own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in tasks]
-    of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
-    gone = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
-    return sorted(gone, key=lambda artifact: artifact[1] not in own)

@@ -153,8 +153,6 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     x = np.asarray(features, np.float64)
-    if not len(x):
-        raise ValueError("no decision to fit a readout to")
     mean, scale = x.mean(0), x.std(0)
     # What hardly ever varies would count most of all.
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
@@ -291,7 +289,6 @@ class PlayedEpisode(NamedTuple):
     model: SafetyWorldModel
     world: VectorTask
     appearance: Appearance | None
-    cameras: int
     decisions: list[PlayedDecision]  # in order; the decisions that are shown
     places: Floats  # [T, 2] of the robot before every decision; [0, 2] of a task without a map
     readout: Readout | None  # fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map
@@ -307,9 +304,7 @@ def play_episode(
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
-    follower = rerun.operator
-    if source.expert_goes_on:
-        follower = following(load_skills(source.policies).expert, world.action_size, world.batch)
+    follower = following(load_skills(source.policies).expert, world.action_size, world.batch) if source.expert_goes_on else rerun.operator
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
@@ -330,7 +325,7 @@ def play_episode(
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, decisions, places, readout, explained)
 
 
 def poses_of(appearance: Appearance, scene: Scene) -> Floats:
