@@ -3,11 +3,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from wasp_cli.drive import desk as module
+from wasp_cli.drive.check import recommended
 from wasp_cli.drive.desk import Clock, Decider
 from wasp_cli.store.people import percentiles
 
@@ -95,6 +98,13 @@ def test_the_deadline_leaves_time_for_everything_else(hands: Hands) -> None:
     for _ in range(50):
         clock.spent(0.03)
     assert abs(clock.due - clock.deadline() - 0.03) < 1e-6
+
+
+def test_a_world_that_slowed_down_is_driven_slower() -> None:
+    rest = np.array([0.03] * 80 + [0.15] * 20)
+    driven: Any = SimpleNamespace(beats=[SimpleNamespace(rest_ms=1000 * seconds) for seconds in rest])
+    assert recommended([0.01] * 100, [], driven, 0.08, 1.0, [0.08] * 100) == 1.0
+    assert recommended([0.01] * 100, [], driven, 0.08, 1.0, np.maximum(0.08, 0.01 + rest).tolist()) == 0.6
 
 
 def test_percentiles_leave_out_what_is_unknown() -> None:

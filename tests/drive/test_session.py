@@ -145,12 +145,6 @@ def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
         session.run(Desk())
 
 
-def test_the_next_session_has_other_worlds_and_other_methods_the_same(driven: tuple[Path, str]) -> None:
-    results = driven[0]
-    assert wanted(results, "wasp", episodes=2).loaded().spec.seeds == (1,)
-    assert wanted(results, "human", episodes=2).loaded().spec.seeds == (0,)
-
-
 @pytest.mark.parametrize(
     ("more", "message"),
     [

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tests.artifacts import tiny_latents
+from wasp_cli.drive import view
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods import filter as safety_filter
@@ -16,6 +17,7 @@ from wasp_cli.methods.noise import DecisionNoise
 from wasp_cli.methods.wasp import assistant as wasp
 from wasp_cli.methods.wasp import printed
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.tasks.make import make_task
 
 B = 5
 EVERYONE = torch.ones(B, dtype=torch.bool)
@@ -123,6 +125,17 @@ def test_a_gpu_decides_what_the_cpu_does(artifacts, parts, method, changes):
         same([on_cpu(decision) for decision in found], wanted)
     for one, other in zip(found, wanted, strict=True):
         torch.testing.assert_close(one.action.cpu(), other.action, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))])
+def test_whoever_drives_sees_what_is_imagined_on_any_device(artifacts, device, monkeypatch):
+    monkeypatch.setattr(view, "DECISIONS", 4)
+    parts = load_parts(artifacts, ReturnsConfig(), torch.device(device))
+    assistant, operator = made(parts, "wasp", {})
+    futures = view.Futures("race1", parts, assistant, make_task("race1", 1, action_repeat=20, observe=("pixels",)))
+    latent, a_h = parts.world_model.initial(1), torch.full((1, 2), 0.5, device=device)
+    lines = futures.lines(0, latent, a_h, operator, Decision(-a_h), [0.0, 0.0, 0.0], 1.0)
+    assert {name: len(line) for name, line in lines.items()} == {"alone": 7, "corrected": 7}
 
 
 def on_cpu(decision: Decision) -> Decision:

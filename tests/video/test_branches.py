@@ -22,10 +22,10 @@ from wasp_cli.video.film import film
 EPISODE, WINDOW = 1, 5
 
 
-def intervened(cell: Evaluated, wanted: bool) -> int:
+def intervened(cell: Evaluated) -> int:
     recorded = Recorded(**read_recorded(cell.path))
     apart = np.linalg.norm(recorded.a[EPISODE] - recorded.a_h[EPISODE], axis=1) > 1e-3
-    return int(np.flatnonzero(apart[:20] == wanted)[0])
+    return int(np.flatnonzero(apart[:20])[0])
 
 
 def pair(cell: Evaluated, t: int, window: int = WINDOW) -> BranchPair:
@@ -33,7 +33,7 @@ def pair(cell: Evaluated, t: int, window: int = WINDOW) -> BranchPair:
 
 
 def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
-    t = intervened(cell, True)
+    t = intervened(cell)
     found = pair(cell, t)
     for branch in branches(cell.rerun(), [[], [t], []], WINDOW, no_progress):
         trace = found.traces[branch.name]
@@ -44,7 +44,7 @@ def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
 
 
 def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> None:
-    t, recorded = intervened(cell, True), Recorded(**read_recorded(cell.path))
+    t, recorded = intervened(cell), Recorded(**read_recorded(cell.path))
     states = pair(cell, t)._states
     parts = recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE]
     *_, last = film(cell.task, 20, *parts, 99, 8)
@@ -57,13 +57,8 @@ def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> Non
     np.testing.assert_array_equal(states[ALONE].actions[0].astype(np.float32), recorded.a_h[EPISODE][t])
 
 
-def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> None:
-    trace = pair(cell, intervened(cell, False)).traces
-    assert trace[ASSISTED] == trace[ALONE]
-
-
 def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
-    found = pair(cell, intervened(cell, True))
+    found = pair(cell, intervened(cell))
     for name in ("a.gif", "a.png"):
         found.film("title", ["one line", "another"], tmp_path / name)
     video: Any = Image.open(tmp_path / "a.gif")

@@ -81,6 +81,15 @@ def test_a_start_gives_the_same_again_and_leaves_the_operator_alone(decided: tup
     assert all(torch.equal(before[name], after[name]) for name in before)
 
 
+def test_it_is_imagined_where_the_model_is(inputs: Mapping[str, Path]) -> None:
+    """Tensors on `meta` have no values: only the copy of what is found may ask for them."""
+    model, expert = load_world_model(inputs["world_model"]).to("meta"), load_skills(inputs["policies"]).to("meta").expert
+    begun = rollout_start(T, model.initial(1), 0, np.zeros(2, np.float32), following(expert, 2, 1), PLAN, HORIZON)
+    for shown in ([], [1]):
+        with pytest.raises(NotImplementedError, match="Cannot copy out of meta tensor"):
+            imagine(model, begun, HORIZON, shown)
+
+
 def test_without_a_correction_there_is_one_sequence_the_same_as_beside_one(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
     model = decided[0]
     alone = imagine(model, start(decided, None), HORIZON, [HORIZON])

@@ -108,7 +108,9 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     found = correction(stored)
     assert [t for t, plan in enumerate(found.residuals) if plan is not None] == [3]
     np.testing.assert_allclose(found.residuals[3], [[-0.75, 0.75]])
-    assert "executed action" in found.name
+    assert found.name == "executed action, then commands"
+    made.config = {"search_rollouts": 1}  # of a method that imagines the expert behind every command
+    assert correction(made.read(tmp_path)).name == "executed action, then the expert"
     assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
 
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageColor
 
 from tests.cells import REPEAT, Evaluated, evaluated
 from tests.video.test_film import Meter
-from wasp_cli.errors import ArtifactError, WaspError
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain import LOOKS, Constants, Episode, read_episode
@@ -79,18 +79,10 @@ def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
     poses = []
     for t in range(25):
         made = [Pose(world.appearance(), world.scene(np.arange(3)), row) for row in range(3)]
-        poses.append([[*pose.at, pose.yaw] for pose in made])
+        poses.append([[*pose.at, np.arctan2(*pose.forward[::-1])] for pose in made])
         world.step(np.stack([actions[t] for actions in recorded.a]))
     others = np.concatenate([displacements(np.array(poses)[:, row]) for row in (0, 2)])
     np.testing.assert_allclose(found.readout.offset, others.mean(0), rtol=1e-9)
-
-
-def test_another_episode_than_the_recorded_one_is_refused(cell: Evaluated) -> None:
-    recorded = Recorded(**read_recorded(cell.path))
-    reward = [values.copy() for values in recorded.reward]
-    reward[2][5] += 0.01
-    with pytest.raises(ArtifactError, match="episode 2 is not the recorded one from decision 5 on"):
-        played(cell, {0}, reward=reward)
 
 
 def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: Evaluated, tmp_path: Path) -> None:
@@ -134,7 +126,7 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     source = source_of(cell)
     found = play_episode(source, 1, [None] * stored.decisions, {0}, HORIZON, lambda share, text: None)
     assert found.decisions[0].scene is None
-    assert (found.readout, found.appearance, found.cameras) == (None, None, 1)
+    assert (found.readout, found.appearance) == (None, None)
     nothing = Correction([None] * stored.decisions, "", False)
     made = film_episode(source, stored, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
     assert made.frames == stored.decisions
@@ -154,7 +146,7 @@ def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
     for colour, decisions in marks.items():
         # Above the legend, whose samples have the same colours.
         columns = (np.abs(picture[:-30] - ImageColor.getrgb(colour)) < 4).all(-1).sum(0) > 6
-        inside = [t for t in range(25) if columns[round(timeline.cursor(t))]]
+        inside = [t for t in range(25) if columns[round(timeline.x(t + 0.5))]]
         assert inside == decisions
 
 
@@ -241,13 +233,6 @@ def test_displacements_are_seen_from_the_robot() -> None:
     np.testing.assert_allclose(displacements(poses), [[0.0, 0.5, np.pi / 2]], atol=1e-12)
 
 
-def test_what_is_linear_is_found() -> None:
-    features, moves = world(0, noise=0.0)
-    readout = fit(features[1:], moves[1:])
-    assert (readout.explained(features[0], moves[0]) > 0.999).all()
-    np.testing.assert_allclose(readout(features[0][3]), moves[0][3], atol=2e-3)
-
-
 def test_of_one_episode_alone_each_part_is_predicted_from_the_others() -> None:
     features, moves = world(3, noise=0.0)
     readout, explained = fit_within(features[0], moves[0])
@@ -260,10 +245,9 @@ def test_of_one_episode_alone_each_part_is_predicted_from_the_others() -> None:
     assert np.isnan(explained).all()
 
 
-def test_what_never_moves_has_no_share_and_nothing_cannot_be_fitted() -> None:
+def test_what_never_moves_has_no_share() -> None:
     features, moves = world(4, noise=0.0)
     still = [move * [1.0, 0.0, 1.0] for move in moves]
     shares = fit(features[1:], still[1:]).explained(features[0], still[0])
     assert np.isnan(shares).tolist() == [False, True, False]
-    with pytest.raises(ValueError, match="no decision"):
-        fit([features[0][:0]], [moves[0][:0]])
+    assert (shares[[0, 2]] > 0.999).all(), "what is linear is found"

@@ -75,7 +75,9 @@ def test_a_browser_walks_through_files(browser: Browser, made: tuple[Path, Path]
     address = tab.value("location.href.split('?')[0]")
     tab.open(f"{address}?step={branched[0]}")
     tab.until(f"document.querySelector('.step').dataset.shown === '{branched[0]}'")
-    assert "as executed" in tab.value("document.querySelector('.pair').innerText")
+    said = tab.value("document.querySelector('.pair').innerText")
+    assert all(words in said for words in ("as executed", "command alone", "ρ"))
+    assert tab.value("document.querySelectorAll('.pair svg.boxes').length") == 2, "both branches stand beside each other"
     press(tab, "Escape")
     tab.until("location.pathname.includes('/cell-') && document.readyState === 'complete'")
     press(tab, "Escape")

@@ -198,8 +198,15 @@ def test_films_are_bounded_the_oldest_go_first(layout: Layout) -> None:
         os.utime(films.folder / name, (1e10 - age, 1e10 - age))
     films.ask(CELL, 0, FILM)
     assert {path.name for path in films.folder.iterdir()} == {"new", "old", f"{CELL}-0-film"}
+    (films.folder / f"{CELL}-0-film" / "99999.webp").write_bytes(b"drawn")
+    beside = Films(layout, room=1)  # of a second server: it has its own films drawn, and leaves those that are drawn as they are
+    assert beside.ask(CELL, 0, FILM)["state"] == "drawing"
+    beside.ask(CELL, 1, FILM)
+    assert films.frame(CELL, 0, FILM, 99999) == b"drawn"
+    beside.close()
     films.close()
-    assert {path.name for path in films.folder.iterdir()} == {"new", "old"}, "what was not finished goes with the server"
+    assert beside.state(CELL, 0, FILM)["state"] == "absent"
+    assert not list(films.folder.iterdir()), "what was not finished goes with the server"
 
 
 def test_results_that_cannot_be_written_have_films_elsewhere(tmp_path: Path) -> None:

@@ -89,22 +89,6 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
     assert all(url.startswith((f"http://127.0.0.1:{port}/", "data:")) for url in asked), asked
 
 
-def test_both_branches_stand_beside_each_other(browser: Browser, results: Path) -> None:
-    with viewed(results) as server:
-        tab = browser.tab()
-        tab.open(server.opening(f"/cell/{BRANCHED}/episode/0"))
-        branched = tab.value("JSON.parse(document.querySelector('section.episode').dataset.branched)")
-        assert branched
-        tab.open(server.opening(f"/cell/{BRANCHED}/episode/0?step={branched[0]}"))
-        tab.until(f"document.querySelector('.step').dataset.shown === '{branched[0]}'")
-        said = tab.value("document.querySelector('.pair').innerText")
-        assert "as executed" in said
-        assert "command alone" in said
-        assert "ρ" in said
-        assert tab.value("document.querySelectorAll('.pair svg.boxes').length") == 2
-        tab.close()
-
-
 def test_pages_fit_a_narrow_window(browser: Browser, results: Path) -> None:
     with viewed(results) as server:
         tab = browser.tab()

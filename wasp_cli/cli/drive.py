@@ -49,7 +49,7 @@ def drive(
     """Drive a task in a browser, with an assistant or alone.
 
     The page is served on this machine alone, under an address with a token; through an SSH tunnel it works from elsewhere. What is driven
-    is a cell like any other: wasp report, explain, replay and compare show it.
+    is a cell like any other: wasp report, explain, replay and compare show it. Only with --preset models of a task are trained.
     """
     require_extra("drive", "starlette", "uvicorn", "websockets")
     from wasp_cli.drive.check import Habits
@@ -119,7 +119,7 @@ def clone(
 
 
 def _check(session: Session, json: bool) -> None:
-    from wasp_cli.drive.check import as_json, checked_blocks, timing_table
+    from wasp_cli.drive.check import TOLERATED_PACE, as_json, checked_blocks, timing_table
 
     timings = checked_blocks(session)
     late = any(not timing.in_time for timing in timings)
@@ -128,7 +128,8 @@ def _check(session: Session, json: bool) -> None:
     else:
         out().print(timing_table(timings))
         say(*(timing.where_gates_fired for timing in timings))
-        slow = min(timing.recommended for timing in timings)
-        say(f"too many decisions are late; --speed {slow:g} would keep them in time" if late else "decisions are in time")
+        slow, pace = min(timing.recommended for timing in timings), max(timing.pace for timing in timings)
+        what = f"the world slows down, {pace:.1f} times" if pace > TOLERATED_PACE else "too many decisions are late"
+        say(f"{what}; --speed {slow:g} would keep them in time" if late else "decisions are in time")
     if late:
         raise typer.Exit(1)

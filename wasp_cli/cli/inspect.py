@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -176,7 +177,7 @@ def replay(
         if without_steps(stored.manifest):
             say("what happens is as recorded; the episode is played alone, so that what is imagined may round differently")
     elif json:
-        print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
+        print_json(asdict(verdict) | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:
         say(*verdict.lines(), str(path))
     if not json:

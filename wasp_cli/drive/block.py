@@ -147,7 +147,7 @@ class Block:
                     self._clock.begin()
                 elif request in (RESTART, NEXT, END):
                     return running.cut(request)
-                running.wait()
+                time.sleep(max(self._clock.due - time.monotonic(), 0.0))
                 running.decide()
         self._decider.finish()
         return running.driven()
@@ -212,9 +212,6 @@ class _Running:
         block.operator.reset(torch.ones(1, dtype=torch.bool))
         block.assistant.reset(torch.ones(1, dtype=torch.bool), [method_seed])
         self._latent = self._filter.see(self._seen, torch.ones(1))
-
-    def wait(self) -> None:
-        time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
 
     def decide(self) -> None:
         block, clock = self.block, self.block._clock

@@ -88,7 +88,7 @@ class Habits:
 async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None) -> int:
     """Drive a whole session, from the first frame to the end; returns how many frames were seen.
 
-    `answers` fills in a form; None: consent, and the middle of every scale.
+    `answers` fills in a form; only studies have some.
     """
     frames, held, number = 0, [""], 0
     async with await connected(address) as ws:
@@ -121,11 +121,8 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                 if state["phase"] in ("ready", "paused"):
                     held = [""]
                     await send({"type": "ask", "what": "go"})
-                elif state["phase"] == "form":
-                    form = state["form"]
-                    middle = {"agreed": True if form["name"] == "consent" else None, "scales": {s["name"]: 50.0 for s in form["scales"]}}
-                    given = middle if answers is None else answers(form)
-                    await send({"type": "answers", **given})
+                elif state["phase"] == "form" and answers is not None:
+                    await send({"type": "answers", **answers(state["form"])})
                 elif state["phase"] == "over":
                     return frames
         except ConnectionClosed as error:
@@ -233,27 +230,32 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     beats, speed = driven.beats, session.how.speed
     fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
     fired = [seconds for seconds, _ in block.fired]
-    between = [b.at - a.at for a, b in pairwise(beats)]
+    between = [b.at - a.at for a, b in pairwise(beats)] or [block.period]
     return Timing(
         label=node.label, period_ms=1000 * block.period, decisions=len(beats), late_share=float(np.mean([beat.late for beat in beats])),
         decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]), input_ms=percentiles(fresh),
         round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]), speed=speed,
-        recommended=recommended(block.answer_seconds, fired, driven, block.period, speed),
-        pace=float(np.mean(between)) / block.period if between else 1.0, fired=len(fired),
+        recommended=recommended(block.answer_seconds, fired, driven, block.period, speed, between),
+        pace=float(np.mean(between)) / block.period, fired=len(fired),
         fired_late_share=float(np.mean([late for _, late in block.fired])) if fired else 0.0,
         fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
     )  # fmt: skip
 
 
-def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float) -> float:
-    """Return the largest of SPEEDS at which all but a tolerated share of these answers would have been in time.
+def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float, between: Sequence[float]) -> float:
+    """Return the largest of SPEEDS at which all but a tolerated share of these answers would have been in time, and the world as well.
 
-    `fired` are the seconds of the answers with which a gate fired. The rest of the period is kept free, as it was in the episode.
+    Seconds: of all answers, of those with which a gate `fired`, and `between` decisions. The rest of the period is kept free, as it was.
     """
     besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
     answers = [np.quantile(times, 1 - share) for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if times]
     needed = float(max(answers, default=0.0)) + besides
-    return next((slower for slower in SPEEDS if period * speed / slower >= needed), SPEEDS[-1])
+    slowed = np.mean(between) > TOLERATED_PACE * period
+
+    def enough(longer: float) -> bool:
+        return longer >= needed and not (slowed and np.mean(np.maximum(between, longer)) > TOLERATED_PACE * longer)
+
+    return next((slower for slower in SPEEDS if enough(period * speed / slower)), SPEEDS[-1])
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:

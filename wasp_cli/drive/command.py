@@ -61,7 +61,7 @@ class Wanted:
 
     @property
     def _is_task(self) -> bool:
-        return self.what in TASKS and not Path(self.what).exists()
+        return self.what in TASKS and not Path(self.what).is_file()
 
     def prepared(self, *, recorded: bool = True) -> Session:
         """Find the cells and what they need; `recorded` is said by `session.prepared`."""
@@ -72,8 +72,9 @@ class Wanted:
         study = loaded.spec.study
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
-        options = RunOptions(cores() if self.jobs is None else self.jobs)
-        return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
+        options, how = RunOptions(cores() if self.jobs is None else self.jobs), How(speed, shown, simulated=self.simulated)
+        trains = not self._is_task or self.preset is not None
+        return prepared(loaded, self.results, options, self.participant, how, recorded=recorded, trains=trains)
 
     def everyone(self) -> list[Wanted]:
         """Return one for each participant of a spec; where a task or a participant is meant, this one."""
@@ -125,9 +126,9 @@ class Wanted:
         if not self._is_task:
             return
         layout, driven_of = session.layout, defaultdict[tuple[Any, ...], set[int]](set)
-        for _, manifest in driven(layout):
-            axes = manifest["axes"]
-            if manifest["task"] in TASKS and axes["method"] in METHODS:
+        for key, manifest in driven(layout):
+            axes, told = manifest["axes"], read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
+            if manifest["task"] in TASKS and axes["method"] in METHODS and not told.get("study"):
                 driven_of[manifest["config"]["episodes"], manifest["task"], axes["method"], int(axes["value"])].add(manifest["seed"])
         grids, cells = [], dict[Cell, Node]()
         for (episodes, task, method, number), seeds in sorted(driven_of.items()):  # the whole of a sitting after its beginning
@@ -206,8 +207,16 @@ def withdrawn(wanted: Wanted) -> int:
     if number is None:
         raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
     layout.require_own_folders()
+    stored = [
+        (kind.name, key, read_manifest(layout, kind.name, key))
+        for kind in sorted(layout.store.glob("*/"))
+        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
+    ]
+    own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in spec.tasks]
+    of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
+    left = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
     gone = 0
-    for kind, key, label in _left_by(layout, number, spec.tasks):
+    for kind, key, label in sorted(left, key=lambda artifact: artifact[1] not in own):
         discard(layout.artifact(kind, key))
         # Films that `wasp view` has drawn of it.
         for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
@@ -224,16 +233,3 @@ def withdrawn(wanted: Wanted) -> int:
         f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
     )
     return gone
-
-
-def _left_by(layout: Layout, number: int, tasks: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Kind, key and label of a participant's cells and clones, and of what was computed from them, step by step."""
-    stored = [
-        (kind.name, key, read_manifest(layout, kind.name, key))
-        for kind in sorted(layout.store.glob("*/"))
-        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
-    ]
-    own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in tasks]
-    of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
-    gone = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
-    return sorted(gone, key=lambda artifact: artifact[1] not in own)

@@ -189,8 +189,7 @@ class Desk:
 
     def acknowledged(self, number: int) -> None:
         with self._lock:
-            sent = self._sent.pop(number, None)
-            if sent is not None:
+            if (sent := self._sent.pop(number, None)) is not None:
                 self.round_trip = time.monotonic() - sent
             self._free = True
         self.changed()
@@ -217,28 +216,24 @@ class Clock:
 
     def __init__(self, period: float) -> None:
         self.period = period
-        self._next = time.monotonic()
+        self.due = time.monotonic()
         self._rest: deque[float] = deque(maxlen=KEPT)
 
     def begin(self) -> None:
-        self._next = time.monotonic()
-
-    @property
-    def due(self) -> float:
-        return self._next
+        self.due = time.monotonic()
 
     def beat(self) -> tuple[float, float]:
         """Begin a decision now. Returns when it began and how many seconds after its beat."""
         now = time.monotonic()
-        behind = max(now - self._next, 0.0)
+        behind = max(now - self.due, 0.0)
         # A beat that came late by less than a tenth is caught up with; else the world waits for the assistant.
-        self._next = (self._next if behind < 0.1 * self.period else now) + self.period
+        self.due = (self.due if behind < 0.1 * self.period else now) + self.period
         return now, behind
 
     def deadline(self) -> float:
         """Return until when the decision of this beat is wanted: what else is to be done in the period still fits then."""
         rest = float(np.quantile(self._rest, 0.9)) if self._rest else RESERVE * self.period
-        return self._next - min(rest, self.period)
+        return self.due - min(rest, self.period)
 
     def spent(self, seconds: float) -> None:
         self._rest.append(seconds)

@@ -104,8 +104,7 @@ class Server(LocalServer):
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
-        allowed = local(host) and own_origin(host, origin) and self.known(ws.query_params.get("token"))
-        if not allowed:
+        if not (local(host) and own_origin(host, origin) and self.known(ws.query_params.get("token"))):
             await ws.close(REFUSED)
             return
         await ws.accept()

@@ -9,6 +9,8 @@ whole; the same session continued takes these over.
 from __future__ import annotations
 
 import itertools
+import math
+import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -30,8 +32,8 @@ from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.node import Cell, Node
+from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
@@ -41,6 +43,7 @@ from wasp_cli.run.worker import keep_memory, manifest_of, require_whole
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
+from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys, write_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held_if_free
@@ -169,7 +172,7 @@ class Session:
         return {
             "participant": self.participant, "number": int(cell.value or 0), "task": cell.task, "simulated": self.how.simulated,
             "block": number, "speed": self.how.speed, "shown": [name for name in SHOWN if name in self.how.shown],
-            "spec": self.loaded.spec.name, **self.facts,
+            "spec": self.loaded.spec.name, "study": self.study is not None, **self.facts,
         }  # fmt: skip
 
     def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
@@ -184,10 +187,12 @@ class Session:
         return block
 
 
-def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True) -> Session:
+def prepared(
+    loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True, trains: bool = True
+) -> Session:
     """Find the cells that a participant (None: the only one) is to drive, and compute or bring in everything that they need.
 
-    Unless it is `recorded`, no run stays behind, only what had to be computed.
+    Unless it is `recorded`, no run stays behind, only what had to be computed. Unless it `trains`, models have to be there or published.
     """
     spec = loaded.spec
     numbers = participants(spec)
@@ -203,9 +208,19 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, None)
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
+    chosen = [f"stage={'|'.join(read)}"]
+    missing = [node for node in plan_against(grid, layout, wanted=select(grid, chosen)).to_run() if node.kind in stages_of("chain")]
+    if missing and not trains:
+        same = [
+            part for each in loaded.overrides if each.path[0] not in ("seeds", "operators", "episodes") for part in ("--set", each.text)
+        ]
+        raise UsageError(
+            f"driving trains nothing, and these are not there: {', '.join(node.label for node in missing)}",
+            f"train them first: {shlex.join(['wasp', 'run', str(SHIPPED), *same, '--select', *chosen, '--results', str(results)])}",
+        )
     # A check that is killed must not pass for the last run of its spec either.
     asked = loaded if recorded else replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
-    made = run_spec(asked, results, options, [f"stage={'|'.join(read)}"])
+    made = run_spec(asked, results, options, chosen)
     made.require_complete()
     mine = cells_of(grid, participant)
     if not recorded:
@@ -217,11 +232,13 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     for cell, node in mine:
         parts = [part[cell] for part in shorter if exists(layout, part[cell].kind, part[cell].key)]
         folders = [layout.artifact(each.kind, each.key) for each in (node, *parts)]
-        # No trial of a script passes for a person's session, nor the other way round; not the first episodes alone either.
-        for before in (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key))):
-            if before is not None and before.get("simulated", False) != how.simulated:
+        # No trial of a script passes for a person's session, no free drive for a study's, nor the other way round; no part either.
+        for before in filter(None, (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key)))):
+            elsewhere = (spec.study is not None or before.get("study", False)) and before.get("spec") != spec.name
+            if elsewhere or before.get("simulated", False) != how.simulated:
+                by = f"for '{before.get('spec')}'" if elsewhere else "by a person" if how.simulated else "by a script"
                 raise UsageError(
-                    f"{node.label} was driven by {'a person' if how.simulated else 'a script'} in '{layout.root}'",
+                    f"{node.label} was driven {by} in '{layout.root}'",
                     "use another folder with --results, or delete it: --participant N --withdraw",
                 )
         if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
@@ -284,9 +301,18 @@ def driven_tasks(results: Path, participant: int) -> list[str]:
 
 
 def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
-    """Return the first number of a session whose worlds nobody has driven in these cells yet."""
-    grids = ((number, lay_out_over(of(number).spec, layout, None)) for number in itertools.count())
-    return next(number for number, grid in grids if not any(exists(layout, node.kind, node.key) for _, node in grid.cells))
+    """Return the first number of a session whose worlds nobody has driven in these cells yet, or one that ended early and goes on."""
+    most: dict[str, float] = {}  # episodes by cell; a whole one counts as endless, however many were asked for
+    for key, manifest in driven(layout):
+        cuts, episodes = (read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get("cut", ()), manifest["config"]["episodes"]
+        early = any(cut["why"] == END and cut["before_episode"] == episodes for cut in cuts)
+        cell = canonical([manifest["task"], manifest["seed"], manifest["axes"]])
+        most[cell] = max(most.get(cell, 0), episodes if early else math.inf)
+    for number in itertools.count():
+        nodes = [node for _, node in lay_out_over(of(number).spec, layout, None).cells]
+        if all(most.get(canonical([node.task, node.seed, node.axes]), 0) < node.config["episodes"] for node in nodes):
+            break
+    return number
 
 
 class CellRecord:

@@ -34,7 +34,6 @@ from wasp_cli.video.trace import Readout, displacements, fit, following, imagine
 GROUND = 2048  # px of a side of the picture of the ground at most
 FINE = 0.02  # m of a pixel of it, where that is not too many
 MARGIN = 1.5  # the picture of the ground shows so many times the map's half side: one may drive off the map
-_ROW = np.array([0])
 
 
 class WorldView:
@@ -75,7 +74,7 @@ class WorldView:
 
     def _ground(self) -> dict[str, Any]:
         assert self._task is not None
-        appearance, scene = self._task.appearance(), self._task.scene(_ROW)
+        appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
         half = MARGIN * appearance.map_half_side
         centre = appearance.map_centre or (0.0, 0.0)
         nothing = {name: Things(t.position, t.rotation, np.zeros_like(t.shown)) for name, t in scene.things.items()}
@@ -90,7 +89,7 @@ class WorldView:
         """Return where everything is: the robot as [x, y, direction of its front], things by kind as [x, y, direction], in m and rad."""
         if self._task is None:
             return {}
-        appearance, scene = self._task.appearance(), self._task.scene(_ROW)
+        appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
         front = scene.rotation[0, :2, :2] @ np.array(appearance.forward)
         at = scene.position[0, :2]
         things: dict[str, list[list[float]]] = {}
@@ -135,9 +134,7 @@ class Futures:
         config: Any = getattr(assistant, "config", None)
         self._horizon = int(getattr(config, "horizon", HORIZON))
         self._hold = isinstance(config, PrintedConfig)
-        self._expert: Operator | None = None
-        if isinstance(config, WASPConfig):
-            self._expert = following(parts.skills.expert, world.action_size, 1)
+        self._expert = following(parts.skills.expert, world.action_size, 1) if isinstance(config, WASPConfig) else None
         self._seconds = 0.0
 
     def lines(

@@ -84,7 +84,7 @@ class Painter:
         )
         top = HEIGHT - TIMELINE
         image.paste(self._timeline.image, (0, top))
-        x = self._timeline.cursor(t)
+        x = self._timeline.x(t + 0.5)
         draw.line((x, top + 4, x, HEIGHT - 34), _GREY, 2)
         return image
 
@@ -138,7 +138,7 @@ class Painter:
         draw.text((GAP, y + 17), note, _GREY, font(10))
 
     def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
-        rows = range(self.played.cameras)
+        rows = range(getattr(self.played.world, "cameras", 2))
         columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
         for column, name, images in ((columns[0], "cameras", decision.pixels), (columns[1], "decoded", _bytes(decision.decoded))):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
@@ -238,30 +238,27 @@ class Timeline:
             below = top + scale * lane.height
             draw.text((2 * _SIDES[0] - 12, top + below), lane.name, _INK, font(22), anchor="rm")
             for kind, first, many in lane.marks:
-                draw.rectangle((2 * self._x(first), 2 * top, 2 * self._x(first + many) - 2, 2 * below), colours[kind])
+                draw.rectangle((2 * self.x(first), 2 * top, 2 * self.x(first + many) - 2, 2 * below), colours[kind])
             for kind, level in lane.levels:
                 y = 2 * (top + scale * float(level))
-                draw.line((2 * self._x(0), y, 2 * self._x(self._decisions), y), colours[kind], 2)
+                draw.line((2 * self.x(0), y, 2 * self.x(self._decisions), y), colours[kind], 2)
             for points in lane.curves:
                 places = [tuple(map(float, point.split(","))) for point in points.split()]
-                draw.line([(2 * self._x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
+                draw.line([(2 * self.x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
             for y in (2 * (top + scale * float(level)) for kind, level in lane.levels if kind == "limit"):
-                at, label = (2 * self._x(self._decisions) - 4, y - 2), f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
+                at, label = (2 * self.x(self._decisions) - 4, y - 2), f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
                 draw.text(at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER)  # readable on a curve too
             top = below + ROWS_APART
         for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
-            draw.text((2 * self._x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
+            draw.text((2 * self.x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
         self.image = large.reduce(2)
         x, small = float(_SIDES[0]), ImageDraw.Draw(self.image)
         fired = [(look.words, look.colour) for gate, look in LOOKS.items() if (episode.gate == gate).any()]
         for words, colour in [*fired, ("cost paid", COST)]:
             x = _legend_entry(small, x, height - 22, words, colour, "dot")
 
-    def _x(self, decisions: float) -> float:
+    def x(self, decisions: float) -> float:
         return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
-
-    def cursor(self, t: int) -> float:
-        return self._x(t + 0.5)
 
 
 def numbers(episode: Episode, t: int) -> list[str]:

@@ -73,10 +73,6 @@ class Pose:
         self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
         self.left = np.array([-self.forward[1], self.forward[0]])
 
-    @property
-    def yaw(self) -> float:
-        return float(np.arctan2(self.forward[1], self.forward[0]))
-
 
 class MapView:
     def __init__(self, appearance: Appearance, size: int) -> None:

@@ -6,9 +6,9 @@ called: a wrong cell or step is refused before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +34,7 @@ from wasp_cli.store.slim import without_steps
 if TYPE_CHECKING:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.frame import Correction, WrittenVideo
-    from wasp_cli.video.trace import Source
-
-Progress = Callable[[float, str], None]
+    from wasp_cli.video.trace import Progress, Source
 
 HORIZON = 15  # imagined steps of a method that has no horizon of its own: the paper's H
 FRAMES = 125  # of a video for which nothing else is said: some megabytes
@@ -153,7 +151,7 @@ def correction(stored: Episode) -> Correction:
         else:
             changed = stored.numbers["deviation"][t] > INTERVENED
             residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
-    name = "with the plan" if planned else "executed action, then commands"
+    name = "with the plan" if planned else f"executed action, then {'the expert' if imagines_expert(stored.cell) else 'commands'}"
     hold = stored.row["method"] == "printed" or stored.cell.setting("axes", "method_config", "composition") == "hold"  # an earlier setting
     return Correction(residuals, name, hold)
 
@@ -183,9 +181,6 @@ class Verdict:
     unnecessary: bool | None  # Eq. 21; None where nothing was intervened, or tau_R is not known and decides
     assisted: dict[str, list[Any]]  # cost, cost_env and reward of every decision of the branch as executed
     alone: dict[str, list[Any]]  # the same under the command alone
-
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self)
 
     def lines(self) -> list[str]:
         numbers = f"ρ {self.rho:.3f}   ΔC {self.delta_c:+g}   ΔR {self.delta_r:+.3f}   W {self.window}"

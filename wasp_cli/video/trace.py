@@ -88,10 +88,10 @@ def imagine(
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
-    rows = sequences * ROLLOUTS
-    noise = gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1)).repeat(1, sequences, 1)
-    residuals = torch.from_numpy(start.residuals).repeat_interleave(ROLLOUTS, 0)  # [S * M, L, A]
-    now = torch.from_numpy(start.a_h).expand(rows, -1)
+    rows, device = sequences * ROLLOUTS, start.latent.h.device
+    noise = gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1)).repeat(1, sequences, 1).to(device)
+    residuals = torch.from_numpy(start.residuals).to(device).repeat_interleave(ROLLOUTS, 0)  # [S * M, L, A]
+    now = torch.from_numpy(start.a_h).to(device).expand(rows, -1)
     latent = start.latent.expand_rows(rows)
     features: list[Tensor] = []
     costs: list[Tensor] = []
@@ -105,10 +105,10 @@ def imagine(
         features.append(latent.features)
         costs.append(model.cost(latent).view(sequences, ROLLOUTS).mean(1))
         if k + 1 in shown:
-            images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).numpy()
+            images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).cpu().numpy()
     start.operator.restore(begun)
     whole = torch.stack(features, 1).unflatten(0, (sequences, ROLLOUTS))
-    return ImaginedTrajectories(whole.numpy(), torch.stack(costs, 1).numpy(), images)
+    return ImaginedTrajectories(whole.cpu().numpy(), torch.stack(costs, 1).cpu().numpy(), images)
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,6 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     x = np.asarray(features, np.float64)
-    if not len(x):
-        raise ValueError("no decision to fit a readout to")
     mean, scale = x.mean(0), x.std(0)
     # What hardly ever varies would count most of all.
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
@@ -291,7 +289,6 @@ class PlayedEpisode(NamedTuple):
     model: SafetyWorldModel
     world: VectorTask
     appearance: Appearance | None
-    cameras: int
     decisions: list[PlayedDecision]  # in order; the decisions that are shown
     places: Floats  # [T, 2] of the robot before every decision; [0, 2] of a task without a map
     readout: Readout | None  # fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map
@@ -307,9 +304,7 @@ def play_episode(
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
-    follower = rerun.operator
-    if source.expert_goes_on:
-        follower = following(load_skills(source.policies).expert, world.action_size, world.batch)
+    follower = following(load_skills(source.policies).expert, world.action_size, world.batch) if source.expert_goes_on else rerun.operator
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
@@ -330,7 +325,7 @@ def play_episode(
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, decisions, places, readout, explained)
 
 
 def poses_of(appearance: Appearance, scene: Scene) -> Floats:

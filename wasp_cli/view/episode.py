@@ -90,8 +90,7 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Marku
         verdict = verdict_of(stored, branches_of(site.layout, cell), step)
     drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    words = as_html(decision_lines(stored, step, WIDTH))
-    return Markup(site.render("step.html", "", words=words, verdict=verdict, film=film))
+    return Markup(site.render("step.html", "", words=as_html(decision_lines(stored, step, WIDTH)), verdict=verdict, film=film))
 
 
 def load(cell: FoundCell, number: int) -> Episode:

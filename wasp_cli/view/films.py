@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
@@ -12,6 +13,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from wasp_cli.errors import StoreError, UsageError, WaspError, described
 from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import open_plain, parse, read_plain
 from wasp_cli.tasks.registry import TASKS
 
@@ -64,6 +67,8 @@ class Films:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
             with (folder / "log").open("wb") as log:
+                with suppress(OSError):  # a file system without locks
+                    fcntl.flock(log, fcntl.LOCK_EX)  # held by the process that has it for its output, until that ends
                 command, environment = drawing(self._layout, key, episode, kind, step, folder), {**os.environ, "OMP_NUM_THREADS": "1"}
                 self._drawing[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
             return {**NOTHING, "state": "drawing"}
@@ -88,31 +93,35 @@ class Films:
                     process.kill()
                     process.wait()
                     shutil.rmtree(self.folder / name, ignore_errors=True)
-            self._drawing.clear()
         if self._own is not None:
             self._own.cleanup()
 
+    def _is_drawn(self, name: str) -> bool:
+        """Whether a film is being drawn, by this server or by another one on the same results."""
+        process = self._drawing.get(name)
+        with suppress(OSError):
+            return (process is not None and process.poll() is None) or is_held(self.folder / name / "log")
+        return False
+
     def _state(self, name: str) -> dict[str, Any]:
-        folder, process = self.folder / name, self._drawing.get(name)
-        code = None if process is None else process.poll()
+        folder, process, drawn = self.folder / name, self._drawing.get(name), self._is_drawn(name)
         record = read_state(folder)  # after its process was asked: what that said last is there
         if record is not None and record["state"] != "drawing":
             return record
+        if drawn:
+            return record or {**NOTHING, "state": "drawing"}
         if process is None:
             return {**NOTHING, "state": "absent"}  # also of a server that was killed
-        if code is None:
-            return record or {**NOTHING, "state": "drawing"}
         try:
             lines = [line for line in read_plain(folder / "log").splitlines() if line.strip()]
         except (OSError, ValueError):
             lines = []
-        return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({code})"}
+        return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({process.poll()})"}
 
     def _make_room(self) -> None:
         films = []
         for folder in self.folder.iterdir():
-            process = self._drawing.get(folder.name)
-            if not folder.is_symlink() and folder.is_dir() and (process is None or process.poll() is not None):
+            if not folder.is_symlink() and folder.is_dir() and not self._is_drawn(folder.name):
                 films.append((folder.lstat().st_mtime_ns, sum(path.lstat().st_size for path in folder.iterdir()), folder))
         total = sum(size for _, size, _ in films)
         for _, size, folder in sorted(films):

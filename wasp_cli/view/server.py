@@ -86,6 +86,7 @@ class ViewServer(LocalServer):
         drawn = Route(film, self._guard(lambda request: _json(self._films(request).ask(*_film(request))), draws=True), methods=["POST"])
         routes = [Route(place, self._guard(answer), methods=["GET"]) for place, answer in answers.items()]
         super().__init__([*routes, drawn], port, "view")
+        self._cookie = f"wasp_view_{self.port}"
 
     def opening(self, place: str = "/") -> str:
         path, mark, query = place.partition("?")
@@ -96,10 +97,6 @@ class ViewServer(LocalServer):
         super().stop()
         if self.site.films is not None:
             self.site.films.close()
-
-    @property
-    def _cookie(self) -> str:
-        return f"wasp_view_{self.port}"
 
     def _guard(self, answer: Answer, *, draws: bool = False) -> Callable[[Request], Awaitable[Response]]:
         """Wrap an answer: Host and token first, for what begins to draw Origin too; what goes wrong becomes a page."""
@@ -123,7 +120,7 @@ class ViewServer(LocalServer):
         """The token is right: a cookie has it from now on, and the address is one without it."""
         rest = "&".join(part for part in request.url.query.split("&") if part and not part.startswith("token="))
         answer = RedirectResponse(quote(request.url.path, "/=+%") + (f"?{rest}" if rest else ""), 303)
-        answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict", path="/")
+        answer.set_cookie(self._cookie, self.token, httponly=True, samesite="lax", path="/")
         answer.headers["Referrer-Policy"] = REFERRER
         return answer
 
@@ -195,10 +192,9 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
         with suppress(webbrowser.Error):
             webbrowser.open(address)
     try:
-        while True:
-            time.sleep(0.5)
-    except KeyboardInterrupt:
-        pass  # how it ends
+        with suppress(KeyboardInterrupt):  # how it ends
+            while True:
+                time.sleep(0.5)
     finally:
         server.stop()
 

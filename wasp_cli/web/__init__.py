@@ -48,7 +48,7 @@ class LocalServer:
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def start(self) -> None:
-        self._thread = threading.Thread(target=self._serve, daemon=True, name="server")
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._server.serve(sockets=[self._socket])), daemon=True, name="server")
         self._thread.start()
         until = time.monotonic() + 10.0
         while not self._server.started and time.monotonic() < until:
@@ -58,9 +58,6 @@ class LocalServer:
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(5.0)
-
-    def _serve(self) -> None:
-        asyncio.run(self._server.serve(sockets=[self._socket]))
 
     def known(self, token: str | None) -> bool:
         return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
