@@ -73,7 +73,7 @@ def decides(judged: Judged) -> str:
 
 
 def verdicts() -> Iterator[tuple[Judged, Judged | None, tuple[int, ...]]]:
-    """Yield of every claim the verdict, the one with WASP (as printed), and on which trainings they rest: on all, where these can be asked."""
+    """Yield of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: all, where these can be asked."""
     reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, FIRST)}
     printed = [who.method for who in reports[FIRST].others].index("printed")
     for whole, first in zip(*(report.claims for report in reports.values()), strict=True):
