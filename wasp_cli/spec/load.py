@@ -321,7 +321,8 @@ def read_sweep(
         update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
         if not methods and options[0].path[0] in method_sections():
             update["methods"] = tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, options[0].path[0])))
-        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)))
+        narrowed = restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)
+        points.append(Point(text, option.value, replace(narrowed, restricted=bool(tasks or methods))))
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
