@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,11 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
-from wasp_cli.run.job import SIGNALS, NodeJob, forget
-from wasp_cli.run.pool import InlinePool, LokyPool, _signals_wait
+from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult, forget
+from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied, _signals_wait
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
-from wasp_cli.run.worker import execute
+from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
@@ -139,6 +140,44 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     ran = [line.split()[:3] for line in fakes.executions()]
     assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
+
+
+class Dying(InlinePool):
+    """The first two nodes are killed together."""
+
+    jobs = 2
+
+    def __init__(self) -> None:
+        self.lost: list[Future[NodeResult]] = []
+        self.single = self.most = 0  # nodes alone: now, and at once at most
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        if len(self.lost) == 2:
+            return super().submit(job)
+        Layout(Path(job.root)).running(job.run_id, job.key).write_text("{}")
+        self.lost.append(Future())
+        if len(self.lost) == 2:
+            for future in self.lost:
+                future.set_exception(WorkersDied("killed"))
+        return self.lost[-1]
+
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        result: Future[NodeResult] = Future()
+        self.single += 1
+        self.most = max(self.most, self.single)
+
+        def end() -> None:
+            self.single -= 1
+            result.set_result(execute_here(job))
+
+        threading.Timer(0.1, end).start()
+        return result
+
+
+def test_what_ran_when_a_worker_was_killed_runs_again_with_nothing_beside_it(fakes, small_spec, tmp_path):
+    pool = Dying()
+    assert run(small_spec, tmp_path / "results", pool).complete
+    assert pool.most == 1
 
 
 # One node in a worker, and worker processes under the signals that a terminal sends to the whole group.

@@ -45,6 +45,7 @@ class WorkersDied(Exception):
 class Pool(ABC):
     jobs = 1  # nodes at once
     name = ""
+    local = False  # whether nodes share this machine, and one process that is killed takes the others along
     gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
 
     @abstractmethod
@@ -99,7 +100,7 @@ def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException]
 
 
 class InlinePool(Pool):
-    name = "inline"
+    name, local = "inline", True
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         done: Future[NodeResult] = Future()
@@ -112,7 +113,7 @@ class InlinePool(Pool):
 class LokyPool(Pool):
     """joblib's loky workers: started on first use, so that torch is imported once in each."""
 
-    name = "loky"
+    name, local = "loky", True
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs

@@ -119,9 +119,11 @@ class Runner:
     def _begin(self, schedule: Schedule) -> None:
         jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked:
+            if self._pool.local and self._flying and (self._suspects or any(flight.alone for flight in self._flying.values())):
+                return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
-                self._flying[self._pool.alone(replace(flight.job, wait=True))] = replace(flight, alone=True)
+                self._flying[self._pool.alone(replace(flight.job, wait=False))] = replace(flight, alone=True)
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
@@ -165,7 +167,7 @@ class Runner:
         if result.state in ("done", "shared") and not self._arrived(job):
             result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
         if result.state == "busy":
-            self._elsewhere[node.key] = (time.monotonic(), flight)
+            self._elsewhere[node.key] = (time.monotonic(), replace(flight, alone=False))
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
             self._jobs[node.key] = replace(job, attempt=job.attempt + 1)
