@@ -6,13 +6,21 @@ import platform
 import signal
 import stat
 import sys
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, run, start, wait_until, wasp
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.pool import SlurmPool
+from wasp_cli.run.session import RunOptions, run_spec
+from wasp_cli.spec.load import load
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -193,6 +201,45 @@ def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(slurm: Path, fakes: Fak
     assert "world_model" in errors
     assert "Traceback" not in errors
     assert data_of(tmp_path / "results")
+
+
+@pytest.mark.parametrize(("options", "threads"), [(None, 1), ("cpus_per_task=3", 3)])
+def test_a_slurm_job_asks_for_its_own_cores_and_uses_them(options, threads, slurm, fakes, small_spec, tmp_path, monkeypatch):
+    """However many the login node has."""
+    asked: list[tuple[int, int]] = []
+
+    class Executor(SimpleNamespace):
+        def update_parameters(self, **options: Any) -> None:
+            self.options = options
+
+        def submit(self, function: Callable[[NodeJob], NodeResult], job: NodeJob) -> SimpleNamespace:
+            asked.append((self.options["cpus_per_task"], job.threads))
+            result = function(job)
+            return SimpleNamespace(done=lambda: True, result=lambda: result)
+
+    monkeypatch.setattr("submitit.SlurmExecutor", lambda *_, **__: Executor())
+    monkeypatch.setattr("wasp_cli.run.session.cores", lambda: 64)
+    monkeypatch.setattr("wasp_cli.run.pool.POLL_SECONDS", 0.002)
+    loaded = load(small_spec, ["seeds=[0]", "methods=[human]"])
+    run_spec(loaded, tmp_path / "results", RunOptions(jobs=2, backend="slurm", scheduler=options)).require_complete()
+    assert set(asked) == {(threads, threads)}
+
+
+def test_jobs_that_end_while_others_are_cancelled_stop_nothing(slurm):
+    pool = SlurmPool(2, None)
+    cancelled = []
+
+    class Job(SimpleNamespace):
+        def done(self) -> bool:
+            return False
+
+        def cancel(self, check: bool) -> None:
+            cancelled.append(self)
+            pool._pending.popitem()
+
+    pool._pending.update({Future(): Job(), Future(): Job()})
+    pool.close(kill=True)
+    assert len(cancelled) == 2
 
 
 def test_what_sbatch_refuses_is_told(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -344,8 +345,9 @@ class SlurmPool(Pool):
         try:
             if self._executor is None:
                 self._executor = SlurmExecutor(Layout(Path(job.root)).run(job.run_id) / "slurm", max_num_timeout=0)
-            self._executor.update_parameters(job_name="wasp", **{"cpus_per_task": job.threads, **self._options})
-            self._pending[result] = self._executor.submit(execute_here, job)
+            threads = int(self._options.get("cpus_per_task", job.threads))
+            self._executor.update_parameters(job_name="wasp", **{**self._options, "cpus_per_task": threads})
+            self._pending[result] = self._executor.submit(execute_here, replace(job, threads=threads))
         except Exception as error:  # sbatch refuses in many ways
             reason = " ".join(str(error).split())[-300:]
             result.set_exception(WaspError(f"Slurm takes no job: {reason}", f"options of sbatch: {EXAMPLES['slurm']}"))
@@ -364,5 +366,5 @@ class SlurmPool(Pool):
 
     def close(self, *, kill: bool = False) -> None:
         self._closed.set()
-        for job in self._pending.values():
+        for job in list(self._pending.values()):  # one may end meanwhile
             job.cancel(check=False)

@@ -139,7 +139,8 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    runner = Runner(layout, run_id, pool, cores=cores(), limit=options.limit, retries=options.retries)
+    here = cores() if pool.local else 1  # how many another machine has is unknown
+    runner = Runner(layout, run_id, pool, cores=here, limit=options.limit, retries=options.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
