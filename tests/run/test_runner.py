@@ -180,6 +180,23 @@ def test_what_ran_when_a_worker_was_killed_runs_again_with_nothing_beside_it(fak
     assert pool.most == 1
 
 
+def test_workers_elsewhere_that_cannot_begin_are_asked_twice_and_say_why(fakes, small_spec, tmp_path):
+    asked = []
+
+    class Broken(InlinePool):
+        local = False
+
+        def submit(self, job: NodeJob) -> Future[NodeResult]:
+            asked.append(job.kind)
+            future: Future[NodeResult] = Future()
+            future.set_exception(WorkersDied("ModuleNotFoundError"))
+            return future
+
+    failed = run(small_spec, tmp_path / "results", Broken()).failed
+    assert asked == ["expert"] * 4
+    assert {result.message for _, result in failed} == {"its process ended twice: ModuleNotFoundError"}
+
+
 # One node in a worker, and worker processes under the signals that a terminal sends to the whole group.
 
 

@@ -362,7 +362,7 @@ class SlurmPool(Pool):
                 try:
                     result.set_result(job.result())
                 except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
-                    result.set_exception(WorkersDied(" ".join(str(error).split())[:300]))
+                    result.set_exception(WorkersDied(" ".join(str(error).split())[-300:]))  # its last words, which name the cause
 
     def close(self, *, kill: bool = False) -> None:
         self._closed.set()

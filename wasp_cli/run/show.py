@@ -84,8 +84,9 @@ class Lines:
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
             labels = [self._names.get(suspect, label) for suspect, label in zip(event["suspects"], event["labels"], strict=True)]
-            after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
-            self._note(f"a worker process was killed{after}")
+            reason = event.get("reason")
+            after = f"; these nodes run again{'' if reason else ', one at a time'}: {', '.join(labels)}" if labels else " while it was idle"
+            self._note((f"a worker ended ({reason})" if reason else "a worker process was killed") + after)
         elif kind == "workers gone":
             self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
         elif kind in NOTES:
