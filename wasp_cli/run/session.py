@@ -5,10 +5,11 @@ A sweep is one run with one plan over all values, so that what they share is com
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +33,22 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
 from wasp_cli.store.slim import WITHOUT_STEPS
 
+CGROUP = Path("/sys/fs/cgroup")  # what limits a container, on Linux
+
+
+def limits(*names: str) -> list[int]:
+    """Return the numbers in files of the container's limits; none where a file is not there, or says that there is no limit."""
+    with suppress(OSError, ValueError):
+        return [int(word) for name in names for word in (CGROUP / name).read_text(encoding="ascii").split()]
+    return []
+
 
 def cores() -> int:
+    """Return how many cores this process may use: by its affinity, and by the share of time that its container has."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    count = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    share = limits("cpu.max") or limits("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")  # without a limit: "max", or -1
+    return min(count, math.ceil(share[0] / share[1])) if len(share) == 2 and share[0] > 0 else count
 
 
 @dataclass(frozen=True)
