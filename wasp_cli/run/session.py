@@ -59,8 +59,8 @@ class Session:
     summary: Summary
     names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
 
-    def require_complete(self) -> None:
-        """Raise CellsFailed when a node failed, and StoreError when the journal could not be written."""
+    def require_complete(self, *also: str) -> None:
+        """Raise CellsFailed when a node failed, which says `also` what else is wrong; StoreError when the journal could not be written."""
         if self.summary.untold is not None:
             raise self.summary.untold
         if not self.summary.complete:
@@ -72,7 +72,7 @@ class Session:
             if blocked := [(self.names.get(node.key, node.label), cause) for node, cause in self.summary.blocked]:
                 named = [f"  {name} (needs {self.names.get(cause.key, cause.label)})" for name, cause in blocked]
                 lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
-            raise CellsFailed("\n".join(lines), f"run the same command again {again}")
+            raise CellsFailed("\n".join([*lines, *also]), f"run the same command again {again}")
 
 
 @dataclass(frozen=True)
