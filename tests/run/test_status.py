@@ -109,6 +109,10 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     assert log(key(1)) == "of 20260501-130000-small-0002\n"
     assert log(key(1), "--run", "0001") == f"of {RUN}\n"
     assert log("b") == "of b\n"  # computed in the first run; later ones found it there
+    write_run(layout, "20260501-150000-small-0004", [planned(2, "a")])
+    layout.log("20260501-150000-small-0004", "a", key(2)).touch()  # it found what the third run computed
+    assert log("a") == "of 20260501-140000-small-0003\n"
+    assert log("a", "--run", "0004") == ""
     several = run_here("logs", "0000", "--results", layout.root, columns=80, code=2)
     assert "'0000' names 3 nodes" in several.stderr
 

@@ -275,7 +275,9 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     matches = matching(logs, name)
     if matches and same_label(matches[0].label, name):
         # A label may have had another key in an older run; there it is another node's.
-        matches = [log for log in matches if log.run_id == matches[0].run_id]
+        keys = {log.key for log in matches if log.run_id == matches[0].run_id}
+        matches = [log for log in matches if log.key in keys]
+    matches.sort(key=lambda log: log.path.stat().st_size == 0)  # the log of a run that found a node computed by another is empty
     newest = {log.key: log for log in reversed(matches)}
     if (log := only(list(newest.values()), name, "nodes")) is not None:
         return log
