@@ -6,9 +6,11 @@ from tests.plan.test_grid import grid
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node, source_hashes
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.reasons import look_at, measured
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
+from wasp_cli.store.published import FROM_PUBLISHED
 
 
 def store(layout: Layout, node: Node, **changes: Any) -> None:
@@ -87,3 +89,10 @@ def test_an_artifact_that_changes_after_a_plan_is_seen(layout):
     layout.manifest(second.kind, second.key).unlink()
     states = {step.node: step.state for step in plan_against(laid_out, layout).steps}
     assert states[first] == states[second] == "damaged"
+
+
+def test_what_a_published_result_took_was_not_measured_here(layout):
+    here, elsewhere = grid().nodes[:2]
+    store(layout, here)
+    store(layout, elsewhere, provenance={"seconds": 2.0, FROM_PUBLISHED: True})
+    assert measured(look_at(layout, {here.kind, elsewhere.kind})) == {here.sort: 2.0}

@@ -3,7 +3,6 @@
 import random
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -92,7 +91,6 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed)
 
 
 ROOT = Path(__file__).resolve().parents[2]
-measured = times.speed
 
 
 @pytest.fixture(autouse=True)
@@ -102,10 +100,6 @@ def same_speed(monkeypatch) -> None:
 
 def planned(spec: str, tmp_path: Path, *settings: str) -> Plan:
     return plan_against(lay_out(load(ROOT / "specs" / spec, settings).spec), Layout(tmp_path / "absent"))
-
-
-def manifest(kind: str, seconds: float, axes: dict[str, Any] | None = None, **config: int) -> dict[str, Any]:
-    return {"kind": kind, "task": "goal1", "axes": axes or {}, "config": config, "provenance": {"seconds": seconds}}
 
 
 @pytest.mark.parametrize("spec", ["selftest.yaml", "quickstart.yaml"])
@@ -143,10 +137,6 @@ def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
     assert (seconds > 1, unknown) == (True, 0)
     show(plan, Console(width=200), 1)
     assert "an estimate, from times of nodes like them" in capsys.readouterr().out
-
-
-def seconds_of(plan: Plan, label: str) -> float:
-    return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == "evaluate" and f" {label}" in node.label)
 
 
 def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path, monkeypatch):
