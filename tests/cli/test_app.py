@@ -165,6 +165,13 @@ def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: 
     assert expected in done.stderr
 
 
+def test_a_folder_that_was_removed_under_the_shell_ends_with_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    done = here("status")
+    assert (done.exit_code, "the current folder is not there any more" in done.stderr) == (2, True)
+
+
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", Path("/proc/results")):

@@ -214,7 +214,10 @@ def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name, and one that no report can hold."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
-    place = os.path.abspath(value)
+    try:
+        place = os.path.abspath(value)
+    except OSError as error:
+        raise typer.BadParameter("the current folder is not there any more; change to another one") from error
     if os.fsencode(place).decode(errors="replace") != place:
         raise typer.BadParameter(f"{place!r} has bytes that are not UTF-8; rename the folder")
     return Path(value)
