@@ -6,21 +6,16 @@ import platform
 import signal
 import stat
 import sys
-from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, run, start, wait_until, wasp
-from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import SlurmPool
-from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.spec.load import load
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -181,7 +176,7 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     text = small_spec.read_text().replace("[human, ida, wasp, expert]", "[human, expert]").replace("  laggy: {moderate: 0.7}\n", "")
     small_spec.write_text(text)
     results = tmp_path / "results"
-    options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60")
+    options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60,cpus_per_task=3")
     first = start("run", small_spec, "--results", results, *options)
     _, errors = first.communicate(timeout=600)
     assert first.returncode == 0, errors
@@ -189,7 +184,8 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     assert data_of(results) == data_of(tmp_path / "here")
     scripts = [path.read_text() for path in slurm.glob("*.sh")]
     assert len(scripts) == len(data_of(results))
-    assert all("--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=" in script for script in scripts)
+    assert all('"threads": 3' in path.read_text() for path in results.glob("store/*/*/_manifest.json"))
+    assert all("--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=3" in script for script in scripts)
 
 
 @pytest.mark.slow
@@ -203,41 +199,14 @@ def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(slurm: Path, fakes: Fak
     assert data_of(tmp_path / "results")
 
 
-@pytest.mark.parametrize(("options", "threads"), [(None, 1), ("cpus_per_task=3", 3)])
-def test_a_slurm_job_asks_for_its_own_cores_and_uses_them(options, threads, slurm, fakes, small_spec, tmp_path, monkeypatch):
-    """However many the login node has."""
-    asked: list[tuple[int, int]] = []
+def test_jobs_that_end_while_others_are_cancelled_stop_nothing() -> None:
+    pool, cancelled = SlurmPool(2, None), []
 
-    class Executor(SimpleNamespace):
-        def update_parameters(self, **options: Any) -> None:
-            self.options = options
+    def cancel(check: bool) -> None:
+        cancelled.append(check)
+        pool._pending.popitem()
 
-        def submit(self, function: Callable[[NodeJob], NodeResult], job: NodeJob) -> SimpleNamespace:
-            asked.append((self.options["cpus_per_task"], job.threads))
-            result = function(job)
-            return SimpleNamespace(done=lambda: True, result=lambda: result)
-
-    monkeypatch.setattr("submitit.SlurmExecutor", lambda *_, **__: Executor())
-    monkeypatch.setattr("wasp_cli.run.session.cores", lambda: 64)
-    monkeypatch.setattr("wasp_cli.run.pool.POLL_SECONDS", 0.002)
-    loaded = load(small_spec, ["seeds=[0]", "methods=[human]"])
-    run_spec(loaded, tmp_path / "results", RunOptions(jobs=2, backend="slurm", scheduler=options)).require_complete()
-    assert set(asked) == {(threads, threads)}
-
-
-def test_jobs_that_end_while_others_are_cancelled_stop_nothing(slurm):
-    pool = SlurmPool(2, None)
-    cancelled = []
-
-    class Job(SimpleNamespace):
-        def done(self) -> bool:
-            return False
-
-        def cancel(self, check: bool) -> None:
-            cancelled.append(self)
-            pool._pending.popitem()
-
-    pool._pending.update({Future(): Job(), Future(): Job()})
+    pool._pending.update({Future(): SimpleNamespace(done=lambda: False, cancel=cancel) for _ in range(2)})
     pool.close(kill=True)
     assert len(cancelled) == 2
 

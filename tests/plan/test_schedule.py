@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out
@@ -106,8 +107,6 @@ def planned(spec: str, tmp_path: Path, *settings: str) -> Plan:
 def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_is_an_estimate(
     spec: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from rich.console import Console
-
     loaded, layout = load(ROOT / "specs" / spec).spec, Layout(tmp_path / "absent")
     plan = plan_against(lay_out_over(loaded, layout), layout)
     seconds, unknown = plan.estimate(2)
@@ -121,15 +120,9 @@ def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_
 
 
 def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
-    from rich.console import Console
-
     layout = Layout(tmp_path / "absent")
-    grid = lay_out_over(
-        load(
-            ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
-        ).spec,
-        layout,
-    )
+    settings = ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
+    grid = lay_out_over(load(ROOT / "specs/table1.yaml", settings).spec, layout)
     plan = plan_against(grid, layout)
     assert plan.count("published", "evaluate"), "the moderate operators are published"
     assert {node.axes["value"] for node in plan.to_run() if node.kind == "evaluate"} == {0.7}

@@ -83,6 +83,14 @@ def small_spec(tmp_path) -> Path:
     return path
 
 
+@pytest.fixture
+def other_spec(small_spec) -> Path:
+    """The same experiment with another seed, under the same name."""
+    path = small_spec.with_name("other.yaml")
+    path.write_text(SMALL.replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
+    return path
+
+
 def prepared(spec: Path, results: Path) -> tuple[Loaded, Layout, Plan]:
     loaded, layout = load(spec), Layout(results)
     layout.prepare()

@@ -42,12 +42,6 @@ def written(path: Path, *change: str) -> Path:
 
 
 @pytest.fixture
-def other_spec(small_spec) -> Path:
-    """The same experiment with another seed, under the same name."""
-    return written(small_spec.with_name("other.yaml"), "seeds: [0, 1]", "seeds: [1, 7]")
-
-
-@pytest.fixture
 def named_spec(small_spec) -> Path:
     return written(small_spec.with_name("named.yaml"), "name: small", "name: named")
 
@@ -363,11 +357,6 @@ def left(layout: Layout) -> set[int]:
     return {int(path.name, 16) for path in layout.store.glob("*/*")}
 
 
-def collect_people(layout: Layout) -> str:
-    done = run_here("gc", layout.root, "--yes", "--runs", columns=80, code=0)
-    return done.stdout
-
-
 def test_the_next_participant_displaces_nobody(layout):
     stored(layout, "world_model", MODEL)
     stored(layout, "evaluate", ALONE, MODEL, "person", session=True)
@@ -385,7 +374,7 @@ def test_the_next_participant_displaces_nobody(layout):
     second = drove(layout, 2, *begun)
     nobody = drove(layout, 3, planned(UNWANTED, "a grid of the same name", "cached"))
     newest = drove(layout, 4, planned(NEWEST, "newest"))
-    collect_people(layout)
+    collect(layout.root, "--yes", "--runs")
     assert left(layout) == {MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN_MODEL}
     assert (layout.work(key(BEGUN)) / "episodes.parquet").read_bytes() == b"two episodes"
     assert {path.name for path in layout.runs.iterdir()} == {first, second, newest} != {nobody}
@@ -396,7 +385,7 @@ def test_what_a_note_is_about_stays(layout):
     stored(layout, "evaluate", NOTED, MODEL)
     stored(layout, "evaluate", UNWANTED, MODEL)
     add_note(layout, Note(key(NOTED), "noted", 3, "it starts within a hazard", "invalid"))
-    collect_people(layout)
+    collect(layout.root, "--yes", "--runs")
     assert left(layout) == {MODEL, NOTED}
     (layout.root / "notes.jsonl").unlink()
     (layout.root / "notes.jsonl").mkdir()

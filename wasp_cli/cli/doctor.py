@@ -121,9 +121,8 @@ def _gpu() -> Finding:
     if device.type == "cpu":
         state: Literal["ok", "optional"] = "ok" if asked else "optional"
         return Finding("GPU", state, name, f"not needed: every stage computes on the CPU{asked}")
-    return Finding(
-        "GPU", "ok", name, f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
-    )
+    meaning = f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
+    return Finding("GPU", "ok", name, meaning)
 
 
 def _writable(results: Path) -> Finding:

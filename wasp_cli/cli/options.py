@@ -15,7 +15,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -330,9 +330,7 @@ class SelectedSpec(SizedSpec):
         """Load the spec that is meant; `select` and `failed` say which of its cells."""
         from wasp_cli.spec.load import limited, load, restricted
 
-        whole = load(self.spec, self.settings)
-        part = limited(restricted(whole, self.task, self.method), self.limit)
-        return replace(part, restricted=part.spec != whole.spec)
+        return limited(restricted(load(self.spec, self.settings), self.task, self.method), self.limit)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -204,7 +204,7 @@ class Runner:
         forget(running)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
-            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=self._log(job))
+            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"])
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
             return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)
@@ -221,11 +221,9 @@ class Runner:
         self._deaths.append((replace(flight, memory=memory), suspected, "" if local else reason))
         return None
 
-    def _log(self, job: NodeJob) -> str:
-        return str(self._layout.log(job.run_id, job.label, job.key))
-
     def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
-        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=self._log(job))
+        log = self._layout.log(job.run_id, job.label, job.key)
+        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=str(log))
         record_failure(self._layout, job, result)
         self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result

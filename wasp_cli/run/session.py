@@ -135,8 +135,7 @@ def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, name
     for offer in offers:
         import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
     if offers:
-        lines = reason_lines(plan, "published")
-        plain("\n  ".join([f"{len(offers)} published results are used:", *lines]))
+        plain("\n  ".join([f"{len(offers)} published results are used:", *reason_lines(plan, "published")]))
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     parts += [f"{len(ended)} {how}" for how, ended in (("failed", summary.failed), ("blocked", summary.blocked)) if ended]
@@ -152,8 +151,7 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    here = cores() if pool.local else 1  # how many another machine has is unknown
-    runner = Runner(layout, run_id, pool, cores=here, limit=options.limit, retries=options.retries)
+    runner = Runner(layout, run_id, pool, cores=cores() if pool.local else 1, limit=options.limit, retries=options.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)

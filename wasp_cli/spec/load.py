@@ -231,7 +231,8 @@ def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[st
                 raise UnknownName(f"{what} of this spec", name, there)
         if chosen:
             update[f"{what}s"] = tuple(name for name in there if name in chosen)
-    return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
+    spec = loaded.spec.model_copy(update=update)
+    return replace(loaded, spec=spec, restricted=spec != loaded.spec) if update else loaded
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
@@ -242,7 +243,8 @@ def with_episodes(spec: Spec, episodes: int) -> Spec:
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
     if episodes is None:
         return loaded
-    return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
+    spec = with_episodes(loaded.spec, min(episodes, loaded.spec.episodes))
+    return replace(loaded, spec=spec, restricted=loaded.restricted or spec != loaded.spec)
 
 
 def ablation(
@@ -321,8 +323,7 @@ def read_sweep(
         update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
         if not methods and options[0].path[0] in method_sections():
             update["methods"] = tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, options[0].path[0])))
-        narrowed = restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)
-        points.append(Point(text, option.value, replace(narrowed, restricted=bool(tasks or methods))))
+        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)))
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
