@@ -40,7 +40,3 @@ def run_here(*arguments: str | Path, columns: int | None, code: int | None = Non
             made.cache_clear()
     assert code in (None, done.exit_code), done.output
     return done
-    assert code in (None, done.exit_code), done.output
-    return done
-    assert code in (None, done.exit_code), done.output
-    return done

@@ -14,6 +14,7 @@ from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec, written
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
+from wasp_cli.cli.report import NotWritten
 from wasp_cli.cli.run import say_next
 from wasp_cli.errors import CellsFailed
 from wasp_cli.plan.plan import with_keys
@@ -164,6 +165,13 @@ def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: 
     assert expected in done.stderr
 
 
+def test_a_folder_that_was_removed_under_the_shell_ends_with_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    done = here("status")
+    assert (done.exit_code, "the current folder is not there any more" in done.stderr) == (2, True)
+
+
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", Path("/proc/results")):
@@ -224,16 +232,21 @@ def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
 def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
     fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
+    def unwritten(*_: object, **__: object) -> None:
+        raise NotWritten("the report cannot be written")
+
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", unwritten)
     fakes.set(behave={"s1 critics": "refuse"})
     results = tmp_path / "results"
     done = here("run", small_spec, "--results", results, "-j", "0")
     assert done.exit_code == 1
     assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
     assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
+    assert "the report cannot be written" in done.stderr
     log = done.stderr.partition("log: ")[2].split()[0]
     assert "the loss is not finite" in Path(log).read_text(encoding="utf-8")
     assert done.stdout == ""
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
     fakes.set()
     again = here("run", small_spec, "--results", results, "-j", "0")
     assert again.exit_code == 0

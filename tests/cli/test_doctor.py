@@ -12,6 +12,7 @@ from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
 from wasp_cli.methods.registry import MethodInfo
 from wasp_cli.operators.registry import OperatorInfo
+from wasp_cli.run import session
 
 
 def gpu(tmp_path: Path) -> Finding:
@@ -29,6 +30,22 @@ def test_it_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
     for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "results"):
         assert word in done.stdout
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("files", [
+    {"cpu.max": "150000 100000\n", "memory.max": "3000000000\n"},
+    {"cpu/cpu.cfs_quota_us": "150000\n", "cpu/cpu.cfs_period_us": "100000\n", "memory/memory.limit_in_bytes": "3000000000\n"},
+])  # fmt: skip
+def test_a_container_has_the_cores_and_the_memory_of_its_limits(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(session, "CGROUP", tmp_path)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(64), raising=False)
+    assert session.cores() == 64
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = {finding.what: finding for finding in examine(tmp_path)}
+    assert found["cores"].found.startswith("2 (")
+    assert (found["memory"].state, found["memory"].found) == ("low", "3 GB")
 
 
 def test_a_gpu_is_used_unless_the_variable_says_otherwise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,26 +39,16 @@ def test_check_tells_machines_every_problem_of_every_file(good: Path) -> None:
     bad.write_text("extends: good.yaml\nname: bad\nsedes: [1]\npreset: smok\n", encoding="utf-8")
     assert checked(good, bad, good.parent / "absent.yaml", code=3) == [
         {"file": str(good), "ok": True, "cells": 2, "problems": []},
-        {
-            "file": str(bad),
-            "ok": False,
-            "cells": None,
-            "problems": [
-                {"file": str(bad), "line": 3, "column": 1, "message": "unknown key 'sedes'", "hint": "did you mean 'seeds'?",
-                 "excerpt": "sedes: [1]"},
-                {"file": str(bad), "line": 4, "column": 9, "message": "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'",
-                 "hint": "did you mean 'smoke'?", "excerpt": "preset: smok"},
-            ],
-        },
-        {
-            "file": str(good.parent / "absent.yaml"),
-            "ok": False,
-            "cells": None,
-            "problems": [
-                {"file": str(good.parent / "absent.yaml"), "line": 1, "column": 1, "message": "no such file",
-                 "hint": f"known: bad, good, {', '.join(shipped_names())}", "excerpt": None},
-            ],
-        },
+        {"file": str(bad), "ok": False, "cells": None, "problems": [
+            {"file": str(bad), "line": 3, "column": 1, "message": "unknown key 'sedes'", "hint": "did you mean 'seeds'?",
+             "excerpt": "sedes: [1]"},
+            {"file": str(bad), "line": 4, "column": 9, "message": "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'",
+             "hint": "did you mean 'smoke'?", "excerpt": "preset: smok"},
+        ]},
+        {"file": str(good.parent / "absent.yaml"), "ok": False, "cells": None, "problems": [
+            {"file": str(good.parent / "absent.yaml"), "line": 1, "column": 1, "message": "no such file",
+             "hint": f"known: bad, good, {', '.join(shipped_names())}", "excerpt": None},
+        ]},
     ]  # fmt: skip
 
 

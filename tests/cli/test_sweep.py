@@ -105,7 +105,6 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
         (["--vary", "diffusion.ratio=0.2,2,-1"], 3, "--vary diffusion.ratio=2: diffusion.ratio: should be less than or equal to 1, not 2"),
         (["--vary", "diffusion.ratios=0.2,0.4"], 3, "did you mean 'ratio'?"),
         (["--vary", "seeds=[0],[1]"], 2, "list them in the spec: a row is the mean over all seeds"),
-        (["--vary", "diffusion.ratio=0.2,0.4", "--method", "wasp"], 2, "choose others with --method"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--method", "idaa"], 2, "did you mean 'ida'?"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--task", "race1"], 2, "unknown task of this spec 'race1'"),
         (["--vary", "diffusion.ratio=0.2,0.4", "--vary", "ida.vote=0,1"], 2, "a sweep varies one setting"),

@@ -6,13 +6,16 @@ import platform
 import signal
 import stat
 import sys
+from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, run, start, wait_until, wasp
+from wasp_cli.run.pool import SlurmPool
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -173,7 +176,7 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     text = small_spec.read_text().replace("[human, ida, wasp, expert]", "[human, expert]").replace("  laggy: {moderate: 0.7}\n", "")
     small_spec.write_text(text)
     results = tmp_path / "results"
-    options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60")
+    options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60,cpus_per_task=3")
     first = start("run", small_spec, "--results", results, *options)
     _, errors = first.communicate(timeout=600)
     assert first.returncode == 0, errors
@@ -181,7 +184,8 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     assert data_of(results) == data_of(tmp_path / "here")
     scripts = [path.read_text() for path in slurm.glob("*.sh")]
     assert len(scripts) == len(data_of(results))
-    assert all("--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=" in script for script in scripts)
+    assert all('"threads": 3' in path.read_text() for path in results.glob("store/*/*/_manifest.json"))
+    assert all("--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=3" in script for script in scripts)
 
 
 @pytest.mark.slow
@@ -193,6 +197,18 @@ def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(slurm: Path, fakes: Fak
     assert "world_model" in errors
     assert "Traceback" not in errors
     assert data_of(tmp_path / "results")
+
+
+def test_jobs_that_end_while_others_are_cancelled_stop_nothing() -> None:
+    pool, cancelled = SlurmPool(2, None), []
+
+    def cancel(check: bool) -> None:
+        cancelled.append(check)
+        pool._pending.popitem()
+
+    pool._pending.update({Future(): SimpleNamespace(done=lambda: False, cancel=cancel) for _ in range(2)})
+    pool.close(kill=True)
+    assert len(cancelled) == 2
 
 
 def test_what_sbatch_refuses_is_told(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

@@ -6,9 +6,11 @@ from tests.plan.test_grid import grid
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node, source_hashes
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.reasons import look_at, measured
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
+from wasp_cli.store.published import FROM_PUBLISHED
 
 
 def store(layout: Layout, node: Node, **changes: Any) -> None:
@@ -76,3 +78,10 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout):
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
     found = reasons_of(plan_against(grid(), layout))
     assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
+
+
+def test_what_a_published_result_took_was_not_measured_here(layout):
+    here, elsewhere = grid().nodes[:2]
+    store(layout, here)
+    store(layout, elsewhere, provenance={"seconds": 2.0, FROM_PUBLISHED: True})
+    assert measured(look_at(layout, {here.kind, elsewhere.kind})) == {here.sort: 2.0}

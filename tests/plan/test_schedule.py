@@ -121,8 +121,9 @@ def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_
 
 def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
     layout = Layout(tmp_path / "absent")
-    more = ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
-    plan = plan_against(lay_out_over(load(ROOT / "specs/table1.yaml", more).spec, layout), layout)
+    settings = ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
+    grid = lay_out_over(load(ROOT / "specs/table1.yaml", settings).spec, layout)
+    plan = plan_against(grid, layout)
     assert plan.count("published", "evaluate"), "the moderate operators are published"
     assert {node.axes["value"] for node in plan.to_run() if node.kind == "evaluate"} == {0.7}
     seconds, unknown = plan.estimate(1)

@@ -28,6 +28,8 @@ from wasp_cli.run import publish, reach
 from wasp_cli.run.publish import require_archive, write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
 from wasp_cli.run.record import new_run
+from wasp_cli.run.session import RunOptions, run_sweep
+from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held, is_held
@@ -86,6 +88,17 @@ def test_a_restricted_run_displaces_no_whole_one(fakes, other_spec, results):
     for restriction in ({"limit": 1}, {"method": ["human"]}):
         part = SelectedSpec(spec=other_spec, **restriction).load()
         new_run(layout, part, plan_against(lay_out(part.spec), layout))
+    collect(results, "--yes")
+    assert finished(results) == whole
+
+
+def test_a_narrowed_sweep_displaces_no_whole_one(fakes, small_spec, tmp_path):
+    results = tmp_path / "results"
+    for methods in ((), ("wasp",)):
+        run_sweep(read_sweep(small_spec, "wasp.tau_c=0.3,0.5", methods), results, RunOptions(jobs=0))
+    whole = finished(results)
+    for folder in (results / "runs").iterdir():
+        os.utime(folder, (0, 0))  # or the runs of the values might still begin
     collect(results, "--yes")
     assert finished(results) == whole
 

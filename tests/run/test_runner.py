@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
-from wasp_cli.run.job import SIGNALS, NodeJob, forget
-from wasp_cli.run.pool import InlinePool, LokyPool, _signals_wait
+from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult, forget
+from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied, _signals_wait
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
-from wasp_cli.run.worker import execute
+from wasp_cli.run.session import RunOptions, run_spec
+from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
@@ -54,7 +56,6 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     result = summary.failed[0][1]
     assert result.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
     assert "Traceback" in Path(result.log).read_text(encoding="utf-8")
-    assert result.log
     _, layout, plan = prepared(small_spec, results)
     assert {(step.state, step.node.kind) for step in plan.steps if step.state != "cached"} == {
         ("failed", "ida_q"), ("missing", "calibration"), ("missing", "evaluate"),
@@ -139,6 +140,56 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     ran = [line.split()[:3] for line in fakes.executions()]
     assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
+
+
+class Dying(InlinePool):
+    """Its first nodes die: here while they run, elsewhere before they begin. `most` says how many ran alone at once."""
+
+    jobs = 2
+
+    def __init__(self, local: bool, deaths: int) -> None:
+        self.local, self.deaths, self.most = local, deaths, 0
+        self.asked, self.single = [], []
+
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        self.asked.append(job.kind)
+        if len(self.asked) > self.deaths:
+            return super().submit(job)
+        if self.local:
+            Layout(Path(job.root)).running(job.run_id, job.key).write_text("{}")
+        result: Future[NodeResult] = Future()
+        result.set_exception(WorkersDied("ModuleNotFoundError"))
+        return result
+
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        if not self.local:
+            return self.submit(job)
+        result: Future[NodeResult] = Future()
+        self.single.append(result)
+        self.most = max(self.most, sum(not each.done() for each in self.single))
+        threading.Timer(0.1, lambda: result.set_result(execute_here(job))).start()
+        return result
+
+
+def test_what_ran_when_a_worker_was_killed_runs_again_with_nothing_beside_it(fakes, small_spec, tmp_path):
+    pool = Dying(local=True, deaths=2)
+    assert run(small_spec, tmp_path / "results", pool).complete
+    assert (len(pool.single), pool.most) == (2, 1)
+
+
+def test_workers_elsewhere_that_cannot_begin_are_asked_twice_and_say_why(fakes, small_spec, tmp_path):
+    pool = Dying(local=False, deaths=99)
+    failed = run(small_spec, tmp_path / "results", pool).failed
+    assert pool.asked == ["expert"] * 4
+    assert {result.message for _, result in failed} == {"its process ended twice: ModuleNotFoundError"}
+
+
+def test_nodes_elsewhere_have_one_thread_whatever_this_machine_has(fakes, small_spec, tmp_path, monkeypatch):
+    monkeypatch.setattr("wasp_cli.run.session.cores", lambda: 64)
+    monkeypatch.setattr("wasp_cli.run.session.pool_of", lambda *_: Dying(local=False, deaths=0))
+    run_spec(load(small_spec, ["methods=[]"]), tmp_path / "results", RunOptions(jobs=2))
+    manifests = [json.loads(path.read_text()) for path in tmp_path.glob("results/store/*/*/_manifest.json")]
+    assert {manifest["provenance"]["threads"] for manifest in manifests} == {1}
 
 
 # One node in a worker, and worker processes under the signals that a terminal sends to the whole group.
@@ -317,24 +368,13 @@ def test_changed_source_explains_a_failure(fakes, job):
     assert result.message == "the loss is not finite", "an error that says what to do about an absent module stands"
 
 
-def closed_pipe() -> int:
-    reader, writer = os.pipe()
-    os.close(reader)
-    return writer
-
-
-def wasp(*arguments: str | Path, stdout: int, program: tuple[str, ...] = ("-m", "wasp_cli")) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *program, *map(str, arguments)]
-    try:
-        return subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
-    finally:
-        os.close(stdout)
-
-
 def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spec, tmp_path):
     fakes.set(behave={"s1 critics": "refuse"})
-    arguments = ("run", small_spec, "--results", tmp_path / "results", "-j", "0")
-    done = wasp(*arguments, stdout=closed_pipe(), program=("tests/run/fake_wasp.py",))
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "tests/run/fake_wasp.py", "run", small_spec, "--results", tmp_path / "results", "-j", "0"]
+    done = subprocess.run(command, cwd=ROOT, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
+    os.close(writer)
     assert done.returncode == 1
     assert "1 failed:" in done.stderr
     assert "Traceback" not in done.stderr

@@ -48,6 +48,8 @@ class Finding(NamedTuple):
 
 
 def examine(results: Path) -> Iterator[Finding]:
+    from wasp_cli.run.session import cores, limits
+
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         try:
@@ -57,12 +59,12 @@ def examine(results: Path) -> Iterator[Finding]:
         else:
             yield Finding(name, "ok", installed(name) or "found")
     yield from _plugins()
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
-    memory = memory_gb()
+    yield Finding("cores", "ok", f"{cores()} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
+    memory, most = memory_gb(), limits("memory.max") or limits("memory/memory.limit_in_bytes")
     if memory is None:
         yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:
+        memory = min([memory, *(round(size / 1e9, 1) for size in most)])
         small = memory < SMALL_MEMORY_GB
         yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
     yield _gpu()
@@ -119,9 +121,8 @@ def _gpu() -> Finding:
     if device.type == "cpu":
         state: Literal["ok", "optional"] = "ok" if asked else "optional"
         return Finding("GPU", state, name, f"not needed: every stage computes on the CPU{asked}")
-    return Finding(
-        "GPU", "ok", name, f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
-    )
+    meaning = f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
+    return Finding("GPU", "ok", name, meaning)
 
 
 def _writable(results: Path) -> Finding:

@@ -1,5 +1,4 @@
-"""The commands about runs, nodes and episodes: `wasp status`, `logs`, `show`, `explain`,
-`replay`, `view` and `note`."""
+"""The commands about runs, nodes and episodes: `wasp status`, `logs`, `show`, `explain`, `replay`, `view` and `note`."""
 
 from __future__ import annotations
 
@@ -36,9 +35,8 @@ def status(results: options.Folder, run: options.RunOption = None, json: options
     layout = results_of(results.path)
     runs = planned_runs(layout)
     if not runs:
-        raise StoreError(
-            f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there, and copies published results"
-        )
+        hint = "wasp run SPEC --results DIR writes there, and copies published results"
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", hint)
     states = shown_runs(layout, runs) if run is None else [state_of(layout, named_run(runs, run))]
     if json:
         print_json(as_json(states))

@@ -15,7 +15,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -214,7 +214,10 @@ def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name, and one that no report can hold."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
-    place = os.path.abspath(value)
+    try:
+        place = os.path.abspath(value)
+    except OSError as error:
+        raise typer.BadParameter("the current folder is not there any more; change to another one") from error
     if os.fsencode(place).decode(errors="replace") != place:
         raise typer.BadParameter(f"{place!r} has bytes that are not UTF-8; rename the folder")
     return Path(value)
@@ -327,9 +330,7 @@ class SelectedSpec(SizedSpec):
         """Load the spec that is meant; `select` and `failed` say which of its cells."""
         from wasp_cli.spec.load import limited, load, restricted
 
-        whole = load(self.spec, self.settings)
-        part = limited(restricted(whole, self.task, self.method), self.limit)
-        return replace(part, restricted=part.spec != whole.spec)
+        return limited(restricted(load(self.spec, self.settings), self.task, self.method), self.limit)
 
 
 @dataclass(frozen=True, kw_only=True)

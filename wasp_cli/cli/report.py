@@ -72,11 +72,9 @@ def report(
         except WaspError as error:  # the other specs are still worth seeing
             damaged.append(error.message)
     if changed:
-        damaged += changed
+        told = [f"files are not those that were stored ({len(changed)}):", *(f"  {text}" for text in (*damaged, *changed))]
         hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
-        raise ArtifactError(
-            "\n".join([f"files are not those that were stored ({len(changed)}):", *(f"  {text}" for text in damaged)]), hint
-        )
+        raise ArtifactError("\n".join(told), hint)
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
@@ -94,9 +92,8 @@ def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], 
     layout = results_of(results)
     runs, damaged = last_runs(layout)
     if not runs and not damaged:
-        raise StoreError(
-            f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there, and copies published results"
-        )
+        hint = "wasp run SPEC --results DIR writes there, and copies published results"
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", hint)
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
 from wasp_cli.cli.options import command, flag, option, print_json, setting_names, spec_names, variant_names
-from wasp_cli.cli.report import show_report
+from wasp_cli.cli.report import NotWritten, show_report
 from wasp_cli.console import err, out, plain, say
 from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
 from wasp_cli.store.layout import Layout
@@ -115,7 +115,11 @@ def sweep(
     layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
-    page, *_ = report.write(layout.reports(varied.name))
+    try:
+        page, *_ = report.write(layout.reports(varied.name))
+    except (OSError, StoreError) as error:
+        session.require_complete(f"the report cannot be written: {error}")
+        raise
     layout.reporting(session.run_id).unlink(missing_ok=True)
     if json:
         print_json({**report.as_json(), "report": str(page)})
@@ -149,7 +153,11 @@ def run_and_report(
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
     ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
-    report = show_report(session.layout, ran, paper, redraw=False)
+    try:
+        report = show_report(session.layout, ran, paper, redraw=False)
+    except NotWritten as error:
+        session.require_complete(error.message)
+        raise
     session.layout.reporting(session.run_id).unlink(missing_ok=True)
     say_next(results, [(cell.method, node.label, node.key) for cell, node in grid.cells])
     session.require_complete()

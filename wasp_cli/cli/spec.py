@@ -49,10 +49,8 @@ def check(
             say(f"{path}: ok, {what}")
     if json:
         print_json(results)
-    if refused and json:
-        raise typer.Exit(SpecError.exit_code)  # all is said
     if refused:
-        raise SpecError("\n".join(map(str, refused)))
+        raise typer.Exit(SpecError.exit_code) if json else SpecError("\n".join(map(str, refused)))
 
 
 def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:

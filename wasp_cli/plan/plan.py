@@ -78,9 +78,8 @@ class Plan:
         before: dict[str, Node | None] = {}
         last: Node | None = None
         for node in self.to_run():
-            previous = max(
-                (needed for needed in node.needs.values() if needed.key in ends), key=lambda needed: ends[needed.key], default=None
-            )
+            needs = [needed for needed in node.needs.values() if needed.key in ends]
+            previous = max(needs, key=lambda needed: ends[needed.key], default=None)
             ends[node.key] = (ends[previous.key] if previous else 0.0) + self.seconds.get(node.sort, 0.0)
             before[node.key] = previous
             if last is None or ends[node.key] > ends[last.key]:
@@ -101,20 +100,15 @@ class Plan:
             "parts": [{**asdict(part), "key": node.key} for part, node in self.grid.parts],
             "nodes": [
                 {
-                    "key": step.node.key,
-                    "kind": step.node.kind,
-                    "label": step.node.label,
-                    "state": step.state,
-                    "reason": step.reason,
-                    "needs": {name: needed.key for name, needed in step.node.needs.items()},
-                    "seconds": self.seconds.get(step.node.sort),
+                    "key": step.node.key, "kind": step.node.kind, "label": step.node.label, "state": step.state, "reason": step.reason,
+                    "needs": {name: needed.key for name, needed in step.node.needs.items()}, "seconds": self.seconds.get(step.node.sort),
                 }
                 for step in self.steps
             ],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
             "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
-        }
+        }  # fmt: skip
 
     def of(self, grid: Grid) -> Plan:
         steps = {step.node.key: step for step in self.steps}

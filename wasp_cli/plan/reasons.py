@@ -14,7 +14,7 @@ from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of, source_hashes
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import EARLIER
+from wasp_cli.store.published import EARLIER, FROM_PUBLISHED
 from wasp_cli.store.slim import without_steps
 
 
@@ -25,7 +25,7 @@ class Facts:
     who: str = ""  # the same for all versions of one node
     sort: str = ""  # as `Node.sort`
     signature: str = ""  # the same for versions that differ from a node in the same way
-    seconds: float | None = None  # what it took; None of what took rows over, which says nothing of how long its like takes
+    seconds: float | None = None  # what it took; None of what took rows over or was published: its like takes another time here
     at: str = ""
     episodes: int = 0
     cut: bool = False  # whether steps of a cell were left out, so that nothing is computed from it
@@ -39,7 +39,7 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
             who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
             sort_of(manifest["kind"], manifest["task"], config, axes),
             digest([*differing, axes.get("method_config"), provenance.get("versions")]),
-            None if EARLIER in provenance else float(provenance["seconds"]),
+            None if EARLIER in provenance or provenance.get(FROM_PUBLISHED) else float(provenance["seconds"]),
             str(provenance.get("started_at", "")),
             int(config.get("episodes", 0)),
             without_steps(manifest),

@@ -83,7 +83,7 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
         nodes = [node for plan in plans for node in NODES.validate_python(plan["nodes"])]
     except (ArtifactError, StoreError, KeyError, TypeError, ValueError, AttributeError):
         return None
-    restricted = sweep is None and plans[0].get("restricted") is True
+    restricted = any(plan.get("restricted") is True for plan in plans)
     return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, restricted) if isinstance(spec, str) else None
 
 

@@ -83,13 +83,8 @@ class Heartbeat:
                 self.deaths = 1 + int(left.get("deaths", 0))
         except ArtifactError:
             self.deaths = 1
-        self.fixed: dict[str, object] = {  # what does not change while it runs
-            "label": job.label,
-            "kind": job.kind,
-            **this_process(),
-            "started": _now(),
-            "deaths": self.deaths,
-        }
+        # What does not change while it runs.
+        self.fixed: dict[str, object] = {"label": job.label, "kind": job.kind, **this_process(), "started": _now(), "deaths": self.deaths}
         self._share, self._text = 0.0, ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")

@@ -18,6 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -45,6 +46,7 @@ class WorkersDied(Exception):
 class Pool(ABC):
     jobs = 1  # nodes at once
     name = ""
+    local = False  # whether nodes share this machine, and one process that is killed takes the others along
     gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
 
     @abstractmethod
@@ -99,7 +101,7 @@ def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException]
 
 
 class InlinePool(Pool):
-    name = "inline"
+    name, local = "inline", True
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         done: Future[NodeResult] = Future()
@@ -112,7 +114,7 @@ class InlinePool(Pool):
 class LokyPool(Pool):
     """joblib's loky workers: started on first use, so that torch is imported once in each."""
 
-    name = "loky"
+    name, local = "loky", True
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
@@ -343,8 +345,9 @@ class SlurmPool(Pool):
         try:
             if self._executor is None:
                 self._executor = SlurmExecutor(Layout(Path(job.root)).run(job.run_id) / "slurm", max_num_timeout=0)
-            self._executor.update_parameters(job_name="wasp", **{"cpus_per_task": job.threads, **self._options})
-            self._pending[result] = self._executor.submit(execute_here, job)
+            threads = int(self._options.get("cpus_per_task", job.threads))
+            self._executor.update_parameters(job_name="wasp", **{**self._options, "cpus_per_task": threads})
+            self._pending[result] = self._executor.submit(execute_here, replace(job, threads=threads))
         except Exception as error:  # sbatch refuses in many ways
             reason = " ".join(str(error).split())[-300:]
             result.set_exception(WaspError(f"Slurm takes no job: {reason}", f"options of sbatch: {EXAMPLES['slurm']}"))
@@ -359,9 +362,9 @@ class SlurmPool(Pool):
                 try:
                     result.set_result(job.result())
                 except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
-                    result.set_exception(WorkersDied(" ".join(str(error).split())[:300]))
+                    result.set_exception(WorkersDied(" ".join(str(error).split())[-300:]))  # its last words, which name the cause
 
     def close(self, *, kill: bool = False) -> None:
         self._closed.set()
-        for job in self._pending.values():
+        for job in list(self._pending.values()):  # one may end meanwhile
             job.cancel(check=False)

@@ -78,9 +78,8 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
     refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
-    elsewhere = [
-        step.node for step in steps if step.state == "published" and artifact.damage(target, step.node.kind, step.node.key) is not None
-    ]
+    reused = [step.node for step in steps if step.state == "published"]
+    elsewhere = [node for node in reused if artifact.damage(target, node.kind, node.key) is not None]
     refused += [f"{node.label}: it was published elsewhere, and is not in '{layout.root}'" for node in elsewhere]
     sources = [(step.node, layout if step.state == "cached" else target) for step in steps if step.state in ("cached", "published")]
     behind = _behind(grid)
@@ -88,8 +87,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     small = [item for item in items if item.size <= largest]
     there = [item for item in small if artifact.corruption(target, item.node.kind, item.node.key) is None]
     new = [item for item in small if item not in there]
-    published = target.reports(spec.name)
-    old = {path.name: path.read_bytes() for path in published.glob("*") if path.is_file()}
+    old = {path.name: path.read_bytes() for path in target.reports(spec.name).glob("*") if path.is_file()}
     folder = layout.within(layout.reports(spec.name))
     written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
     other = bool(written) and last_plan(layout, spec.name).keys() != {node.key for node in grid.nodes}
@@ -273,8 +271,7 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     root = Path(__file__).parents[2]
     checkout = (root / "pyproject.toml").is_file()  # else the installed package has it
     path = root / "LICENSE" if checkout else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
-    licence = Path(str(path)).read_bytes()
-    members |= {"README.md": card.encode(), "LICENSE": licence}
+    members |= {"README.md": card.encode(), "LICENSE": Path(str(path)).read_bytes()}
     sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
     members["SHA256SUMS"] = sums.encode()
     raw, folder = io.BytesIO(), file.name.removesuffix(".tar.gz")

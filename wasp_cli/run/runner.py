@@ -72,7 +72,7 @@ class Runner:
         self._suspects: list[Flight] = []  # what ran when a worker was killed
         self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
-        self._deaths: list[tuple[Flight, bool]] = []  # what was lost with killed workers and is not in the journal yet, and whether it ran
+        self._deaths: list[tuple[Flight, bool, str]] = []  # lost with workers, not in the journal yet: whether it is a suspect, and why
         self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
         self._deserted = False
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
@@ -107,9 +107,9 @@ class Runner:
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
             if self._deaths:
-                suspects = [flight for flight, was_running in self._deaths if was_running]
-                held = {flight.node.key: flight.memory for flight in suspects}
-                self._journal.write("worker killed", suspects=list(held), labels=[flight.node.label for flight in suspects], memory_mb=held)
+                suspects, reason = [flight for flight, suspected, _ in self._deaths if suspected], self._deaths[0][2]
+                held, labels = {flight.node.key: flight.memory for flight in suspects}, [flight.node.label for flight in suspects]
+                self._journal.write("worker killed", suspects=list(held), labels=labels, memory_mb=held, reason=reason)
                 self._deaths = []
             gone = self._pool.gone  # the last worker of a cluster: nothing goes on until one comes back
             if (gone is None) == self._deserted:
@@ -119,9 +119,11 @@ class Runner:
     def _begin(self, schedule: Schedule) -> None:
         jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked:
+            if self._pool.local and self._flying and (self._suspects or any(flight.alone for flight in self._flying.values())):
+                return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
-                self._flying[self._pool.alone(replace(flight.job, wait=True))] = replace(flight, alone=True)
+                self._flying[self._pool.alone(replace(flight.job, wait=False))] = replace(flight, alone=True)
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
@@ -141,23 +143,22 @@ class Runner:
         _, flight = self._elsewhere.pop(due[0])
         return replace(flight, job=replace(flight.job, wait=not self._flying))
 
-    def _landed(self) -> list[tuple[Flight, NodeResult | None]]:
-        """Wait until a node ends. The result is None where its worker was killed."""
+    def _landed(self) -> list[tuple[Flight, NodeResult | WorkersDied]]:
+        """Wait until a node ends, or its worker."""
         if not self._flying:
             time.sleep(POLL_SECONDS)
             return []
         done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
-        if any(_killed(future) for future in done):
+        if any(map(_death, done)):
             # A worker that is killed takes its pool along: what else was in flight there is lost in the same moment.
             done, _ = wait(self._flying, DEATH_SECONDS)
         # In the order in which they began, so that one machine's luck does not order a journal.
         ended = [future for future in self._flying if future in done]
-        return [(self._flying.pop(future), None if _killed(future) else future.result()) for future in ended]
+        return [(self._flying.pop(future), _death(future) or future.result()) for future in ended]
 
-    def _handle(self, schedule: Schedule, flight: Flight, result: NodeResult | None) -> None:
+    def _handle(self, schedule: Schedule, flight: Flight, end: NodeResult | WorkersDied) -> None:
         node, job = flight.node, flight.job
-        if result is None:
-            result = self._after_death(schedule, flight)
+        result = self._after_death(schedule, flight, str(end)) if isinstance(end, WorkersDied) else end
         if result is None or result.state == "skipped":
             return
         if result.state == "unseen":
@@ -165,7 +166,7 @@ class Runner:
         if result.state in ("done", "shared") and not self._arrived(job):
             result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
         if result.state == "busy":
-            self._elsewhere[node.key] = (time.monotonic(), flight)
+            self._elsewhere[node.key] = (time.monotonic(), replace(flight, alone=False))
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
             self._jobs[node.key] = replace(job, attempt=job.attempt + 1)
@@ -189,13 +190,13 @@ class Runner:
             time.sleep(POLL_SECONDS)
         return True
 
-    def _after_death(self, schedule: Schedule, flight: Flight) -> NodeResult | None:
+    def _after_death(self, schedule: Schedule, flight: Flight, reason: str) -> NodeResult | None:
         """What became of a node whose worker was killed; None where it runs again.
 
-        One that said that it ran is a suspect. It runs again in a process of its own, so that the one that kills is named and the others
-        finish.
+        One that said that it ran is a suspect, and so is one that had a process for itself. It runs again in a process of its own, so that
+        the one that kills is named and the others finish.
         """
-        job = flight.job
+        job, local = flight.job, self._pool.local
         running = self._layout.running(self._run_id, job.key)
         was_running, memory = running.exists(), None
         with suppress(ArtifactError):  # killed while it wrote
@@ -203,28 +204,26 @@ class Runner:
         forget(running)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
-            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=self._log(job))
+            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"])
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
             return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)
         if flight.alone:
-            memory = memory or flight.memory
-            return self._killed(job, KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None)
+            memory, message = memory or flight.memory, KILLED if local else f"its process ended twice: {reason}"
+            return self._killed(job, message + (f"; it last held {memory:.0f} MB" if memory else ""), None)
         self._unexplained += not was_running
         # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
-        if was_running or self._unexplained > UNEXPLAINED * self._pool.jobs:
+        if suspected := was_running or not local or self._unexplained > UNEXPLAINED * self._pool.jobs:
             self._suspects.append(replace(flight, memory=memory))
         else:
             self._jobs[job.key] = job
             schedule.put(flight.node)
-        self._deaths.append((replace(flight, memory=memory), was_running))
+        self._deaths.append((replace(flight, memory=memory), suspected, "" if local else reason))
         return None
 
-    def _log(self, job: NodeJob) -> str:
-        return str(self._layout.log(job.run_id, job.label, job.key))
-
     def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
-        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=self._log(job))
+        log = self._layout.log(job.run_id, job.label, job.key)
+        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=str(log))
         record_failure(self._layout, job, result)
         self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result
@@ -256,5 +255,6 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
     )  # fmt: skip
 
 
-def _killed(future: Future[NodeResult]) -> bool:
-    return future.done() and isinstance(future.exception(), WorkersDied)
+def _death(future: Future[NodeResult]) -> WorkersDied | None:
+    error = future.exception() if future.done() else None
+    return error if isinstance(error, WorkersDied) else None

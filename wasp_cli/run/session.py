@@ -5,10 +5,11 @@ A sweep is one run with one plan over all values, so that what they share is com
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +33,22 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
 from wasp_cli.store.slim import WITHOUT_STEPS
 
+CGROUP = Path("/sys/fs/cgroup")  # what limits a container, on Linux
+
+
+def limits(*names: str) -> list[int]:
+    """Return the numbers in files of the container's limits; none where a file is not there, or says that there is no limit."""
+    with suppress(OSError, ValueError):
+        return [int(word) for name in names for word in (CGROUP / name).read_text(encoding="ascii").split()]
+    return []
+
 
 def cores() -> int:
+    """Return how many cores this process may use: by its affinity, and by the share of time that its container has."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    count = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    share = limits("cpu.max") or limits("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")  # without a limit: "max", or -1
+    return min(count, math.ceil(share[0] / share[1])) if len(share) == 2 and share[0] > 0 else count
 
 
 @dataclass(frozen=True)
@@ -46,8 +59,8 @@ class Session:
     summary: Summary
     names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
 
-    def require_complete(self) -> None:
-        """Raise CellsFailed when a node failed, and StoreError when the journal could not be written."""
+    def require_complete(self, *also: str) -> None:
+        """Raise CellsFailed when a node failed, which says `also` what else is wrong; StoreError when the journal could not be written."""
         if self.summary.untold is not None:
             raise self.summary.untold
         if not self.summary.complete:
@@ -59,7 +72,7 @@ class Session:
             if blocked := [(self.names.get(node.key, node.label), cause) for node, cause in self.summary.blocked]:
                 named = [f"  {name} (needs {self.names.get(cause.key, cause.label)})" for name, cause in blocked]
                 lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
-            raise CellsFailed("\n".join(lines), f"run the same command again {again}")
+            raise CellsFailed("\n".join([*lines, *also]), f"run the same command again {again}")
 
 
 @dataclass(frozen=True)
@@ -122,8 +135,7 @@ def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, name
     for offer in offers:
         import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
     if offers:
-        lines = reason_lines(plan, "published")
-        plain("\n  ".join([f"{len(offers)} published results are used:", *lines]))
+        plain("\n  ".join([f"{len(offers)} published results are used:", *reason_lines(plan, "published")]))
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     parts += [f"{len(ended)} {how}" for how, ended in (("failed", summary.failed), ("blocked", summary.blocked)) if ended]
@@ -139,7 +151,7 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    runner = Runner(layout, run_id, pool, cores=cores(), limit=options.limit, retries=options.retries)
+    runner = Runner(layout, run_id, pool, cores=cores() if pool.local else 1, limit=options.limit, retries=options.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)

@@ -84,8 +84,9 @@ class Lines:
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
             labels = [self._names.get(suspect, label) for suspect, label in zip(event["suspects"], event["labels"], strict=True)]
-            after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
-            self._note(f"a worker process was killed{after}")
+            reason = event.get("reason")
+            after = f"; these nodes run again{'' if reason else ', one at a time'}: {', '.join(labels)}" if labels else " while it was idle"
+            self._note((f"a worker ended ({reason})" if reason else "a worker process was killed") + after)
         elif kind == "workers gone":
             self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
         elif kind in NOTES:
@@ -274,7 +275,9 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     matches = matching(logs, name)
     if matches and same_label(matches[0].label, name):
         # A label may have had another key in an older run; there it is another node's.
-        matches = [log for log in matches if log.run_id == matches[0].run_id]
+        keys = {log.key for log in matches if log.run_id == matches[0].run_id}
+        matches = [log for log in matches if log.key in keys]
+    matches.sort(key=lambda log: log.path.stat().st_size == 0)  # the log of a run that found a node computed by another is empty
     newest = {log.key: log for log in reversed(matches)}
     if (log := only(list(newest.values()), name, "nodes")) is not None:
         return log

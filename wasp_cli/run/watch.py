@@ -177,19 +177,12 @@ def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Activ
         except ArtifactError:  # replaced while it was read
             continue
         if record is not None and is_key(path.stem) and path.stem not in ends:
-            nodes.append(
-                Active(
-                    key=path.stem,
-                    label=_line(record.get("label"), path.stem),
-                    kind=_line(record.get("kind"), ""),
-                    share=min(max(_number(record, "share") or 0.0, 0.0), 1.0),
-                    text=_line(record.get("text"), ""),
-                    started=moment(record.get("started")),
-                    seen=moment(record.get("at")),
-                    memory_mb=_number(record, "memory_mb"),
-                    gone=is_gone(record),
-                )
-            )
+            nodes.append(Active(
+                key=path.stem, label=_line(record.get("label"), path.stem), kind=_line(record.get("kind"), ""),
+                share=min(max(_number(record, "share") or 0.0, 0.0), 1.0), text=_line(record.get("text"), ""),
+                started=moment(record.get("started")), seen=moment(record.get("at")), memory_mb=_number(record, "memory_mb"),
+                gone=is_gone(record),
+            ))  # fmt: skip
     return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 
 

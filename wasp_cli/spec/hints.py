@@ -178,9 +178,8 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
     if kind in ("too_short", "string_too_short"):
         return Finding(loc, "should not be empty", description(loc))
     if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
-        return Finding(
-            loc, f"{shown} is not a usable name", "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
-        )
+        hint = "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
+        return Finding(loc, f"{shown} is not a usable name", hint)
     message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)).replace(" or be ", " or ")
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)

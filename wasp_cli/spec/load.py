@@ -231,7 +231,8 @@ def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[st
                 raise UnknownName(f"{what} of this spec", name, there)
         if chosen:
             update[f"{what}s"] = tuple(name for name in there if name in chosen)
-    return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
+    spec = loaded.spec.model_copy(update=update)
+    return replace(loaded, spec=spec, restricted=spec != loaded.spec) if update else loaded
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
@@ -242,7 +243,8 @@ def with_episodes(spec: Spec, episodes: int) -> Spec:
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
     if episodes is None:
         return loaded
-    return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
+    spec = with_episodes(loaded.spec, min(episodes, loaded.spec.episodes))
+    return replace(loaded, spec=spec, restricted=loaded.restricted or spec != loaded.spec)
 
 
 def ablation(
