@@ -54,6 +54,11 @@ def test_the_tables_are_those_of_the_published_rows():
             ("formula1 ida", "cost +3.883 [+0.466, +8.425]", "3.9 [.5, 8.4] and"),
             ("goal1 ida", "cost +15.908 [+10.950, +20.834]", "15.9 [11.0, 20.8] and"),
         )),
+        ((2,), "Table 2", (
+            ("race1 task-only", "cost +6.617 [+1.783, +12.159]", "The task gate alone costs 6.6 [1.8, 12.2] more there"),
+            ("race1 safety-only", "return -6.884 [-7.881, -5.919]", "the safety gate alone returns 6.9 [5.9, 7.9] less"),
+            ("race1 no-rollout", "cost -1.400 [-3.158, +0.309]", "rollouts WASP costs 1.4 less [-.3, 3.2]"),
+        )),
         ((2,), "Table 1", (
             ("race1 ida", "cost +4.575 [-0.392, +11.792]", "4.6 [-.4, 11.8] on Race1"),
             ("formula1 ida", "cost +0.975 [+0.117, +1.992]", "1.0 [.1, 2.0] on FormulaOne1"),
