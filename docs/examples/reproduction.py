@@ -6,7 +6,6 @@ python docs/examples/reproduction.py
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -72,13 +71,14 @@ def decides(judged: Judged) -> str:
     return f"{either}{sentence(first)}; {len(deciding)} of {len(judged.answers)} comparisons"
 
 
-def verdicts() -> Iterator[tuple[Judged, Judged | None, tuple[int, ...]]]:
-    """Yield of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: all, where these can be asked."""
+@cache
+def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
+    """Return of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: all, where these can be asked."""
     reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, FIRST)}
     printed = [who.method for who in reports[FIRST].others].index("printed")
-    for whole, first in zip(*(report.claims for report in reports.values()), strict=True):
-        judged, trainings = (first, FIRST) if whole.outcome == "untested" else (whole, TRAININGS)
-        yield judged, judged.others[printed], trainings
+    pairs = zip(*(report.claims for report in reports.values()), strict=True)
+    chosen = [(first, FIRST) if whole.outcome == "untested" else (whole, TRAININGS) for whole, first in pairs]
+    return [(judged, judged.others[printed], trainings) for judged, trainings in chosen]
 
 
 def claims() -> str:
@@ -96,6 +96,7 @@ def tables() -> dict[str, str]:
     return {"The 21 claims": claims()} | {name: rows_alone(table) for name, table in made.items() if table is not None}
 
 
+@cache
 def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
     """Return by task and row what it has more than WASP, for other methods and for ablations of WASP: paired means with 95 % intervals."""
     texts: dict[str, str] = {}
