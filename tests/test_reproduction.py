@@ -12,9 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 import reproduction
 
+import wasp_cli
 from tests.commands import run_here
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.stats import groups
 from wasp_cli.spec.load import load
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
 ROOT = Path(__file__).parents[1]
@@ -107,6 +110,22 @@ def test_what_training_2_says_of_single_rows_is_published():
     manifests = [json.loads(path.read_text("utf-8")) for path in STORE.glob("diagnostics/*/_manifest.json")]
     (foreseen,) = [manifest["summary"]["auprc@15"] for manifest in manifests if manifest["label"] == "race1 s2 diagnostics"]
     assert f"AUPRC at step 15: .{round(100 * foreseen)}" in words
+
+
+def test_what_more_search_does_to_wasp_as_printed_is_published():
+    settings, told = ["tasks=[race1]", "methods=[printed]", "seeds=[1]"], {}
+    paper = "printed={probe: 300, candidates: 300, elites: 100, iterations: 6, feasible: 100}"
+    for name, more in (("paper", ["episodes=10", paper]), ("ours", [])):
+        laid_out = lay_out_over(load(ROOT / "specs" / "table1.yaml", settings + more).spec, Layout(Path("absent")), str(STORE.parent))
+        keys = [node.key for cell, node in laid_out.cells if cell.operator in ("noisy", "laggy")]
+        rows = [row for row in wasp_cli.results(STORE.parent).episodes(key=keys).to_pylist() if row["episode"] < 10]
+        assert len(rows) == 20
+        told[name] = [f"{statistics.mean(row[column] for row in rows):.1f}" for column in ("return", "cost")]
+        told[name] += sorted({f"{row['tau_r']:.2f}"[1:] for row in rows})
+    (large, cost, high), (small, less, low) = told["paper"], told["ours"]
+    words = " ".join(PAGE.split())
+    assert f"it returns {large} at a cost of {cost} on Race1" in words
+    assert f"with ours {small} at {less}. tau_r rises with N_probe, from {low} to {high}." in words
 
 
 def test_the_first_edition_is_the_published_one():
