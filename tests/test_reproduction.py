@@ -58,9 +58,13 @@ def test_the_tables_are_those_of_the_published_rows():
             ("goal1 ida", "cost +15.908 [+10.950, +20.834]", "15.9 [11.0, 20.8] and"),
         )),
         ((2,), "Table 2", (
-            ("race1 task-only", "cost +6.617 [+1.783, +12.159]", "The task gate alone costs 6.6 [1.8, 12.2] more there"),
-            ("race1 safety-only", "return -6.884 [-7.881, -5.919]", "the safety gate alone returns 6.9 [5.9, 7.9] less"),
-            ("race1 no-rollout", "cost -1.400 [-3.158, +0.309]", "rollouts WASP costs 1.4 less [-.3, 3.2]"),
+            ("race1 task-only", "cost +6.617 [+1.783, +12.159]", "The task gate alone costs 6.6 [1.8, 12.2] and"),
+            ("goal1 task-only", "cost +20.208 [+14.524, +26.217]", "20.2 [14.5, 26.2] more"),
+            ("race1 safety-only", "return -6.884 [-7.881, -5.919]", "the safety gate alone returns 6.9 [5.9, 7.9] and"),
+            ("goal1 safety-only", "return -6.396 [-7.164, -5.618]", "6.4 [5.6, 7.2] less"),
+            ("goal1 no-case2", "cost +4.075 [+2.058, +6.325]", "Without Case II WASP costs 4.1 [2.1, 6.3] more on Goal1"),
+            ("race1 no-rollout", "cost -1.400 [-3.158, +0.309]", "Without rollouts it costs 1.4 less [-.3, 3.2] on Race1"),
+            ("goal1 no-rollout", "success -0.067 [-0.158, +0.025], cost +0.292 [-0.925, +1.542]", "certain on Goal1"),
         )),
         ((2,), "Table 1", (
             ("race1 ida", "cost +4.575 [-0.392, +11.792]", "4.6 [-.4, 11.8] on Race1"),
