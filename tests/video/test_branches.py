@@ -22,10 +22,10 @@ from wasp_cli.video.film import film
 EPISODE, WINDOW = 1, 5
 
 
-def intervened(cell: Evaluated) -> int:
+def intervened(cell: Evaluated, wanted: bool = True) -> int:
     recorded = Recorded(**read_recorded(cell.path))
     apart = np.linalg.norm(recorded.a[EPISODE] - recorded.a_h[EPISODE], axis=1) > 1e-3
-    return int(np.flatnonzero(apart[:20])[0])
+    return int(np.flatnonzero(apart[:20] == wanted)[0])
 
 
 def pair(cell: Evaluated, t: int, window: int = WINDOW) -> BranchPair:
@@ -55,6 +55,11 @@ def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> Non
     np.testing.assert_array_equal(states[ASSISTED].scenes[1].position[0, :2], places[t + 1])
     np.testing.assert_array_equal(states[ASSISTED].actions[0].astype(np.float32), recorded.a[EPISODE][t])
     np.testing.assert_array_equal(states[ALONE].actions[0].astype(np.float32), recorded.a_h[EPISODE][t])
+
+
+def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> None:
+    traces = pair(cell, intervened(cell, wanted=False)).traces
+    assert traces[ASSISTED] == traces[ALONE]
 
 
 def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
