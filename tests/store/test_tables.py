@@ -206,8 +206,8 @@ def test_former_names_of_columns_are_read(write, tmp_path):
 
 def test_published_rows_do_not_define_what_later_versions_added():
     """They are read, by the quick reader too, and tables say n/a."""
-    path = next(iter(sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))))
-    assert read_version(path) < ADDED_IN
+    published = sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))
+    path = next(path for path in published if read_version(path) < ADDED_IN)
     rows = read_episodes([path])
     numbers = read_numbers(path, (*ADDED, "int_rate"))
     assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in ADDED)
