@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from tests.run.fake_stages import Fake
 from tests.run.harness import ROOT, data_of, prepared, run
@@ -31,6 +33,7 @@ from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.provenance import machine, provenance
 
 
 def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec, tmp_path):
@@ -68,7 +71,9 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     assert not list(layout.failures.iterdir())
 
 
-def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path):
+def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path, monkeypatch):
+    # The run begins on another machine than a node is computed on, as with Slurm.
+    monkeypatch.setattr("wasp_cli.run.runner.provenance", lambda: provenance() | machine() | {"processor": "another", "host": "another"})
     run(small_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
     (path,) = [path for path in layout.store.glob("critics/*/_manifest.json") if json.loads(path.read_text())["seed"] == 1]
@@ -80,6 +85,8 @@ def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path):
     assert manifest["summary"]["nothing"] is None
     assert manifest["provenance"]["attempt"] == 1
     assert manifest["provenance"]["versions"]["torch"]
+    assert manifest["provenance"]["host"] == platform.node()
+    assert manifest["provenance"]["processor"].endswith(torch.backends.cpu.get_cpu_capability())
     assert manifest["provenance"]["seconds"] >= 0
     assert manifest["sources"]
 

@@ -327,5 +327,6 @@ def verify(
     if elsewhere := sum(bool(answer.means and answer.processor) for answer in answers):
         remark = "processors round differently, and an episode may then go another way: see how far the means are apart"
         say(f"{elsewhere} of the others were computed on another processor; {remark}")
+        say("where one processor has AVX512 and the other has not, ATEN_CPU_CAPABILITY=avx2 wasp verify may make them agree")
     if same < len(drawn.cells):
         raise typer.Exit(1)

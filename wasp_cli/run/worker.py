@@ -32,7 +32,7 @@ from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
-from wasp_cli.store.provenance import cuda_devices
+from wasp_cli.store.provenance import cuda_devices, machine
 from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
@@ -232,8 +232,8 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
         "sources": job.sources,
         "summary": summary,
         "provenance": {
-            **job.provenance, **{name: value for name, value in further.items() if value}, "run": job.run_id, "attempt": job.attempt,
-            "threads": job.threads, "started_at": started_at, "seconds": round(seconds, 3),
+            **job.provenance, **machine(), **{name: value for name, value in further.items() if value}, "run": job.run_id,
+            "attempt": job.attempt, "threads": job.threads, "started_at": started_at, "seconds": round(seconds, 3),
         },
     }  # fmt: skip
 

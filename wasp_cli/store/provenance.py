@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import subprocess
 import sys
 from functools import cache
@@ -20,10 +21,13 @@ CHANGES_LENGTH = 16  # hexadecimal digits of the hash of what was changed
 
 @cache
 def provenance() -> dict[str, Any]:
-    """Return what every artifact of this process shares."""
+    """Return what every artifact of a run shares."""
+    return {"wasp": wasp_cli.__version__, "git": git_state(), "command": " ".join(sys.argv)}
+
+
+def machine() -> dict[str, Any]:
+    """Return where this process computes: a worker on another machine of a cluster says its own."""
     return {
-        "wasp": wasp_cli.__version__,
-        "git": git_state(),
         "python": platform.python_version(),
         "versions": {name: installed(name) for name in RECORDED},
         "platform": platform.platform(),
@@ -31,7 +35,6 @@ def provenance() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "memory_gb": memory_gb(),
         "host": platform.node(),
-        "command": " ".join(sys.argv),
     }
 
 
@@ -96,12 +99,13 @@ def cuda_devices() -> list[str]:
 
 
 def processor() -> str:
-    details = Path("/proc/cpuinfo")  # Linux only
+    """Return its name and, where torch is loaded, the vector instructions of torch's kernels: both decide how results round."""
+    name, details = platform.processor() or platform.machine(), Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
-        for line in details.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+        names = re.search(r"^model name\s*:\s*(.*\S)", details.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+        name = names[1] if names else name
+    torch = sys.modules.get("torch")
+    return f"{name}, {torch.backends.cpu.get_cpu_capability()}" if torch else name
 
 
 def memory_gb() -> float | None:
