@@ -9,7 +9,7 @@ from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reasons import look_at, measured
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.provenance import provenance
+from wasp_cli.store.provenance import machine
 from wasp_cli.store.published import FROM_PUBLISHED
 
 
@@ -20,7 +20,7 @@ def store(layout: Layout, node: Node, **changes: Any) -> None:
     manifest = {name: getattr(node, name) for name in ("kind", "key", "task", "seed", "axes", "config", "settings")}
     manifest["upstream"] = {name: needed.key for name, needed in node.needs.items()}
     manifest["sources"] = source_hashes(node.modules)
-    manifest["provenance"] = {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"}
+    manifest["provenance"] = {"versions": machine()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"}
     commit(layout, node.kind, node.key, folder, {**manifest, **changes})
 
 
@@ -66,7 +66,7 @@ def test_another_version_of_a_library_is_named(layout):
     laid_out = grid()
     node = laid_out.nodes[0]
     earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
-    before = provenance()["versions"] | {"torch": "1.13.1"}
+    before = machine()["versions"] | {"torch": "1.13.1"}
     store(layout, earlier, provenance={"versions": before, "seconds": 1.0})
     (reason,) = reasons_of(plan_against(laid_out, layout)).values()
     assert reason.startswith("library changed: torch 1.13 -> ")
