@@ -56,7 +56,7 @@ def parse(text: str) -> Any:
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out."""
     try:
-        lines = read_plain(path).splitlines()
+        lines = read_plain(path).split("\n")  # JSON leaves rarer line ends in a text as they are
     except ValueError:
         return []
     found = []
