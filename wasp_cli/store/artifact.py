@@ -110,7 +110,7 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     """Return the size of each file that an artifact was committed with, by relative name; `path` is that of its manifest."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
     for name in files:
         if not is_file_name(name):
