@@ -103,6 +103,8 @@ def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
         load(path, ["wasp.candidats=16", "seeds=x"])
     assert [problem.place for problem in caught.value.problems] == ["--set seeds=x", "--set wasp.candidats=16"]
     assert "wasp.candidats: unknown key 'candidats'" in caught.value.message
+    with pytest.raises(InvalidSpec, match=r"^--set operators.lagy.a=0.4: "):
+        load(path, ["operators.lagy.a=0.4"])
     for text in ("x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"):
         with pytest.raises(UsageError, match="--set #1"):
             load(path, [text])
