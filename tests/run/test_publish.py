@@ -13,14 +13,16 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import faked, run, wait_until, written
+from tests.run.recorded import dead_pid, process
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
+from wasp_cli.run.job import this_process
 from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import limited, load
-from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 from wasp_cli.store.slim import Slimming
@@ -95,6 +97,16 @@ def test_a_report_of_other_cells_is_left_out(results, small_spec):
     new_run(layout, part, plan_against(lay_out(part.spec), layout))
     assert "left out: the report" in publish(small_spec, results)
     assert not (results / "published/reports").exists()
+
+
+def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_has_written_its_own(results, small_spec):
+    layout, whole = Layout(results), load(small_spec)
+    run_id = new_run(layout, whole, plan_against(lay_out(whole.spec), layout), reports=True)
+    for record, there in ((this_process(), True), (process(dead_pid()), False)):
+        write_record(layout.reporting(run_id), record)
+        assert "left out: the report" in publish(small_spec, results, "--dry-run")
+        run_here("report", results, "--no-films", "--no-trained", columns=200)
+        assert layout.reporting(run_id).exists() == there
 
 
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):

@@ -49,7 +49,9 @@ def report(
     """Print tables; write them, figures and an HTML report."""
     from wasp_cli.report.summarize import missing_words
     from wasp_cli.run.record import read_run
+    from wasp_cli.run.watch import is_gone
     from wasp_cli.spec.paper import load_paper
+    from wasp_cli.store.artifact import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
     layout, runs, damaged = _reported(results.path, spec)
@@ -63,6 +65,8 @@ def report(
             changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):  # the run was killed before it wrote its own
+                layout.reporting(run_id).unlink(missing_ok=True)
             damaged += shown.damaged
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
             missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]

@@ -30,7 +30,7 @@ from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.plan.recorded import last_plan
+from wasp_cli.plan.recorded import planned_run, run_ids
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
@@ -90,7 +90,11 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     old = {path.name: path.read_bytes() for path in target.reports(spec.name).glob("*") if path.is_file()}
     folder = layout.within(layout.reports(spec.name))
     written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
-    other = bool(written) and last_plan(layout, spec.name).keys() != {node.key for node in grid.nodes}
+    runs = (run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name)
+    last = next(runs, None)
+    # Until the newest run has written its report, what lies there is that of an earlier one.
+    of_last = last is not None and last.nodes.keys() == {node.key for node in grid.nodes} and not layout.reporting(last.run_id).exists()
+    other = bool(written) and not of_last
     reports = [path for path in written if not other and old.get(path.name) != path.read_bytes()]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
@@ -212,7 +216,7 @@ def show_publication(publication: Publication, largest: float, console: Console)
     table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
     console.print(table)
     if publication.other:
-        text = "left out: the report, since the newest run of this spec has other cells (wasp run SPEC, then publish again)"
+        text = "left out: the report is not that of the newest run of this spec (wasp run SPEC, then publish again)"
         console.print(text, markup=False, soft_wrap=True)
     for item in publication.large:
         text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
