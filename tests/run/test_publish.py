@@ -79,13 +79,15 @@ def test_everything_small_is_published_and_nothing_else_is_written(results, smal
 
 
 def test_manifests_say_where_results_came_from_and_name_nobody(results, finished, small_spec):
+    for path in results.glob("store/evaluate/*/_manifest.json"):
+        path.write_text(path.read_text().replace('"provenance": {', '"provenance": {"cuda": ["a GPU"],'))
     publish(small_spec, results)
     layout, layer = Layout(results), Layout(results / "published")
     for path in layer.store.glob("*/*"):
         ours, theirs = (read_manifest(each, path.parent.name, path.name) for each in (layout, layer))
         assert ours["provenance"]["host"] == HOST
         assert set(theirs["provenance"]) == set(ours["provenance"]) & set(PUBLIC)
-        assert theirs["provenance"]["git"] == ours["provenance"]["git"]
+        assert all(theirs["provenance"].get(name) == ours["provenance"].get(name) for name in ("git", "cuda"))
         assert {**theirs, "provenance": 0} == {**ours, "provenance": 0, "recipe": theirs["recipe"], "behind": theirs["behind"]}
         assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
         text = (path / "_manifest.json").read_text()
@@ -160,6 +162,12 @@ def test_what_names_this_machine_is_refused(private, place, results, small_spec)
     told = publish(small_spec, results, code=1)
     assert "it names " + {"host": "this machine", "results": "the results folder"}[private] in told
     assert not (results / "published").exists()
+
+
+def test_a_name_beyond_ascii_is_found_in_json(results, small_spec):
+    results = results.rename(results.with_name("résultats"))
+    (results / "reports/small/report.md").write_text(json.dumps(f"{results}/runs"))
+    assert "it names the results folder" in publish(small_spec, results, code=1)
 
 
 def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import json
 import os
 import platform
 import re
@@ -41,7 +42,7 @@ from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
 from wasp_cli.store.slim import SLIM, Slimming, slim, without_steps
 
 PUBLIC = (
-    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
+    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "cuda", "started_at", "seconds",
     EARLIER,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
@@ -152,7 +153,8 @@ def _private(layout: Layout) -> dict[str, str]:
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
     for what, text in private.items():
-        if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
+        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))  # JSON escapes what is not ASCII
+        if re.search(rf"(?<!\w)({forms})(?!\w)".encode(), data):
             return what
     return None
 
