@@ -64,7 +64,8 @@ def keys(folder: Path) -> set[str]:
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
     told = publish(small_spec, results, "--dry-run")
-    assert "is no name of an archive" in publish(small_spec, results, "--archive", "mine.tgz", code=2)
+    for name in ("mine.tgz", "...tar.gz", ".tar.gz", "missing/mine.tar.gz"):
+        publish(small_spec, results, "--archive", results / name, code=2)
     assert not (results / "published").exists()
     assert publish(small_spec, results).startswith(told)
     layer = Layout(results / "published")
@@ -109,6 +110,16 @@ def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_h
         assert "left out: the report" in publish(small_spec, results, "--dry-run")
         run_here("report", results, "--no-films", "--no-trained", columns=200)
         assert layout.reporting(run_id).exists() == there
+
+
+def test_where_it_may_not_write_nothing_is_published_and_nothing_said(results, small_spec, tmp_path):
+    shutil.rmtree(results / "reports")
+    assert "published in" not in publish(small_spec, results, "--largest", "0")
+    assert "is no folder of published results" in publish(small_spec, results, "--to", results, code=2)
+    (tmp_path / "elsewhere").mkdir()
+    (results / "published").symlink_to(tmp_path / "elsewhere")
+    publish(small_spec, results, code=1)
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):

@@ -288,7 +288,7 @@ def publish(
     if archive is not None:
         require_archive(archive)
     spec, layout = asked.load().spec, results_of(asked.results.absolute())
-    target = Layout(layout.published if to is None else to.absolute())
+    target = Layout(layout.within(layout.published) if to is None else to.absolute())
     # Meanwhile nothing is removed.
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
@@ -298,7 +298,8 @@ def publish(
         if dry_run:
             return
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
-    say(f"published in {target.root}")
+    if target.root.is_dir():
+        say(f"published in {target.root}")
     if archive is not None:
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 

@@ -32,7 +32,7 @@ from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.recorded import planned_run, run_ids
-from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.reuse import lay_out_over, recipes_in
 from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
 from wasp_cli.store import artifact
@@ -74,6 +74,8 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
     With the `reuse` of `none` results of this code alone. An ArtifactError where something is not computed, damaged, or names this machine.
     """
+    if not all(recipes_in(target)):
+        raise UsageError(f"'{target.root}' is no folder of published results", "name a new folder, or one that wasp publish has filled")
     grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
@@ -258,9 +260,11 @@ Cells can be computed again from the models beside them, and compared to the bit
 
 
 def require_archive(file: Path) -> None:
-    """See that an archive can have this name. Raises UsageError."""
-    if not file.name.endswith(".tar.gz"):
-        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
+    """See that an archive can have this name, which is that of the folder in it. Raises UsageError."""
+    if not file.name.endswith(".tar.gz") or not artifact.is_file_name(file.name.removesuffix(".tar.gz")):
+        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0] or 'mine'}.tar.gz")
+    if not file.parent.is_dir():
+        raise UsageError(f"'{file.parent}' is no folder", "make it, or name another file")
     if file.exists():
         raise UsageError(f"'{file}' is there already", "remove it, or name another file")
 
