@@ -28,6 +28,7 @@ from wasp_cli.store.provenance import provenance
 from wasp_cli.store.slim import Slimming
 
 HOST = "a-machine-of-mine"
+LEFT_OUT = "steps of all episodes but the first"
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +140,9 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
 def test_a_copy_with_fewer_steps_stays_and_is_told(results, small_spec):
     publish(small_spec, results)
     manifest = sorted((results / "published/store").glob("evaluate/*/_manifest.json"))[0]
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": "steps", "sha256": "0"}}}))
-    assert "1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results)
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": LEFT_OUT, "sha256": "0"}}}))
+    for options, told in (((), True), (("--steps", "2"), True), (("--steps", "1"), False)):
+        assert ("1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results, *options)) == told
 
 
 @pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])

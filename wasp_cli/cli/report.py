@@ -293,8 +293,8 @@ def publish(
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
         show_publication(planned, largest * 1e6, console())
-        if steps is None and (cut := fewer_steps(planned, target)):
-            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish all")
+        if cut := fewer_steps(planned, target, steps):
+            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish more")
         if dry_run:
             return
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))

@@ -10,6 +10,7 @@ import gzip
 import hashlib
 import io
 import json
+import math
 import os
 import platform
 import re
@@ -39,7 +40,7 @@ from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
-from wasp_cli.store.slim import SLIM, Slimming, slim, without_steps
+from wasp_cli.store.slim import SLIM, Slimming, slim, steps_kept
 
 PUBLIC = (
     "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "cuda", "started_at", "seconds",
@@ -201,10 +202,10 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     artifact.commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
 
 
-def fewer_steps(publication: Publication, target: Layout) -> int:
-    """Count the cells that were published with fewer steps than they have here."""
+def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> int:
+    """Count the cells that were published with the steps of fewer episodes than are asked for, and are here."""
     pairs = [(item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key)) for item in publication.there]
-    return sum(without_steps(there) and not without_steps(here) for here, there in pairs)
+    return sum(steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps) for here, there in pairs)
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
