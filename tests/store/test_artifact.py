@@ -77,6 +77,11 @@ def test_a_manifest_without_a_json_form_publishes_nothing(layout):
     assert not layout.artifact("expert", KEY).exists()
 
 
+def test_what_kept_an_artifact_from_its_place_is_told(layout):
+    with pytest.raises(OSError, match="Invalid argument"):  # no folder moves into itself
+        commit(layout, "expert", KEY, layout.root, {})
+
+
 def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):
     path = layout.lock(KEY)
     code = f"import os; from pathlib import Path; from wasp_cli.store.lock import held\nwith held(Path({str(path)!r}), print): os._exit(9)"

@@ -50,7 +50,8 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
             return place
         # No artifact, whatever it is: someone has removed or changed files by hand.
         rubbish = staging.with_name(f"{staging.name}-rubbish")
-        os.replace(place, rubbish)
+        with suppress(FileNotFoundError):  # then the next line says what was in the way
+            os.replace(place, rubbish)
         os.replace(staging, place)
         discard(rubbish)
     if not copied:
