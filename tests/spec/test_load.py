@@ -132,3 +132,4 @@ def test_keys_and_values_have_suggestions(addition, hint):
 def test_control_characters_of_a_value_do_not_reach_the_terminal():
     shown = str(only(GOOD.replace("[goal1]", '["\\e[31mred\\a"]')))
     assert all(character.isprintable() or character == "\n" for character in shown)
+    assert "\x1b" not in str(only(GOOD + "wasp: {alpha: \x1b}\n"))
