@@ -152,10 +152,9 @@ def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, sma
 
 
 def test_a_published_cell_whose_table_does_not_read_is_refused_in_words(here, small_spec):
-    layer = Layout(here / "published")
     table = published_manifest(here, "goal1 s0 human noisy=0.2").with_name("episodes.parquet")
     table.write_bytes(b"no table")
-    offer = next(offer for offer in offers(layer)[0] if offer.key == table.parent.name)
+    offer = next(offer for offer in offers(Layout(here / "published"))[0] if offer.key == table.parent.name)
     files = {table.name: {"size": 8, "sha256": file_digest(table)}}
     cut = replace(offer, episodes=1, manifest={**offer.manifest, "files": files, "provenance": {"earlier": offer.key}})
     with pytest.raises(ArtifactError, match="does not read") as caught:

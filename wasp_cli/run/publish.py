@@ -94,8 +94,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     old = {path.name: path.read_bytes() for path in target.reports(spec.name).glob("*") if path.is_file()}
     folder = layout.within(layout.reports(spec.name))
     written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
-    runs = (run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name)
-    last = next(runs, None)
+    last = next((run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name), None)
     # Until the newest run has written its report, what lies there is that of an earlier one.
     of_last = last is not None and last.nodes.keys() == {node.key for node in grid.nodes} and not layout.reporting(last.run_id).exists()
     other = bool(written) and not of_last

@@ -210,8 +210,7 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
             "without --step its first episodes can; wasp run SPEC --reuse none computes it whole",
         )
     stored.require(step)
-    default = default_name(stored, f"_s{step}.gif")
-    path = checked(default if out is None else out, STILL)
+    path = checked(default_name(stored, f"_s{step}.gif") if out is None else out, STILL)
     criterion = criterion_of(layout, cell)
     source = source_of(layout, cell, episode)
     pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
