@@ -45,7 +45,8 @@ def _console(stream: TextIO, **options: Any) -> Console:
             silence(stream)
 
     pipe = not stream.isatty()
-    return Lasting(**options, highlight=False, soft_wrap=pipe, width=ENDLESS if pipe and not os.environ.get("COLUMNS") else None)
+    width = ENDLESS if pipe and not os.environ.get("COLUMNS") else None
+    return Lasting(**options, highlight=False, emoji=False, soft_wrap=pipe, width=width)
 
 
 def silence(stream: TextIO) -> None:

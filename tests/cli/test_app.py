@@ -132,6 +132,7 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     [
         ("episodes: 2", "episode: 2", "unknown key 'episode'"),
         ("episodes: 2", "episodes: two", ":13:11: should be an integer, not 'two'"),
+        ("episodes: 2", "\n" * 87 + "episodes: two", ":100:11: should be"),
         ("[goal1]", "[gaol1]", "did you mean 'goal1'?"),
         ("name: smoke", "name: [", "not valid YAML"),
     ],

@@ -30,6 +30,8 @@ def test_it_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
     for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "results"):
         assert word in done.stdout
     assert not (tmp_path / "results").exists()
+    (tmp_path / "reports").symlink_to(tmp_path)
+    assert "reports' is a link" in run_here("doctor", "--results", tmp_path, columns=200, code=1).stdout
 
 
 @pytest.mark.parametrize("files", [

@@ -147,5 +147,8 @@ def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_
     os.mkfifo(tmp_path / FILE)
     with pytest.raises(StoreError):
         notes_of(layout)
+    (tmp_path / FILE).unlink()
+    add_note(layout, Note(good.key, "a cell", 3, "a\u2028b", "invalid"))
+    assert len(notes_of(layout)) == 1
     with pytest.raises(UsageError):
         add_note(Layout(tmp_path / "new"), Note(good.key, "a cell", None, " "))

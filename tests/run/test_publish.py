@@ -13,14 +13,16 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import faked, run, wait_until, written
+from tests.run.recorded import dead_pid, process
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
+from wasp_cli.run.job import this_process
 from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import limited, load
-from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 from wasp_cli.store.slim import Slimming
@@ -62,7 +64,8 @@ def keys(folder: Path) -> set[str]:
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
     told = publish(small_spec, results, "--dry-run")
-    assert "is no name of an archive" in publish(small_spec, results, "--archive", "mine.tgz", code=2)
+    for name in ("mine.tgz", "...tar.gz", ".tar.gz", "missing/mine.tar.gz"):
+        publish(small_spec, results, "--archive", results / name, code=2)
     assert not (results / "published").exists()
     assert publish(small_spec, results).startswith(told)
     layer = Layout(results / "published")
@@ -77,13 +80,15 @@ def test_everything_small_is_published_and_nothing_else_is_written(results, smal
 
 
 def test_manifests_say_where_results_came_from_and_name_nobody(results, finished, small_spec):
+    for path in results.glob("store/evaluate/*/_manifest.json"):
+        path.write_text(path.read_text().replace('"provenance": {', '"provenance": {"cuda": ["a GPU"],'))
     publish(small_spec, results)
     layout, layer = Layout(results), Layout(results / "published")
     for path in layer.store.glob("*/*"):
         ours, theirs = (read_manifest(each, path.parent.name, path.name) for each in (layout, layer))
         assert ours["provenance"]["host"] == HOST
         assert set(theirs["provenance"]) == set(ours["provenance"]) & set(PUBLIC)
-        assert theirs["provenance"]["git"] == ours["provenance"]["git"]
+        assert all(theirs["provenance"].get(name) == ours["provenance"].get(name) for name in ("git", "cuda"))
         assert {**theirs, "provenance": 0} == {**ours, "provenance": 0, "recipe": theirs["recipe"], "behind": theirs["behind"]}
         assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
         text = (path / "_manifest.json").read_text()
@@ -95,6 +100,26 @@ def test_a_report_of_other_cells_is_left_out(results, small_spec):
     new_run(layout, part, plan_against(lay_out(part.spec), layout))
     assert "left out: the report" in publish(small_spec, results)
     assert not (results / "published/reports").exists()
+
+
+def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_has_written_its_own(results, small_spec):
+    layout, whole = Layout(results), load(small_spec)
+    run_id = new_run(layout, whole, plan_against(lay_out(whole.spec), layout), reports=True)
+    for record, there in ((this_process(), True), (process(dead_pid()), False)):
+        write_record(layout.reporting(run_id), record)
+        assert "left out: the report" in publish(small_spec, results, "--dry-run")
+        run_here("report", results, "--no-films", "--no-trained", columns=200)
+        assert layout.reporting(run_id).exists() == there
+
+
+def test_where_it_may_not_write_nothing_is_published_and_nothing_said(results, small_spec, tmp_path):
+    shutil.rmtree(results / "reports")
+    assert "published in" not in publish(small_spec, results, "--largest", "0")
+    assert "is no folder of published results" in publish(small_spec, results, "--to", results, code=2)
+    (tmp_path / "elsewhere").mkdir()
+    (results / "published").symlink_to(tmp_path / "elsewhere")
+    publish(small_spec, results, code=1)
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
@@ -114,8 +139,9 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
 def test_a_copy_with_fewer_steps_stays_and_is_told(results, small_spec):
     publish(small_spec, results)
     manifest = sorted((results / "published/store").glob("evaluate/*/_manifest.json"))[0]
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": "steps", "sha256": "0"}}}))
-    assert "1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results)
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": "all but the first"}}}))
+    for options, told in ((), True), (("--steps", "2"), True), (("--steps", "1"), False):
+        assert ("1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results, *options)) == told
 
 
 @pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])
@@ -133,10 +159,11 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     assert not (results / "published").exists()
 
 
-@pytest.mark.parametrize("private", ["host", "results"])
+@pytest.mark.parametrize("private", ["host", "results", "résultats"])
 @pytest.mark.parametrize("place", ["report", "file"])
 def test_what_names_this_machine_is_refused(private, place, results, small_spec):
-    text = {"host": HOST, "results": f"{results}/runs"}[private]
+    results = results.rename(results.with_name(private))
+    text = HOST if private == "host" else json.dumps(f"{results}/runs")
     if place == "report":
         (results / "reports/small/report.md").write_text(f"see {text}\n")
     else:
@@ -146,7 +173,7 @@ def test_what_names_this_machine_is_refused(private, place, results, small_spec)
         manifest["files"]["half.bin"] = {"size": (victim / "half.bin").stat().st_size, "sha256": file_digest(victim / "half.bin")}
         (victim / "_manifest.json").write_text(json.dumps(manifest))
     told = publish(small_spec, results, code=1)
-    assert "it names " + {"host": "this machine", "results": "the results folder"}[private] in told
+    assert "it names " + {"host": "this machine"}.get(private, "the results folder") in told
     assert not (results / "published").exists()
 
 

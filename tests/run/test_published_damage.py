@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load
+from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import import_artifact
+from wasp_cli.store.published import import_artifact, offers
 
 __all__ = ["fresh_console"]
 
@@ -147,3 +149,14 @@ def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, sma
         import_artifact(Layout(here), offer, lambda: False)
     assert not list((here / "tmp").iterdir())
     assert not list(here.glob("store/*/*"))
+
+
+def test_a_published_cell_whose_table_does_not_read_is_refused_in_words(here, small_spec):
+    table = published_manifest(here, "goal1 s0 human noisy=0.2").with_name("episodes.parquet")
+    table.write_bytes(b"no table")
+    offer = next(offer for offer in offers(Layout(here / "published"))[0] if offer.key == table.parent.name)
+    files = {table.name: {"size": 8, "sha256": file_digest(table)}}
+    cut = replace(offer, episodes=1, manifest={**offer.manifest, "files": files, "provenance": {"earlier": offer.key}})
+    with pytest.raises(ArtifactError, match="does not read") as caught:
+        import_artifact(Layout(here), cut, lambda: False)
+    assert caught.value.hint == "run with --reuse none"

@@ -103,6 +103,8 @@ def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
         load(path, ["wasp.candidats=16", "seeds=x"])
     assert [problem.place for problem in caught.value.problems] == ["--set seeds=x", "--set wasp.candidats=16"]
     assert "wasp.candidats: unknown key 'candidats'" in caught.value.message
+    with pytest.raises(InvalidSpec, match=r"^--set operators.lagy.a=0.4: "):
+        load(path, ["operators.lagy.a=0.4"])
     for text in ("x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"):
         with pytest.raises(UsageError, match="--set #1"):
             load(path, [text])
@@ -130,3 +132,4 @@ def test_keys_and_values_have_suggestions(addition, hint):
 def test_control_characters_of_a_value_do_not_reach_the_terminal():
     shown = str(only(GOOD.replace("[goal1]", '["\\e[31mred\\a"]')))
     assert all(character.isprintable() or character == "\n" for character in shown)
+    assert "\x1b" not in str(only(GOOD + "wasp: {alpha: \x1b}\n"))

@@ -121,6 +121,7 @@ ATTACKS |= {
     "a_manifest_of_wrong_types": lambda it, outside: it.manifest(
         upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
     ),
+    "long_numbers": lambda it, outside: it.manifest(files={"x": {"size": 10**400}}, provenance={"seconds": 10**400}),
     "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
     "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
     "a_linked_artifact": lambda it, outside: link(it.artifact, outside),

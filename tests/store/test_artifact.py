@@ -53,7 +53,7 @@ def test_the_first_of_two_stays(layout):
     assert not list(layout.tmp.iterdir())
 
 
-@pytest.mark.parametrize("harm", ["remove", "cut", "manifest", "empty manifest"])
+@pytest.mark.parametrize("harm", ["remove", "cut", "{", "{}", '{"files": {"x": {"size": 1e999}}}'])
 def test_a_damaged_artifact_is_none_and_gives_way(harm, layout):
     place = commit(layout, "expert", KEY, staged(layout, "one"), {})
     assert exists(layout, "expert", KEY)
@@ -62,7 +62,7 @@ def test_a_damaged_artifact_is_none_and_gives_way(harm, layout):
     elif harm == "cut":
         (place / "deep" / "data").write_text("o")
     else:
-        (place / "_manifest.json").write_text("{" if harm == "manifest" else "{}")
+        (place / "_manifest.json").write_text(harm)
     assert not exists(layout, "expert", KEY)
     assert str(place) in (damage(layout, "expert", KEY) or "")
     commit(layout, "expert", KEY, staged(layout, "one"), {})
@@ -75,6 +75,11 @@ def test_a_manifest_without_a_json_form_publishes_nothing(layout):
     with pytest.raises(ValueError, match="JSON"):
         commit(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
     assert not layout.artifact("expert", KEY).exists()
+
+
+def test_what_kept_an_artifact_from_its_place_is_told(layout):
+    with pytest.raises(OSError, match="Invalid argument"):  # no folder moves into itself
+        commit(layout, "expert", KEY, layout.root, {})
 
 
 def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):

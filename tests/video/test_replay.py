@@ -134,6 +134,9 @@ def test_of_an_episode_that_is_played_alone_only_the_commands_are_taken_as_recor
 
 
 def test_other_episodes_and_branches_of_a_cell_published_in_part_are_refused(published: Path) -> None:
+    replayable = "without --step its first episodes can"
+    assert replayable in replayed(published, CELL, "--episode", "0", "--step", "3").stderr
+    assert replayable not in replayed(published, CELL, "--episode", "1", "--step", "3").stderr
     for arguments, words in ((("1",), "the steps of episode 1 are not here"), (("0", "--step", "3"), "published in part")):
         done = replayed(published, CELL, "--episode", *arguments)
         assert done.exit_code == 2

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 from wasp_cli.cli.options import RESULTS, ResultsOption, command
 from wasp_cli.console import out
-from wasp_cli.errors import UsageError, WaspError
+from wasp_cli.errors import StoreError, UsageError, WaspError
 from wasp_cli.registry import Registry, load_target
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
@@ -126,7 +126,12 @@ def _gpu() -> Finding:
 
 
 def _writable(results: Path) -> Finding:
-    for folder in (results.absolute(), *Layout(results.absolute()).needed()):
+    layout = Layout(results.absolute())
+    try:
+        layout.require_own_folders()
+    except StoreError as error:
+        return Finding("results", "missing", error.message, error.hint or "")
+    for folder in (layout.root, *layout.needed()):
         # Looking must not create anything: the nearest existing folder tells as much.
         place = folder
         while not os.path.lexists(place) and place != place.parent:

@@ -15,6 +15,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -176,21 +177,19 @@ def spec_names(incomplete: str) -> list[str]:
 
 
 def _yaml_files(folder: Path) -> list[str]:
-    try:
+    with suppress(OSError):  # no such folder, or none that may be read
         return sorted(path.name for path in folder.glob("*.yaml"))
-    except OSError:  # no such folder, or none that may be read
-        return []
+    return []
 
 
 def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:
     """What offers the names in something that is imported when it is asked; none where a plugin does not load."""
 
     def offered() -> list[str]:
-        try:
+        with suppress(WaspError):
             names = load_target(target)
             return [f"{name}{ending}" for name in (names() if callable(names) else names)]
-        except WaspError:
-            return []
+        return []
 
     return offered
 

@@ -49,7 +49,9 @@ def report(
     """Print tables; write them, figures and an HTML report."""
     from wasp_cli.report.summarize import missing_words
     from wasp_cli.run.record import read_run
+    from wasp_cli.run.watch import is_gone
     from wasp_cli.spec.paper import load_paper
+    from wasp_cli.store.artifact import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
     layout, runs, damaged = _reported(results.path, spec)
@@ -63,6 +65,8 @@ def report(
             changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):  # the run was killed before it wrote its own
+                layout.reporting(run_id).unlink(missing_ok=True)
             damaged += shown.damaged
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
             missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
@@ -284,17 +288,18 @@ def publish(
     if archive is not None:
         require_archive(archive)
     spec, layout = asked.load().spec, results_of(asked.results.absolute())
-    target = Layout(layout.published if to is None else to.absolute())
+    target = Layout(layout.within(layout.published) if to is None else to.absolute())
     # Meanwhile nothing is removed.
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
         show_publication(planned, largest * 1e6, console())
-        if steps is None and (cut := fewer_steps(planned, target)):
-            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish all")
+        if cut := fewer_steps(planned, target, steps):
+            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish more")
         if dry_run:
             return
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
-    say(f"published in {target.root}")
+    if target.root.is_dir():
+        say(f"published in {target.root}")
     if archive is not None:
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 

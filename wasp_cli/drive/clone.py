@@ -57,8 +57,7 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are not here yet. Returns JSON values.
     """
     layout = Layout(results.absolute())
-    grid = lay_out_over(loaded.spec, layout, None)
-    ((_, evaluation),) = grid.cells
+    ((_, evaluation),) = lay_out_over(loaded.spec, layout, None).cells
     node = evaluation.needs[OPERATOR_CLONE]
     keys = _driven_with(layout, node, participant)
     _require_unused(layout, node)

@@ -346,9 +346,8 @@ class CellRecord:
         columns: dict[str, list[Any]] = {"episode": [self.finished] * count, "t": list(range(count))}
         columns |= {name: [getattr(beat, name) for beat in driven.beats] for name in Beat._fields}
         rows = pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
-        beats = pa.concat_tables([self._timing(), rows])
         # The timing first: an episode counts once its rows are there, and the timing of one that does not is written again.
-        write_table(beats, self._folder / TIMING_FILE)
+        write_table(pa.concat_tables([self._timing(), rows]), self._folder / TIMING_FILE)
         write_cell(
             self._folder, self._identity, [driven.trajectory], [row], thresholds, [driven.decision_ms], [driven.layout], self._earlier()
         )

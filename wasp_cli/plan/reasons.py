@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -117,25 +118,22 @@ class Reasons:
         return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
 
     def _begins(self, node: Node, key: str) -> bool:
-        try:
+        with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             manifest = read_manifest(self._layout, node.kind, key)
             before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
             upstream = {name: needed.key for name, needed in node.needs.items()}
             now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
             return canonical(before) == canonical(now) and not moved_on(node, manifest)
-        except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
-            return False
+        return False
 
     def _difference(self, node: Node, key: str, facts: Facts) -> tuple[int, str] | None:
         method = node.axes.get("method_config")
         # Identity is enough: the grid builds each of these once.
         pair = (facts.signature, id(node.config), id(node.settings), id(method), id(node.needs), node.modules)
         if pair not in self._known:
-            try:
+            with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
                 self._known[pair] = _compared(node, read_manifest(self._layout, node.kind, key))
-            except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
-                return None
-        return self._known[pair]
+        return self._known.get(pair)
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
@@ -159,8 +157,7 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
     old, new = ((manifest["axes"].get("method_config") or {}) for manifest in (before, after))
     fields += _differing(old, new, f"{after['axes'].get('method')}.")
     older, newer = ((manifest["provenance"].get("versions") or {}) for manifest in (before, after))
-    versions = _differing(older, newer, "")
-    return _words(fields, _modules(after["sources"], before["sources"]), list(versions))
+    return _words(fields, _modules(after["sources"], before["sources"]), list(_differing(older, newer, "")))
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
@@ -205,8 +202,7 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return ", ".join(items[:most]) + more
+    return ", ".join(items[:most]) + (f" and {len(items) - most} more" if len(items) > most else "")
 
 
 def _shown(value: object) -> str:

@@ -63,10 +63,9 @@ def run_ids(layout: Layout) -> list[str]:
 
 def order_of(layout: Layout, run_id: str) -> int:
     """Return which of all runs one is, from 1 on; 0 where it does not say so."""
-    try:
+    with suppress(OSError, ValueError):
         return int(read_plain(layout.order(run_id)))
-    except (OSError, ValueError):
-        return 0
+    return 0
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:

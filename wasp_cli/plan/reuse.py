@@ -49,12 +49,16 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
         # A new results folder has none: then those that come with the package.
         return own if own.store.is_dir() or shipped is None else Layout(shipped)
     layer = Layout(Path(choice).absolute())
-    manifests = (read_whole(layer, kind, key)[0] for kind in stored_kinds(layer) for key in artifact_keys(layer, kind))
-    # In an ordinary results folder only what was itself reused has one.
-    recipes = [RECIPE in manifest for manifest in manifests if manifest]
+    recipes = recipes_in(layer)
     if not choice.strip() or not recipes or not all(recipes):
         raise UsageError(f"'{choice}' is no folder of published results", "use none, published, or a folder that wasp publish has filled")
     return layer
+
+
+def recipes_in(layer: Layout) -> list[bool]:
+    """Return of each artifact whether its manifest is a published one: in an ordinary folder only what was itself reused has one."""
+    manifests = (read_whole(layer, kind, key)[0] for kind in stored_kinds(layer) for key in artifact_keys(layer, kind))
+    return [RECIPE in manifest for manifest in manifests if manifest]
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:

@@ -97,8 +97,7 @@ class VerdictReport:
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
-    further = [Who(name) for name, info in METHODS.items() if info.instead_of]
-    others = tuple(filter(rows.has, further))
+    others = tuple(filter(rows.has, (Who(name) for name, info in METHODS.items() if info.instead_of)))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
         paper=paper, rows=tuple(_beside(rows, paper)),

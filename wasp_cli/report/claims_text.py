@@ -47,8 +47,7 @@ def headline(verdict: VerdictReport) -> str:
         parts.append(f"{tested} {'is' if tested == 1 else 'are'} tested in part ({', '.join(partly)})")
     if rest["untested"]:
         parts.append(_counted(rest["untested"], "untested", verdict))
-    total = f"{len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''}"
-    return f"Of {total} {'; '.join(parts)}."
+    return f"Of {len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''} {'; '.join(parts)}."
 
 
 def second_headlines(verdict: VerdictReport) -> list[str]:

@@ -149,8 +149,7 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
         except (ArtifactError, KeyError, AttributeError):  # of another version, or damaged, as the report says elsewhere
             continue
         sha = git.get("sha") if isinstance(git, Mapping) else None
-        texts = (each if isinstance(each, str) else "" for each in (label, day, sha))
-        shown, when, commit = map(printable, texts)
+        shown, when, commit = (printable(each) if isinstance(each, str) else "" for each in (label, day, sha))
         sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
     return sources
 
@@ -222,8 +221,7 @@ def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
     said = "Values that differ from the paper, then those that it leaves open. A spec can change each that is a setting."
     lines = ["## Assumptions in force", "", said, "", "| Field | Value | Why |", "| --- | --- | --- |"]
     for name, value, why in assumed:
-        shown = json.dumps(value, default=str, ensure_ascii=False)
-        lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
+        lines.append(markdown_row((f"`{name}`", f"`{json.dumps(value, default=str, ensure_ascii=False)}`", why)))
     return "\n".join(lines) + "\n"
 
 

@@ -220,7 +220,7 @@ def _lines(table: Table) -> Iterator[str]:
     title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
     notes = [note for note in table.notes if not WHOLE.match(note)]
     yield rf"\caption{{{escaped(' '.join([title, *marks, *notes]))}}}"
-    yield rf"\label{{tab:{_name(table.name)}}}"
+    yield rf"\label{{tab:{re.sub('[^0-9A-Za-z]', '-', table.name)}}}"
     yield rf"\begin{{tabular}}{{{'l' * len(table.labels)}{'r' * len(shown)}}}"
     yield r"\toprule"
     yield _line([*map(escaped, table.labels), *(escaped(table.columns[c].heading) for c in shown)])
@@ -229,7 +229,7 @@ def _lines(table: Table) -> Iterator[str]:
             yield r"\midrule"
         cells = []
         for c in shown:
-            text = _number(table.text(r, c))
+            text = table.text(r, c).replace("-", "$-$").replace("+", "$+$").replace("±", r"$\pm$").replace("[", "{[}").replace("]", "{]}")
             command = r"\textbf" if (r, c) in table.marks else r"\underline" if (r, c) in table.seconds else None
             cells.append(text if command is None else f"{command}{{{text}}}")
         yield _line([*map(escaped, table.shown_labels(r)), *cells])
@@ -240,14 +240,6 @@ def _lines(table: Table) -> Iterator[str]:
 
 def _line(cells: list[str]) -> str:
     return " & ".join(cells) + r" \\"
-
-
-def _number(text: str) -> str:
-    return text.replace("-", "$-$").replace("+", "$+$").replace("±", r"$\pm$").replace("[", "{[}").replace("]", "{]}")
-
-
-def _name(name: str) -> str:
-    return "".join(character if character.isascii() and character.isalnum() else "-" for character in name)
 
 
 def html(table: Table) -> str:

@@ -146,8 +146,7 @@ class Report:
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
         parts += [markdown(table) for table in self.tables[self.shown :]]
         if self.notes:
-            lines = "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes))
-            parts.append(f"## Notes\n\n{lines}")
+            parts.append("## Notes\n\n" + "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes)))
         if self.trained:
             parts.append(trained_markdown(self.trained))
         parts.append(provenance.assumptions_markdown(self.assumptions))

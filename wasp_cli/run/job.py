@@ -124,8 +124,7 @@ def memory_mb() -> float:
     """Return the memory of this process that is in use, in MB; where the system does not tell, the most that it ever was."""
     with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as file:
         return round(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(largest / (1e6 if sys.platform == "darwin" else 1e3), 1)
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
 def _now() -> str:
@@ -139,10 +138,9 @@ def this_process() -> dict[str, object]:
 
 def boot_id() -> str | None:
     """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
-    try:
+    with suppress(OSError, ValueError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
-    except (OSError, ValueError):
-        return None
+    return None
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -246,7 +244,6 @@ def _ended_over(limit: float, marker: Path) -> Iterator[None]:
 
 
 def was_ended(marker: Path) -> bool:
-    try:
+    with suppress(OSError):
         return marker.stat().st_size > 0
-    except OSError:
-        return False
+    return False

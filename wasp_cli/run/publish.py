@@ -9,6 +9,8 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import json
+import math
 import os
 import platform
 import re
@@ -30,18 +32,18 @@ from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.plan.recorded import last_plan
-from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.recorded import planned_run, run_ids
+from wasp_cli.plan.reuse import lay_out_over, recipes_in
 from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
-from wasp_cli.store.slim import SLIM, Slimming, slim, without_steps
+from wasp_cli.store.slim import SLIM, Slimming, slim, steps_kept
 
 PUBLIC = (
-    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
+    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "cuda", "started_at", "seconds",
     EARLIER,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
@@ -73,6 +75,8 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
 
     With the `reuse` of `none` results of this code alone. An ArtifactError where something is not computed, damaged, or names this machine.
     """
+    if not all(recipes_in(target)):
+        raise UsageError(f"'{target.root}' is no folder of published results", "name a new folder, or one that wasp publish has filled")
     grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
@@ -90,7 +94,10 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     old = {path.name: path.read_bytes() for path in target.reports(spec.name).glob("*") if path.is_file()}
     folder = layout.within(layout.reports(spec.name))
     written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
-    other = bool(written) and last_plan(layout, spec.name).keys() != {node.key for node in grid.nodes}
+    last = next((run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name), None)
+    # Until the newest run has written its report, what lies there is that of an earlier one.
+    of_last = last is not None and last.nodes.keys() == {node.key for node in grid.nodes} and not layout.reporting(last.run_id).exists()
+    other = bool(written) and not of_last
     reports = [path for path in written if not other and old.get(path.name) != path.read_bytes()]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
@@ -148,7 +155,8 @@ def _private(layout: Layout) -> dict[str, str]:
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
     for what, text in private.items():
-        if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
+        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))  # JSON escapes what is not ASCII
+        if re.search(rf"(?<!\w)({forms})(?!\w)".encode(), data):
             return what
     return None
 
@@ -193,10 +201,10 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     artifact.commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
 
 
-def fewer_steps(publication: Publication, target: Layout) -> int:
-    """Count the cells that were published with fewer steps than they have here."""
+def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> int:
+    """Count the cells that were published with the steps of fewer episodes than are asked for, and are here."""
     pairs = [(item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key)) for item in publication.there]
-    return sum(without_steps(there) and not without_steps(here) for here, there in pairs)
+    return sum(steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps) for here, there in pairs)
 
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
@@ -212,7 +220,7 @@ def show_publication(publication: Publication, largest: float, console: Console)
     table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
     console.print(table)
     if publication.other:
-        text = "left out: the report, since the newest run of this spec has other cells (wasp run SPEC, then publish again)"
+        text = "left out: the report is not that of the newest run of this spec (wasp run SPEC, then publish again)"
         console.print(text, markup=False, soft_wrap=True)
     for item in publication.large:
         text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
@@ -252,9 +260,11 @@ Cells can be computed again from the models beside them, and compared to the bit
 
 
 def require_archive(file: Path) -> None:
-    """See that an archive can have this name. Raises UsageError."""
-    if not file.name.endswith(".tar.gz"):
-        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0]}.tar.gz")
+    """See that an archive can have this name, which is that of the folder in it. Raises UsageError."""
+    if not file.name.endswith(".tar.gz") or not artifact.is_file_name(file.name.removesuffix(".tar.gz")):
+        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0] or 'mine'}.tar.gz")
+    if not file.parent.is_dir():
+        raise UsageError(f"'{file.parent}' is no folder", "make it, or name another file")
     if file.exists():
         raise UsageError(f"'{file}' is there already", "remove it, or name another file")
 

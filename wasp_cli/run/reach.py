@@ -159,13 +159,10 @@ def _leavings(layout: Layout, stored: Container[str], needed: set[str], sessions
 
 
 def _keys(folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = "") -> Iterator[str]:
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.name.endswith(ending) and is_key(entry.name.removesuffix(ending)) and fits(entry):
-                    yield entry.name.removesuffix(ending)
-    except FileNotFoundError:
-        return
+    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.endswith(ending) and is_key(entry.name.removesuffix(ending)) and fits(entry):
+                yield entry.name.removesuffix(ending)
 
 
 def _rubbish(what: str, path: Path, key: str | None) -> Rubbish:
@@ -174,20 +171,18 @@ def _rubbish(what: str, path: Path, key: str | None) -> Rubbish:
 
 def size_of(path: Path) -> int:
     """Return the bytes of a file or of everything in a folder; links are not followed."""
-    try:
+    with suppress(OSError):  # gone meanwhile, or not ours to read
         if path.is_symlink() or not path.is_dir():
             return path.lstat().st_size
         with os.scandir(path) as entries:
             return sum(size_of(Path(entry.path)) for entry in entries)
-    except OSError:  # gone meanwhile, or not ours to read
-        return 0
+    return 0
 
 
 def _written(path: Path, otherwise: float = 0.0) -> float:
-    try:
+    with suppress(OSError):
         return path.lstat().st_mtime
-    except OSError:
-        return otherwise
+    return otherwise
 
 
 def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import os
 import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -142,18 +143,16 @@ def is_gone(record: Mapping[str, Any]) -> bool:
 
 def moment(text: object) -> datetime | None:
     """Return a time of a record; None where it is none. Without a zone it is taken as UTC."""
-    try:
+    with suppress(ValueError, OverflowError):
         time = datetime.fromisoformat(str(text))
         return (time.replace(tzinfo=UTC) if time.tzinfo is None else time).astimezone(UTC)
-    except (ValueError, OverflowError):
-        return None
+    return None
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
-    try:
+    with suppress(OSError, StoreError):
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
-    except (OSError, StoreError):
-        return []
+    return []
 
 
 def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any]) -> tuple[State, datetime | None]:

@@ -68,14 +68,14 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
-    loc, depth = finding.loc, max(source.depth(finding.loc) for source in chain.sources)
+    loc, depth = tuple(part for part in finding.loc if part != KEY), max(source.depth(finding.loc) for source in chain.sources)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         # The option wins where the files have nothing nearer to the place.
         if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(depth, len(option.path)):
             message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
             return Problem(f"{option.option} {option.text}", None, message, finding.hint)
-    return chain.problem(loc, finding.message, finding.hint, at_key=finding.at_key)
+    return chain.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
 
 
 LONGEST_CHAIN = 8

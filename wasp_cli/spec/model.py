@@ -184,8 +184,7 @@ class Spec(Config):
 def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
     if not values:
         return section
-    document = merged(section.model_dump(mode="json"), values)
-    return type(section).model_validate_json(json.dumps(document), strict=True)
+    return type(section).model_validate_json(json.dumps(merged(section.model_dump(mode="json"), values)), strict=True)
 
 
 EVERYWHERE = ("evaluate", "counterfactual", "expert.checkpoints")
@@ -302,8 +301,7 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
 
 def validate(document: Mapping[str, Any]) -> Spec:
     preset = document.get("preset", "cpu")
-    resolved = merged(preset_values(preset) if isinstance(preset, str) else {}, document)
-    resolved = _with_episodes(resolved)
+    resolved = _with_episodes(merged(preset_values(preset) if isinstance(preset, str) else {}, document))
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
     return spec_type().model_validate_json(json.dumps(resolved), strict=True)
 

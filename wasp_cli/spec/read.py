@@ -21,6 +21,7 @@ from ruamel.yaml.tokens import AliasToken, AnchorToken, ScalarToken, TagToken
 
 from wasp_cli.errors import SpecError, did_you_mean
 from wasp_cli.spec.shipped import shipped_names
+from wasp_cli.store.plain import printable
 
 Loc = tuple[str | int, ...]
 KEY = "[key]"  # how pydantic ends the place of a key (not of its value)
@@ -63,7 +64,7 @@ class Problem:
             return []
         # Tabs stay tabs, so that the caret stands under its character at any tab width.
         before = "".join("\t" if character == "\t" else " " for character in self.line[: self.position.column - 1])
-        return [f"{self.position.line:>5} | {self.line}", f"      | {before}^"]
+        return [f"{self.position.line:>5} | {printable(self.line)}", f"      | {before}^"]
 
 
 def _printable(text: str) -> str:

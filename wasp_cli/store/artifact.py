@@ -50,7 +50,8 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
             return place
         # No artifact, whatever it is: someone has removed or changed files by hand.
         rubbish = staging.with_name(f"{staging.name}-rubbish")
-        os.replace(place, rubbish)
+        with suppress(FileNotFoundError):  # then the next line says what was in the way
+            os.replace(place, rubbish)
         os.replace(staging, place)
         discard(rubbish)
     if not copied:
@@ -76,11 +77,9 @@ def stored_keys(layout: Layout, kind: str) -> set[str]:
 
 def stored_kinds(layout: Layout) -> list[str]:
     """Return the kinds of which a store has artifacts, whatever version wrote them."""
-    try:
-        with os.scandir(layout.within(layout.store)) as entries:
-            return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
-    except OSError:
-        return []
+    with suppress(OSError), os.scandir(layout.within(layout.store)) as entries:
+        return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
+    return []
 
 
 def exists(layout: Layout, kind: str, key: str) -> bool:
@@ -110,7 +109,7 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     """Return the size of each file that an artifact was committed with, by relative name; `path` is that of its manifest."""
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
     for name in files:
         if not is_file_name(name):
@@ -156,10 +155,7 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
 
 
 def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
-    """Take an artifact out of use, so that it is computed again; its files stay until then.
-
-    Another process may have done so before.
-    """
+    """Take an artifact out of use, so that it is computed again; its files stay until then. Another process may have done so before."""
     manifest = layout.manifest(kind, key)
     with suppress(FileNotFoundError):
         os.replace(manifest, manifest.with_suffix(".invalid"))
@@ -176,8 +172,7 @@ def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
 
 def is_file_name(name: str) -> bool:
     """Return whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
-    parts = name.split("/")
-    return len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(parts)
+    return len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:

@@ -77,13 +77,11 @@ def is_held(path: Path) -> bool:
 
 def remove_lock(path: Path) -> bool:
     """Remove a lock file unless someone holds it; whether it is removed."""
-    try:
-        with held_if_free(path, made=False) as mine:
-            if mine:
-                path.unlink()
-            return mine
-    except FileNotFoundError:
-        return False
+    with suppress(FileNotFoundError), held_if_free(path, made=False) as mine:
+        if mine:
+            path.unlink()
+        return mine
+    return False
 
 
 def _opened(path: Path, made: bool = True) -> int:
@@ -109,7 +107,6 @@ def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:
 
 def _is_at(descriptor: int, path: Path) -> bool:
     """Whether an open file is the one that a path names now."""
-    try:
+    with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
-    except FileNotFoundError:
-        return False
+    return False

@@ -17,6 +17,7 @@ from typing import Any
 
 LARGEST = 256 * 2**20  # bytes of a record or a journal at most; the plan of ten thousand nodes has four million
 DEEPEST = 40  # how deep a record may be nested; ours stay below ten
+LONGEST = 308  # digits of a whole number at most: no float holds more
 
 _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
@@ -48,7 +49,7 @@ def read_plain(path: Path) -> str:
 
 def parse(text: str) -> Any:
     """Return what a JSON text says, its strings printable."""
-    value = json.loads(text)
+    value = json.loads(text, parse_int=_whole)
     harmless = text.count("{") + text.count("[") <= DEEPEST and "\\u" not in text and not _UNPRINTABLE.search(text)
     return value if harmless else _tame(value, 0)
 
@@ -56,7 +57,7 @@ def parse(text: str) -> Any:
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out."""
     try:
-        lines = read_plain(path).splitlines()
+        lines = read_plain(path).split("\n")  # JSON leaves rarer line ends in a text as they are
     except ValueError:
         return []
     found = []
@@ -85,6 +86,12 @@ def append_line(descriptor: int, text: str) -> None:
 def printable(text: str) -> str:
     """Return a text without what a terminal would obey instead of showing it."""
     return _UNPRINTABLE.sub("\ufffd", text)
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > LONGEST:
+        raise ValueError(f"it has a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _tame(value: Any, depth: int) -> Any:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, described
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import held
@@ -121,7 +121,13 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
             copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
             manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
             if offer.episodes is not None:
-                manifest["summary"] = first_episodes(staging, offer.episodes)
+                import pyarrow as pa
+
+                try:
+                    manifest["summary"] = first_episodes(staging, offer.episodes)
+                except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
+                    what = f"published {offer.kind}/{offer.source_key} does not read: {described(error)}"
+                    raise ArtifactError(what, "run with --reuse none") from error
             artifact.commit(layout, offer.kind, offer.key, staging, manifest, copied=True)
         except BaseException:
             artifact.discard(staging)

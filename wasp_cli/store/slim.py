@@ -6,6 +6,8 @@ tables are the same. Nothing is computed from the steps of a slim cell: it is co
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +51,14 @@ def without_steps(manifest: Mapping[str, Any]) -> bool:
     """Return whether steps of a published cell were left out, so that nothing may be computed from it."""
     changed = manifest.get(SLIM)
     return manifest.get("kind") == "evaluate" and isinstance(changed, Mapping) and bool(changed)
+
+
+def steps_kept(manifest: Mapping[str, Any]) -> float:
+    """Return of how many episodes a published cell has the steps, by what its manifest says is left out."""
+    if not without_steps(manifest):
+        return math.inf
+    first = re.search(r"but the first(?: (\d{1,9}))?", str(manifest[SLIM]))
+    return int(first[1] or 1) if first else 0
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:

@@ -84,8 +84,7 @@ class BranchPair:
             world = source.world()
             recording = _RecordingTask(world, episode)
             rerun = Rerun(recording, load_world_model(source.world_model), source.operator_in(world), source.recorded)
-            chosen = [[t] if e == episode else [] for e in range(world.batch)]
-            played = branches(rerun, chosen, window, progress)
+            played = branches(rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress)
         self.world, self.t, self.window = world, t, window
         self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
         self.traces: Mapping[str, BranchTrace] = {

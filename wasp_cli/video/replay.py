@@ -203,15 +203,14 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     from wasp_cli.video.branches import BranchPair
     from wasp_cli.video.film import STILL, checked
 
+    stored = read_episode(cell, episode)
     if without_steps(cell.manifest):
         raise UsageError(
             f"{printable(cell.label or str(cell.path))} is published in part, so that its branches cannot be played again",
             "without --step its first episodes can; wasp run SPEC --reuse none computes it whole",
         )
-    stored = read_episode(cell, episode)
     stored.require(step)
-    default = default_name(stored, f"_s{step}.gif")
-    path = checked(default if out is None else out, STILL)
+    path = checked(default_name(stored, f"_s{step}.gif") if out is None else out, STILL)
     criterion = criterion_of(layout, cell)
     source = source_of(layout, cell, episode)
     pair = BranchPair(source, episode - source.first, step, criterion.window, progress)

@@ -139,8 +139,7 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
         name: {"cost": (branches.cost[name][rows[0]] > 0).tolist(), "reward": branches.reward[name][rows[0]].tolist()}
         for name in (ASSISTED, ALONE)
     }
-    criterion = Criterion(branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell")
-    return judge(stored, step, criterion, traces)
+    return judge(stored, step, Criterion(branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell"), traces)
 
 
 def as_html(lines: Iterable[Text]) -> Markup:

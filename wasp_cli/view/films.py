@@ -80,11 +80,9 @@ class Films:
 
     def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
         """Return a frame as WebP; None where it is not there."""
-        try:
-            with open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
-                return file.read(LARGEST)
-        except OSError:
-            return None
+        with suppress(OSError), open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
+            return file.read(LARGEST)
+        return None
 
     def close(self) -> None:
         with self._lock:

@@ -113,10 +113,9 @@ def _episode_rows(site: Site, cell: ListedCell, artifact: FoundCell) -> list[dic
 
 
 def _numeric(text: str) -> tuple[float, str]:
-    try:
+    with suppress(ValueError):
         return float(text.split(" ")[0]), text
-    except ValueError:
-        return math.inf, text
+    return math.inf, text
 
 
 def _session(site: Site, artifact: FoundCell) -> Iterator[tuple[str, str]]:
@@ -199,10 +198,9 @@ STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
 def runs_of(site: Site) -> list[PlannedRun]:
-    try:
+    with suppress(StoreError):
         return planned_runs(site.layout)
-    except StoreError:
-        return []
+    return []
 
 
 def home_page(site: Site) -> str:
@@ -299,8 +297,7 @@ def log_text(site: Site, run_id: str, key: str) -> str:
     log = find_log(site.layout, [named_run(runs_of(site), run_id)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:
-            size = file.seek(0, 2)
-            file.seek(max(size - TAIL, 0))
+            file.seek(max(file.seek(0, 2) - TAIL, 0))
             text = file.read(TAIL).decode("utf-8", "replace")
     except OSError as error:
         raise StoreError(f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}") from error

@@ -270,10 +270,9 @@ class Site:
 
     def notes(self) -> list[Note]:
         """Return all notes; none where they do not read, which the first page says."""
-        try:
+        with suppress(StoreError):
             return notes_of(self.layout)
-        except StoreError:
-            return []
+        return []
 
 
 def site_of(folder: Path, *, films: bool = True) -> Site:

@@ -83,8 +83,7 @@ def local(host: str | None) -> bool:
     """Return whether a Host is a name of this machine, with whatever port: a tunnel may have another one."""
     if host is None:
         return False
-    name = host[: host.rindex("]") + 1] if host.startswith("[") and "]" in host else host.partition(":")[0]
-    return name in NAMES
+    return (host[: host.rindex("]") + 1] if host.startswith("[") and "]" in host else host.partition(":")[0]) in NAMES
 
 
 def own_origin(host: str | None, origin: str | None) -> bool:
