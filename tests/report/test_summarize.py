@@ -83,10 +83,14 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
     out.mkdir()
-    (out / "table2.csv").write_text("of an earlier report")
-    (out / "notes.txt").write_text("of a person")
+    (out / "order.md").write_text("of a person")
+    (out / "notes").symlink_to(tmp_path)
+    (out / "figure3.svg").symlink_to(tmp_path / "read as a figure")
     files = report.write(out)
-    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes", "order.md"}
+    (out / "table2.csv").write_text("of an earlier report")
+    assert report.write(out) == files
+    assert not (out / "table2.csv").exists()
     assert all(path.is_file() and path.stat().st_size for path in files)
     assert [path.name for path in files[:2]] == ["report.md", "report.html"]
     endings = ("md", "csv", "tex", "html")

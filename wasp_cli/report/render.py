@@ -291,12 +291,12 @@ def data_uri(data: bytes, mime: str) -> str:
 RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text, "tex": latex, "html": html}
 
 
-def make_own(folder: Path) -> None:
-    """Make the folder of a report, and see that nothing which is written there is written elsewhere; a StoreError where it is a link."""
+def make_own(folder: Path, names: Iterable[str] = ()) -> None:
+    """Make the folder of a report, without links of these names, which would pass for files of its own; a StoreError where it is one."""
     if folder.is_symlink():
         raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
     folder.mkdir(parents=True, exist_ok=True)
-    for path in folder.iterdir():
+    for path in map(folder.joinpath, names):
         if path.is_symlink():
             path.unlink()
 

@@ -112,26 +112,27 @@ class Report:
         `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too. Unless
         asked to `redraw`, figures stay where an earlier report says the same: they take most of the time.
         """
-        make_own(folder)
+        make_own(folder, (*KNOWN, "trained"))
+        page = folder / PAGES[0]
+        ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")  # else what is there already is a person's
         figures = [] if redraw else self._kept(folder)
         figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
         films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
         texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
         pages = write_pages(folder, texts, self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
-        for name in KNOWN - {path.name for path in (*pages, *figures)}:
+        for name in KNOWN - {path.name for path in (*pages, *figures)} if ours else ():
             (folder / name).unlink(missing_ok=True)
         if not evidence:
             return [*pages, *figures]
         from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
 
-        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
+        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"), anew=ours)]
 
     def _kept(self, folder: Path) -> list[Path]:
         figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
         page = folder / "report.md"
-        same = page.is_file() and page.read_text(encoding="utf-8") == self.markdown([path.name for path in figures])
-        return figures if same else []
+        return figures if page.is_file() and page.read_bytes() == self.markdown([path.name for path in figures]).encode() else []
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
