@@ -16,7 +16,7 @@ from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import figures as methods
-from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure
+from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure, style_of
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
 
 
@@ -44,6 +44,9 @@ def test_methods_differ_in_colour_and_marker() -> None:
     assert len(set(STYLES.values())) == len(STYLES)
     first = list(STYLES.values())[: len(PALETTE)]
     assert len({colour for colour, _ in first}) == len({marker for _, marker in first}) == len(first)
+    own = {style_of("a:A"), style_of("b:B")}
+    assert len(own) == 2
+    assert own.isdisjoint(STYLES.values())
 
 
 def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> None:
