@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.compare.two_runs import episodes, write_results
+from tests.commands import run_here
+from tests.compare.two_runs import episodes, without, write_results
 from wasp_cli.compare import MEASURES, Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
 from wasp_cli.store.artifact import write_record
@@ -118,6 +119,13 @@ def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp
     assert "not computed yet" in compared.cells[0].reason
     assert "damaged" in compared.cells[1].reason
     assert not compared.alike
+
+
+def test_what_is_not_installed_here_is_named_and_never_alike(tmp_path: Path) -> None:
+    folders = [str(without(tmp_path / name, "wasp")) for name in ("one", "two")]
+    told = run_here("compare", *folders, "--strict", columns=200, code=1)
+    assert "held: not installed here; its 4 cells are left out." in told.output
+    assert json.loads(run_here("compare", *folders, "--json", columns=200, code=0).stdout)[0]["first"]["absent"]
 
 
 def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.commands import run_here
-from tests.compare.two_runs import write_results
+from tests.compare.two_runs import without, write_results
 from tests.report.golden_store import STORE
 from tests.view.conftest import brought
 from wasp_cli.learning.device import training_device
@@ -51,15 +51,6 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
     assert (
         f"The cells were not computed with the same versions: {said}" in run_here("report", side.layout.root, *REPORT, columns=300).output
     )
-
-
-def without(folder: Path, method: str, **changes: Any) -> Path:
-    """Results of which one method is unknown now."""
-    side = write_results(folder, **changes)
-    for record in ("spec.json", "plan.json"):
-        path = side.layout.run(side.run_id) / record
-        path.write_text(path.read_text(encoding="utf-8").replace(f'"{method}"', '"held"'), encoding="utf-8")
-    return folder
 
 
 def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> None:

@@ -101,6 +101,7 @@ def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
     """Yield what stands before the tables, a line each; at most `shown` cells of a kind."""
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
+    yield from (f"  {line}" for line in dict.fromkeys((*compared.first.absent, *compared.second.absent)))
     for state in ("only first", "only second", "not compared"):
         cells = compared.having(state)
         for cell in cells[:shown]:
@@ -158,7 +159,7 @@ def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
 
 def as_json(compared: Compared) -> dict[str, Any]:
     sides = {
-        name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id}
+        name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id, "absent": side.absent}
         for name, side in (("first", compared.first), ("second", compared.second))
     }
     cells = [{**asdict(cell), "beyond": list(cell.beyond)} for cell in compared.cells]

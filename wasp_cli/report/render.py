@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-WHOLE = re.compile(r"(\d+) of \1 planned cells")
+WHOLE = re.compile(r"(\d+) of \1 planned cells are")
 """A note that nothing is missing: a caption goes without, and the comments above the table have it."""
 
 
