@@ -53,6 +53,17 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
     )
 
 
+def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_path: Path) -> None:
+    side = write_results(tmp_path / "results")
+    cut, linked = (side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2])
+    cut.write_bytes(cut.read_bytes()[:-200])
+    linked.rename(tmp_path / "elsewhere")
+    linked.symlink_to(tmp_path / "elsewhere")
+    told = run_here("report", side.layout.root, *REPORT, columns=300, code=1)
+    assert "INCOMPLETE: 2 of 8 cells are missing (1 damaged, 1 refused)." in told.output
+    assert f"part of the results cannot be read:\n  {cut} is damaged" in told.output
+
+
 def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> None:
     results = without(tmp_path / "results", "wasp")
     told = run_here("report", results, *REPORT, columns=200, code=0)

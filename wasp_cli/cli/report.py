@@ -63,7 +63,7 @@ def report(
             changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
-            damaged += shown.damaged
+            damaged += (*shown.damaged, *(gap.reason for gap in shown.missing if gap.damaged))
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
             missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             gaps += [f"{name}: {sentence}" for sentence in recorded.absent]

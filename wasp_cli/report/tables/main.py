@@ -71,7 +71,7 @@ def missing_notes(frame: Frame) -> list[str]:
         return [f"{total} of {total} planned cells of what is installed here are finished; none failed. {' '.join(frame.absent)}"]
     if not frame.missing:
         return [f"{total} of {total} planned cells are finished; none failed, and none is left out."]
-    # The reason begins with what happened: failed, blocked by another node, damaged, or nothing yet.
+    # The reason begins with what happened: failed, blocked by another node, refused, damaged, or nothing yet.
     fates = Counter("damaged" if each.damaged else each.reason.partition(" ")[0].rstrip(":") for each in frame.missing)
     said = ", ".join(f"{count} {'not computed' if fate == 'not' else fate}" for fate, count in fates.items())
     return [
