@@ -86,6 +86,17 @@ def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> No
     assert Path(record["report"]).is_file()
 
 
+def test_what_is_marked_as_invalid_is_named(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    sweep(small_spec, results, *VARY)
+    key = next((results / "store/evaluate").iterdir()).name
+    run_here("note", key, "a <b>hazard", "-e", "1", "--invalid", "--results", results, columns=200, code=0)
+    shown = sweep(small_spec, results, *VARY).stdout
+    page = (Layout(results).reports("small-sweep-diffusion.ratio") / "report.md").read_text(encoding="utf-8")
+    assert all("1 episode marked as invalid is in no number here." in text for text in (shown, page))
+    assert "a &lt;b>hazard" in page
+
+
 def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"s1 evaluate diffusion {'ratio': 0.4, 'last_noise': False} noisy": "refuse"})
     done = sweep(small_spec, tmp_path / "results", *VARY)
@@ -96,7 +107,7 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
     assert ["Diffusion", "[3", "of", "4", "cells]", "0.4"] in [row[:6] for row in rows]
     assert "goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed: the loss is not finite" in done.stdout
     page = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio") / "report.md"
-    assert "- goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed" in page.read_text(encoding="utf-8")
+    assert r"- goal1 diffusion noisy=0.2 seed 1 \[diffusion.ratio=0.4\]: failed" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -130,7 +141,7 @@ def test_the_page_says_what_was_published(cells: None, small_spec: Path, tmp_pat
     page = (Layout(here).reports("small-sweep-diffusion.ratio") / "report.md").read_text()
     for text in (page, done.stdout):
         for value in ("0.2", "0.4"):
-            assert f"`diffusion.ratio` = `{value}`: " in text
+            assert f"diffusion.ratio = {value}: " in text
         assert " results here are published ones (" in text
     assert "Published cells: goal1 s0 human noisy=0.2, goal1 s1 human noisy=0.2, " in page
 

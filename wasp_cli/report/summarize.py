@@ -233,7 +233,7 @@ def report_run(
         # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
         parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
-    remarks = (*origins.remarks(), *absent)
+    remarks = (*left_out, *origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
@@ -252,7 +252,7 @@ def report_run(
     )
     back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
-    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged)
+    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *published, *remarks, *unknown, *damaged)
     return Report(
         name=spec.name, layout=layout, facts=facts, tables=(*front, *back), shown=len(front), frame=frame, trained=trained,
         assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
