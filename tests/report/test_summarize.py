@@ -258,7 +258,7 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
         import_artifact(layout, "evaluate", name)
     report = report_run(tmp_path, spec, cells)
     # Ten cells, and behind them two experts, two world models and two calibrations.
-    today = "made with the present code and libraries"
+    today = "their own code and libraries are the present ones"
     assert report.published == (
         f"2 of 16 results here are published ones (2 evaluate), computed by wasp 0.9 (git abcdef0) on 2026-01-02; {today}.",
         f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",
