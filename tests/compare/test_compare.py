@@ -80,13 +80,15 @@ def test_what_changed_is_named_where_it_began(changes: Any, cause: str, reached:
 
 
 def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0"}})
+    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0<b>"}})
     key = next(key for cell, key in second.cells if cell.method == "wasp" and cell.operator == "laggy" and cell.seed == 0)
     path = second.layout.manifest("evaluate", key)
     record = json.loads(path.read_text())
     write_record(path, {**record, "sources": {"wasp_cli.tasks.base": "other", "wasp_cli.new": "x"}})
-    causes = dict(compare(first, second).causes)
-    assert causes["library changed: torch 2.13.0 -> 2.14.0"] == 4
+    compared = compare(first, second)
+    causes = dict(compared.causes)
+    assert causes["library changed: torch 2.13.0 -> 2.14.0<b>"] == 4
+    assert "torch 2.13.0 -> 2.14.0&lt;b>" in page([compared])
     assert causes["code changed: wasp_cli.new, wasp_cli.tasks.base"] == 1
     assert causes["spec changed: wasp.tau_c 1.0 -> 0.9"] == 4
 

@@ -170,6 +170,11 @@ def branched(layout: Layout, cells: Cells) -> Cells:
     return [(cell, name) for cell, _, name in judged]
 
 
+def test_texts_of_a_manifest_are_no_markup(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    manifest(Layout(tmp_path), "expert", key("expert", 0), 0, {}, summary={"note": "<img src=https://e.example/x>"})
+    assert "note &lt;img src" in report_run(tmp_path, spec, cells).markdown()
+
+
 def test_figures_are_drawn_again_only_where_the_report_says_something_else(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = report_run(tmp_path, spec, cells).write(out)

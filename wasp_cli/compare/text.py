@@ -14,7 +14,7 @@ from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.render import markdown, terminal, write_pages
+from wasp_cli.report.render import markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
@@ -142,7 +142,7 @@ def show(compared: Compared, console: Console) -> None:
 def page(compared: Sequence[Compared]) -> str:
     parts = ["# Comparison\n"]
     for each in compared:
-        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in remarks(each, shown=None)))
+        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=None)))
         parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
     return "\n".join(parts)
 
