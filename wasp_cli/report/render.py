@@ -69,7 +69,7 @@ def markdown(table: Table) -> str:
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
         lines.append(markdown_row([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
-        lines += ["", *(f"- {note}" for note in table.notes + table.meanings)]
+        lines += ["", *(f"- {markdown_text(note)}" for note in table.notes), *(f"- {meaning}" for meaning in table.meanings)]
     return "\n".join(lines) + "\n"
 
 
