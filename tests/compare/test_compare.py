@@ -10,7 +10,7 @@ import pytest
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, without, write_results
 from wasp_cli.compare import MEASURES, Compared, Side, State, compare
-from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
+from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables, write
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes
 
@@ -145,3 +145,12 @@ def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path
         for name in MEASURES:
             assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
     assert facts["alike"] is compared.alike
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "tiny-cells.md").write_text("of a person")
+    write([compare(first, first)], out)
+    assert {path.name for path in out.iterdir()} == {"compare.md", "tiny-cells.md"}
+    write([compared], out)
+    (out / "my-cells.md").write_text("of a person")
+    write([compare(first, first)], out)
+    assert {path.name for path in out.iterdir()} == {"compare.md", "my-cells.md"}

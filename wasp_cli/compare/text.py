@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,12 +15,13 @@ from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.render import markdown, markdown_text, terminal, write_pages
+from wasp_cli.report.render import RENDERERS, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.spec.paper import Who
 
+TITLE = "# Comparison\n"
 SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
 COLUMNS = tuple(
@@ -140,7 +142,7 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
-    parts = ["# Comparison\n"]
+    parts = [TITLE]
     for each in compared:
         parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=None)))
         parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
@@ -154,7 +156,15 @@ def tables(compared: Compared) -> list[Table]:
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
-    return write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
+    before = (folder / "compare.md").read_bytes() if (folder / "compare.md").is_file() else b""
+    written = write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
+    # Tables of the specs that the page before was about would pass for a part of this one.
+    specs = re.findall(r"^## (.+)$", before.decode(errors="replace"), re.MULTILINE) if before.startswith(TITLE.encode()) else []
+    old = {f"{spec}-{table}.{ending}" for spec in specs for table in ("cells", "summary") for ending in RENDERERS}
+    for path in folder.iterdir():
+        if path.name in old and path not in written:
+            path.unlink()
+    return written
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
