@@ -1,13 +1,13 @@
 """docs/examples/severities.py judges the published operators without assistance."""
 
-import shutil
+import json
 from pathlib import Path
 
 import severities
-import yaml
 
 from tests.compare.two_runs import SPEC, write_results
 from tests.test_docs import ROOT
+from wasp_cli.store.artifact import write_record
 
 
 def test_severer_operators_do_worse_but_for_limited_skill_on_race1() -> None:
@@ -18,9 +18,7 @@ def test_severer_operators_do_worse_but_for_limited_skill_on_race1() -> None:
 
 
 def test_the_spec_need_not_be_the_one_that_ran_last(tmp_path: Path) -> None:
-    who = {"methods": ["human", "expert"]}
-    side = write_results(tmp_path / "results", **who)
-    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump({**SPEC, **who}))
-    later = shutil.copytree(side.layout.run(side.run_id), side.layout.run("20270101-000000-later-0000"))
-    (later / "plan.json").write_text('{"spec": "later", "cells": []}')
-    assert len(list(severities.check(tmp_path / "tiny.yaml", side.layout.root))) == 2
+    layout = write_results(tmp_path, methods=["human", "expert"]).layout
+    (tmp_path / "tiny.yaml").write_text(json.dumps({**SPEC, "methods": ["human", "expert"]}))
+    write_record(layout.run("20270101-000000-later-0000") / "plan.json", {"spec": "later", "cells": []})
+    assert len(list(severities.check(tmp_path / "tiny.yaml", tmp_path))) == 2

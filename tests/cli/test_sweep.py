@@ -62,6 +62,10 @@ def test_the_table_and_the_page(cells: None, small_spec: Path, tmp_path: Path) -
     folder = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio")
     assert f"report: {folder.absolute()}/report.md" in done.stdout
     assert {path.name for path in folder.iterdir()} == {"report.md", *(f"sweep.{ending}" for ending in ("md", "csv", "tex", "html"))}
+    key = next((tmp_path / "results/store/evaluate").iterdir()).name
+    run_here("note", key, "a <b>hazard", "-e", "1", "--invalid", "--results", tmp_path / "results", columns=200, code=0)
+    shown, page = sweep(small_spec, tmp_path / "results", *VARY).stdout, (folder / "report.md").read_text(encoding="utf-8")
+    assert ("1 episode marked as invalid is in no number here." in shown, "a &lt;b>hazard" in page) == (True, True)
 
 
 def test_a_dry_run_shows_the_plan_of_all_values_and_writes_nothing(small_spec: Path, tmp_path: Path) -> None:
@@ -84,17 +88,6 @@ def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> No
         ("diffusion", 0.4, 9.0, -50.0),
     ]
     assert Path(record["report"]).is_file()
-
-
-def test_what_is_marked_as_invalid_is_named(cells: None, small_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
-    sweep(small_spec, results, *VARY)
-    key = next((results / "store/evaluate").iterdir()).name
-    run_here("note", key, "a <b>hazard", "-e", "1", "--invalid", "--results", results, columns=200, code=0)
-    shown = sweep(small_spec, results, *VARY).stdout
-    page = (Layout(results).reports("small-sweep-diffusion.ratio") / "report.md").read_text(encoding="utf-8")
-    assert all("1 episode marked as invalid is in no number here." in text for text in (shown, page))
-    assert "a &lt;b>hazard" in page
 
 
 def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.commands import run_here
-from tests.compare.two_runs import episodes, without, write_results
+from tests.compare.two_runs import episodes, write_results
 from wasp_cli.compare import MEASURES, Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables, write
 from wasp_cli.store.artifact import write_record
@@ -85,8 +84,7 @@ def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) 
     path = second.layout.manifest("evaluate", key)
     record = json.loads(path.read_text())
     write_record(path, {**record, "sources": {"wasp_cli.tasks.base": "other", "wasp_cli.new": "x"}})
-    compared = compare(first, second)
-    causes = dict(compared.causes)
+    causes = dict((compared := compare(first, second)).causes)
     assert causes["library changed: torch 2.13.0 -> 2.14.0<b>"] == 4
     assert "torch 2.13.0 -> 2.14.0&lt;b>" in page([compared])
     assert causes["code changed: wasp_cli.new, wasp_cli.tasks.base"] == 1
@@ -123,13 +121,6 @@ def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp
     assert not compared.alike
 
 
-def test_what_is_not_installed_here_is_named_and_never_alike(tmp_path: Path) -> None:
-    folders = [str(without(tmp_path / name, "wasp")) for name in ("one", "two")]
-    told = run_here("compare", *folders, "--strict", columns=200, code=1)
-    assert "held: not installed here; its 4 cells are left out." in told.output
-    assert json.loads(run_here("compare", *folders, "--json", columns=200, code=0).stdout)[0]["first"]["absent"]
-
-
 def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:
     second = write_results(tmp_path / "results", lambda identity: episodes(identity, risk=0.1 * (1 + identity.seed) + 0.1))
     compared = compare(first, second)
@@ -146,10 +137,6 @@ def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path
             assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
     assert facts["alike"] is compared.alike
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "tiny-cells.md").write_text("of a person")
-    write([compare(first, first)], out)
-    assert {path.name for path in out.iterdir()} == {"compare.md", "tiny-cells.md"}
     write([compared], out)
     (out / "my-cells.md").write_text("of a person")
     write([compare(first, first)], out)

@@ -63,12 +63,3 @@ def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "upstream_kinds": {name: needed.kind for name, needed in node.needs.items()},
         "summary": {}, "provenance": {"versions": {"torch": "2.13.0"}, "processor": "one", **provenance},
     }  # fmt: skip
-
-
-def without(folder: Path, method: str, name: str = "held", **changes: Any) -> Path:
-    """Results of which one method is unknown now."""
-    side = write_results(folder, **changes)
-    for record in ("spec.json", "plan.json"):
-        path = side.layout.run(side.run_id) / record
-        path.write_text(path.read_text(encoding="utf-8").replace(f'"{method}"', f'"{name}"'), encoding="utf-8")
-    return folder

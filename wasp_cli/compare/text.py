@@ -57,7 +57,7 @@ def cells_table(compared: Compared) -> Table | None:
         Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
         for cell, names in zip(cells, beyond, strict=True)
     ]
-    notes = _unable(compared)
+    notes = tuple(_unable(compared))
     return Table(
         "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
     ) if rows else None  # fmt: skip
@@ -84,19 +84,15 @@ def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], s
     return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
 
-def _unable(compared: Compared) -> tuple[str, ...]:
+def _unable(compared: Compared) -> Iterator[str]:
     paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
-    notes = []
-    partly = sum(each.worlds < max(each.episodes) for each in paired)
-    if partly:
-        notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
-    weak = sum(each.least * len(paired) > LEVEL for each in paired)
-    if weak:
-        notes.append(
+    if partly := sum(each.worlds < max(each.episodes) for each in paired):
+        yield f"{_cells(partly)} with other worlds too: those in common are compared."
+    if weak := sum(each.least * len(paired) > LEVEL for each in paired):
+        yield (
             f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than noise among so many, whatever the difference: "
             "look at the difference of each assistant."
         )
-    return tuple(notes)
 
 
 def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
@@ -156,14 +152,13 @@ def tables(compared: Compared) -> list[Table]:
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
-    before = (folder / "compare.md").read_bytes() if (folder / "compare.md").is_file() else b""
+    before = (folder / "compare.md").read_text("utf-8", "replace") if (folder / "compare.md").is_file() else ""
     written = write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
     # Tables of the specs that the page before was about would pass for a part of this one.
-    specs = re.findall(r"^## (.+)$", before.decode(errors="replace"), re.MULTILINE) if before.startswith(TITLE.encode()) else []
+    specs = re.findall(r"^## (.+)$", before, re.MULTILINE) if before.startswith(TITLE) else []
     old = {f"{spec}-{table}.{ending}" for spec in specs for table in ("cells", "summary") for ending in RENDERERS}
-    for path in folder.iterdir():
-        if path.name in old and path not in written:
-            path.unlink()
+    for path in {path for path in folder.iterdir() if path.name in old} - {*written}:
+        path.unlink()
     return written
 
 

@@ -236,14 +236,8 @@ def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[st
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
         roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
     shown = chosen(trained_artifacts(layout, roots)[0], wanted)
-    columns: dict[str, list[Any]] = {
-        "key": [part.key for part in shown],
-        "kind": [part.kind for part in shown],
-        "task": [part.task for part in shown],
-        "seed": [part.seed for part in shown],
-        "seconds": [part.seconds for part in shown],
-        "folder": [str(layout.artifact(part.kind, part.key)) for part in shown],
-    }
+    columns: dict[str, list[Any]] = {name: [getattr(part, name) for part in shown] for name in ("key", "kind", "task", "seed", "seconds")}
+    columns["folder"] = [str(layout.artifact(part.kind, part.key)) for part in shown]
     numbers = [{f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)} for part in shown]
     for name in dict.fromkeys(name for each in numbers for name in each):
         columns[name] = [each.get(name) for each in numbers]

@@ -379,13 +379,8 @@ def _draw_severities(panel: Axes, group: Group, conditions: Sequence[Condition],
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
-    panel.set_xticks(
-        range(len(conditions)),
-        [f"{operator_title(variant)} {value:g}" for variant, value in conditions],
-        rotation=35,
-        ha="right",
-        fontsize=7,
-    )
+    names = [f"{operator_title(variant)} {value:g}" for variant, value in conditions]
+    panel.set_xticks(range(len(conditions)), names, rotation=35, ha="right", fontsize=7)
     ruled(panel, "y")
     panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
     for i, (left, right) in enumerate(pairwise(conditions)):

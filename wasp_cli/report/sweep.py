@@ -150,14 +150,10 @@ class SweepReport:
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "name": self.name,
-            "spec": self.spec,
-            "setting": self.key,
-            "values": [point.value for point in self.swept],
-            "rows": [line.as_json() for line in lines(self.swept)],
-            "remarks": [*self.remarks],
+            "name": self.name, "spec": self.spec, "setting": self.key, "values": [point.value for point in self.swept],
+            "rows": [line.as_json() for line in lines(self.swept)], "remarks": [*self.remarks],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
-        }
+        }  # fmt: skip
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.compare.two_runs import write_results
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Trajectory, episode_metrics
 from wasp_cli.report.claims import judge
@@ -23,7 +22,7 @@ from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.films import SIZE, TaskFilms, film_page, films_of
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame
-from wasp_cli.report.summarize import Report, report_run
+from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import detail_table, main_table
 from wasp_cli.report.trained import Trained
 from wasp_cli.spec.paper import load_paper
@@ -104,12 +103,6 @@ def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
     assert page.count("<script>") == 1
     assert "<img src=http" not in page
     assert all(source.startswith("data:image/") for source in outline.fetched)
-
-
-def test_commands_and_addresses_name_keys_since_cells_of_two_specs_share_labels(tmp_path: Path) -> None:
-    side = write_results(tmp_path)
-    page = report_run(tmp_path, side.spec, side.cells).html()
-    assert all(f"wasp explain {key[:8]} --episode 0" in page and f">/cell/{key[:8]}<" in page for _, key in side.cells)
 
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:

@@ -244,15 +244,10 @@ def _ahead(training: _Training) -> Table:
             if told or (share and measure is MEASURES[0]):
                 rows.append(Row((task_title(task), measure.title + share), tuple(values)))
     kept = [i for i in range(len(AHEAD)) if any(row.values[i].mean is not None for row in rows)] or range(len(AHEAD))
-    return Table(
-        "world_model",
-        "World model, imagined steps ahead",
-        ("Task", "Measure"),
-        tuple(Column(f"step_{AHEAD[i]}", str(AHEAD[i]), digits=3) for i in kept),
-        tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows),
-        meanings=("On held-out episodes. Persistence says that the cost stays what it is now.",),
-        ranked=False,
-    )
+    columns = tuple(Column(f"step_{AHEAD[i]}", str(AHEAD[i]), digits=3) for i in kept)
+    shown = tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows)
+    meanings = ("On held-out episodes. Persistence says that the cost stays what it is now.",)
+    return Table("world_model", "World model, imagined steps ahead", ("Task", "Measure"), columns, shown, meanings=meanings, ranked=False)
 
 
 def _incomplete(training: _Training) -> tuple[str, ...]:
