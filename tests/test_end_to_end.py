@@ -184,7 +184,7 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_
     ours, theirs = cells(here), cells(results)
     assert {name: path.read_bytes() for name, path in ours.items()} == {name: path.read_bytes() for name, path in theirs.items()}
     for shown in (done.stdout, wasp("report", str(here)).stdout):
-        assert "made with the present code and libraries" in shown
+        assert "their own code and libraries are the present ones" in shown
         assert "INCOMPLETE" not in shown
     tables = (folder / "reports/chain/table1.md" for folder in (here, results))
     assert next(tables).read_text() == next(tables).read_text()

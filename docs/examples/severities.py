@@ -49,7 +49,8 @@ def returns_of(spec: Path, folder: Path) -> dict[tuple[str, str, float | None], 
     laid_out = lay_out_over(load(spec).spec, Layout(folder), str(PUBLISHED))
     keys = {node.key for cell, node in laid_out.cells if cell.method in ("human", "expert")}
     found: dict[tuple[str, str, float | None], Returns] = {}
-    for row in wasp_cli.results(folder).episodes(method=["human", "expert"], columns=["episode", "return"]).to_pylist():
+    results = wasp_cli.results(folder)
+    for row in wasp_cli.results(folder, spec=results.specs).episodes(method=["human", "expert"], columns=["episode", "return"]).to_pylist():
         if row["key"] in keys:
             returns = found.setdefault((row["task"], row["operator"], row["value"]), {})
             returns[row["seed"], row["episode"]] = row["return"]

@@ -62,6 +62,10 @@ def test_the_table_and_the_page(cells: None, small_spec: Path, tmp_path: Path) -
     folder = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio")
     assert f"report: {folder.absolute()}/report.md" in done.stdout
     assert {path.name for path in folder.iterdir()} == {"report.md", *(f"sweep.{ending}" for ending in ("md", "csv", "tex", "html"))}
+    key = next((tmp_path / "results/store/evaluate").iterdir()).name
+    run_here("note", key, "a <b>hazard", "-e", "1", "--invalid", "--results", tmp_path / "results", columns=200, code=0)
+    shown, page = sweep(small_spec, tmp_path / "results", *VARY).stdout, (folder / "report.md").read_text(encoding="utf-8")
+    assert ("1 episode marked as invalid is in no number here." in shown, "a &lt;b>hazard" in page) == (True, True)
 
 
 def test_a_dry_run_shows_the_plan_of_all_values_and_writes_nothing(small_spec: Path, tmp_path: Path) -> None:
@@ -96,7 +100,7 @@ def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fa
     assert ["Diffusion", "[3", "of", "4", "cells]", "0.4"] in [row[:6] for row in rows]
     assert "goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed: the loss is not finite" in done.stdout
     page = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio") / "report.md"
-    assert "- goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed" in page.read_text(encoding="utf-8")
+    assert r"- goal1 diffusion noisy=0.2 seed 1 \[diffusion.ratio=0.4\]: failed" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -130,7 +134,7 @@ def test_the_page_says_what_was_published(cells: None, small_spec: Path, tmp_pat
     page = (Layout(here).reports("small-sweep-diffusion.ratio") / "report.md").read_text()
     for text in (page, done.stdout):
         for value in ("0.2", "0.4"):
-            assert f"`diffusion.ratio` = `{value}`: " in text
+            assert f"diffusion.ratio = {value}: " in text
         assert " results here are published ones (" in text
     assert "Published cells: goal1 s0 human noisy=0.2, goal1 s1 human noisy=0.2, " in page
 

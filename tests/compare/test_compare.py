@@ -9,7 +9,7 @@ import pytest
 
 from tests.compare.two_runs import episodes, write_results
 from wasp_cli.compare import MEASURES, Compared, Side, State, compare
-from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
+from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables, write
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes
 
@@ -79,13 +79,14 @@ def test_what_changed_is_named_where_it_began(changes: Any, cause: str, reached:
 
 
 def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0"}})
+    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0<b>"}})
     key = next(key for cell, key in second.cells if cell.method == "wasp" and cell.operator == "laggy" and cell.seed == 0)
     path = second.layout.manifest("evaluate", key)
     record = json.loads(path.read_text())
     write_record(path, {**record, "sources": {"wasp_cli.tasks.base": "other", "wasp_cli.new": "x"}})
-    causes = dict(compare(first, second).causes)
-    assert causes["library changed: torch 2.13.0 -> 2.14.0"] == 4
+    causes = dict((compared := compare(first, second)).causes)
+    assert causes["library changed: torch 2.13.0 -> 2.14.0<b>"] == 4
+    assert "torch 2.13.0 -> 2.14.0&lt;b>" in page([compared])
     assert causes["code changed: wasp_cli.new, wasp_cli.tasks.base"] == 1
     assert causes["spec changed: wasp.tau_c 1.0 -> 0.9"] == 4
 
@@ -135,3 +136,8 @@ def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path
         for name in MEASURES:
             assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
     assert facts["alike"] is compared.alike
+    out = tmp_path / "out"
+    write([compared], out)
+    (out / "my-cells.md").write_text("of a person")
+    write([compare(first, first)], out)
+    assert {path.name for path in out.iterdir()} == {"compare.md", "my-cells.md"}

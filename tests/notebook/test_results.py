@@ -103,6 +103,7 @@ def test_rows_are_chosen_by_names(results: Results) -> None:
         ("wasp", "noisy", "mild", 1),
         ("ida", "noisy", "mild", 1),
     }
+    assert results.episodes(seed="1", value="0.7").equals(results.episodes(seed=1, value=0.7))  # type: ignore[arg-type]
     assert results.episodes(method="wasp", variant="full").num_rows < results.episodes(method="wasp").num_rows
     assert results.episodes(operator="laggy", severity="mild").num_rows == 0  # both are there, not together
 
@@ -181,6 +182,11 @@ def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> Non
         both.table()
     with pytest.raises(UnknownName, match="goldne"):
         wasp_cli.results(copied, spec="goldne")
+    none = wasp_cli.results(copied, spec=[])
+    assert (none.cells, none.trained().num_rows, "spec=none: 0 cells" in repr(none)) == ([], 0, True)
+    (later / "plan.json").write_text(json.dumps({**plan, "cells": [], "branched": []}))
+    with pytest.raises(UnknownName, match="unknown table 'main'"):
+        wasp_cli.results(copied).table()
 
 
 def test_a_folder_without_runs_shows_its_store(copied: Path) -> None:

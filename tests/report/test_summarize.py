@@ -52,7 +52,7 @@ def cells(spec: Spec, tmp_path: Path) -> Cells:
             upstream["calibration"] = key("calibration", cell.seed)
         manifest(layout, "evaluate", name, cell.seed, upstream, {"method": cell.method})
     for seed in spec.seeds:
-        manifest(layout, "expert", key("expert", seed), seed, {})
+        manifest(layout, "expert", key("expert", seed), seed, {}, summary={"note": "<img src=https://e.example/x>"})
         trained = {"expert": key("expert", seed)}
         manifest(layout, "world_model", key("world_model", seed), seed, trained, summary={"cost_auprc": 0.51234})
         judge = {"world_model": key("world_model", seed)}
@@ -68,8 +68,8 @@ def parts(spec: Spec) -> list[tuple[Part, str]]:
 
 def manifest(layout: Layout, kind: str, name: str, seed: int, upstream: dict[str, str], axes: Any = (), summary: Any = ()) -> None:
     kinds = {part: part for part in upstream}
-    record = {"task": "goal1", "seed": seed, "upstream": upstream, "upstream_kinds": kinds, "axes": dict(axes), "summary": dict(summary)}
-    write_record(layout.manifest(kind, name), {**record, "provenance": {"seconds": 65.2}})
+    record = {"task": "goal1", "label": kind, "seed": seed, "upstream": upstream, "upstream_kinds": kinds, "axes": dict(axes)}
+    write_record(layout.manifest(kind, name), {**record, "summary": dict(summary), "provenance": {"seconds": 65.2}})
 
 
 def terminal(report: Report, width: int = 140) -> str:
@@ -83,17 +83,23 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
     out.mkdir()
-    (out / "table2.csv").write_text("of an earlier report")
-    (out / "notes.txt").write_text("of a person")
+    (out / "order.md").write_text("of a person")
+    (out / "notes").symlink_to(tmp_path)
+    (out / "figure3.svg").symlink_to(tmp_path / "read as a figure")
     files = report.write(out)
-    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes", "order.md"}
+    (out / "table2.csv").write_text("of an earlier report")
+    assert report.write(out) == files
+    assert not (out / "table2.csv").exists()
     assert all(path.is_file() and path.stat().st_size for path in files)
     assert [path.name for path in files[:2]] == ["report.md", "report.html"]
     endings = ("md", "csv", "tex", "html")
     assert {*(f"table1.{ending}" for ending in endings), "cost_return.png", "cost_return.svg"} <= {path.name for path in files}
     page = files[0].read_text(encoding="utf-8")
-    for text in ("10 of 10 cells, 20 episodes", "cost_auprc 0.5123", "1 min 05 s", "](cost_return.png)", "`wasp.tau_c`"):
+    for text in ("10 of 10 cells, 20 episodes", "cost_auprc 0.5123", "1 min 05 s", "](cost_return.png)", "`wasp.tau_c`", "&lt;img"):
         assert text in page
+    # Of two specs a label means the newest run's cell, a key always the same.
+    assert all(f">{place}{cells[0][1][:8]}" in files[1].read_text() for place in ("wasp explain ", "/cell/"))
     assert "`ida.vote`" not in page  # IDA is not in this spec
     assert "Missing" not in page
     text = terminal(report)
@@ -254,7 +260,7 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
         import_artifact(layout, "evaluate", name)
     report = report_run(tmp_path, spec, cells)
     # Ten cells, and behind them two experts, two world models and two calibrations.
-    today = "made with the present code and libraries"
+    today = "their own code and libraries are the present ones"
     assert report.published == (
         f"2 of 16 results here are published ones (2 evaluate), computed by wasp 0.9 (git abcdef0) on 2026-01-02; {today}.",
         f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",

@@ -53,23 +53,35 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
     )
 
 
-def without(folder: Path, method: str, **changes: Any) -> Path:
+def without(folder: Path, method: str, name: str = "held", **changes: Any) -> Path:
     """Results of which one method is unknown now."""
     side = write_results(folder, **changes)
     for record in ("spec.json", "plan.json"):
         path = side.layout.run(side.run_id) / record
-        path.write_text(path.read_text(encoding="utf-8").replace(f'"{method}"', '"held"'), encoding="utf-8")
+        path.write_text(path.read_text(encoding="utf-8").replace(f'"{method}"', f'"{name}"'), encoding="utf-8")
     return folder
 
 
+def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_path: Path) -> None:
+    side = write_results(tmp_path / "results")
+    cut, linked = (side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2])
+    cut.write_bytes(cut.read_bytes()[:-200])
+    linked.symlink_to(linked.rename(tmp_path / "elsewhere"))
+    told = run_here("report", side.layout.root, *REPORT, columns=300, code=1)
+    assert "INCOMPLETE: 2 of 8 cells are missing (1 damaged, 1 refused)." in told.output
+    assert f"part of the results cannot be read:\n  {cut} is damaged" in told.output
+
+
 def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> None:
-    results = without(tmp_path / "results", "wasp")
+    results = without(tmp_path / "results", "wasp", "<b>held")
     told = run_here("report", results, *REPORT, columns=200, code=0)
     assert "none is left out" not in told.output
     assert "4 of 4 planned cells of what is installed here are finished" in told.output
     assert "held: not installed here; its 4 cells are left out." in told.output
-    assert "held: not installed here" in (results / "reports/tiny/report.md").read_text(encoding="utf-8")
+    page = (results / "reports/tiny/report.md").read_text(encoding="utf-8")
+    assert ("&lt;b>held: not installed here" in page, "<b>" in page) == (True, False)
     assert run_here("report", results, *REPORT, "--strict", columns=200).exit_code == 1
+    assert "<b>held: not installed here; its 4" in run_here("compare", results, results, "--strict", columns=200, code=1).output
 
 
 def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,7 +67,7 @@ def report(
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
             if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):  # the run was killed before it wrote its own
                 layout.reporting(run_id).unlink(missing_ok=True)
-            damaged += shown.damaged
+            damaged += (*shown.damaged, *(gap.reason for gap in shown.missing if gap.damaged))
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
             missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             gaps += [f"{name}: {sentence}" for sentence in recorded.absent]

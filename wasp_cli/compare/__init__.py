@@ -108,11 +108,12 @@ class Side:
     run_id: str
     spec: Spec
     cells: Sequence[tuple[Cell, str]]  # each with the key of its evaluation
+    absent: tuple[str, ...] = ()  # whose cells are left out, since it is not installed here, each as a sentence
 
     @classmethod
     def read(cls, layout: Layout, run_id: str) -> Side:
         run = read_run(layout, run_id)
-        return cls(layout, run.run_id, run.spec, run.cells)
+        return cls(layout, run.run_id, run.spec, run.cells, run.absent)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,8 @@ class Compared:
 
     @property
     def alike(self) -> bool:
-        return not self.beyond and not self.having("only first", "only second", "not compared")
+        unknown = self.having("only first", "only second", "not compared")
+        return not (self.beyond or unknown or self.first.absent or self.second.absent)
 
     @property
     def causes(self) -> list[tuple[str, int]]:

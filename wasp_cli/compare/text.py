@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,12 +15,13 @@ from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.render import markdown, terminal, write_pages
+from wasp_cli.report.render import RENDERERS, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.spec.paper import Who
 
+TITLE = "# Comparison\n"
 SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
 COLUMNS = tuple(
@@ -55,7 +57,7 @@ def cells_table(compared: Compared) -> Table | None:
         Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
         for cell, names in zip(cells, beyond, strict=True)
     ]
-    notes = _unable(compared)
+    notes = tuple(_unable(compared))
     return Table(
         "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
     ) if rows else None  # fmt: skip
@@ -82,25 +84,22 @@ def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], s
     return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
 
-def _unable(compared: Compared) -> tuple[str, ...]:
+def _unable(compared: Compared) -> Iterator[str]:
     paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
-    notes = []
-    partly = sum(each.worlds < max(each.episodes) for each in paired)
-    if partly:
-        notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
-    weak = sum(each.least * len(paired) > LEVEL for each in paired)
-    if weak:
-        notes.append(
+    if partly := sum(each.worlds < max(each.episodes) for each in paired):
+        yield f"{_cells(partly)} with other worlds too: those in common are compared."
+    if weak := sum(each.least * len(paired) > LEVEL for each in paired):
+        yield (
             f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than noise among so many, whatever the difference: "
             "look at the difference of each assistant."
         )
-    return tuple(notes)
 
 
 def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
     """Yield what stands before the tables, a line each; at most `shown` cells of a kind."""
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
+    yield from (f"  {line}" for line in dict.fromkeys((*compared.first.absent, *compared.second.absent)))
     for state in ("only first", "only second", "not compared"):
         cells = compared.having(state)
         for cell in cells[:shown]:
@@ -139,9 +138,9 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
-    parts = ["# Comparison\n"]
+    parts = [TITLE]
     for each in compared:
-        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in remarks(each, shown=None)))
+        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=None)))
         parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
     return "\n".join(parts)
 
@@ -153,12 +152,19 @@ def tables(compared: Compared) -> list[Table]:
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
-    return write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
+    before = (folder / "compare.md").read_text("utf-8", "replace") if (folder / "compare.md").is_file() else ""
+    written = write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
+    # Tables of the specs that the page before was about would pass for a part of this one.
+    specs = re.findall(r"^## (.+)$", before, re.MULTILINE) if before.startswith(TITLE) else []
+    old = {f"{spec}-{table}.{ending}" for spec in specs for table in ("cells", "summary") for ending in RENDERERS}
+    for path in {path for path in folder.iterdir() if path.name in old} - {*written}:
+        path.unlink()
+    return written
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
     sides = {
-        name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id}
+        name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id, "absent": side.absent}
         for name, side in (("first", compared.first), ("second", compared.second))
     }
     cells = [{**asdict(cell), "beyond": list(cell.beyond)} for cell in compared.cells]

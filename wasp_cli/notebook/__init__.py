@@ -77,7 +77,7 @@ class Results:
     @cached_property
     def cells(self) -> list[ListedCell]:
         """The cells, computed or not, in the order of the spec."""
-        if not self._named:
+        if not self._plans:
             return reading.stored_cells(self._layout)
         return [cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])]
 
@@ -87,7 +87,7 @@ class Results:
         return [cell.label for cell in self.cells if reading.table_of(self._layout, cell) is None]
 
     def __repr__(self) -> str:
-        whose = f"spec={', '.join(map(repr, self._named))}" if self._named else "without runs"
+        whose = f"spec={', '.join(map(repr, self._named)) or 'none'}" if self._plans else "without runs"
         return f"<wasp results '{self._layout.root}', {whose}: {len(self.cells)} cells>"
 
     def episodes(
@@ -139,7 +139,8 @@ class Results:
         Raises:
             UnknownName: no part has such a task, kind or seed.
         """
-        parts = [(part["kind"], part["key"]) for name in self._named for part in self._plans[name].get("parts", ())]
+        planned = (part for name in self._named for part in self._plans[name].get("parts", ()))
+        parts = [(part["kind"], part["key"]) for part in planned] if self._plans else None  # of a folder without runs all that there is
         return reading.trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
 
     def table(self, name: str = "main") -> pa.Table:

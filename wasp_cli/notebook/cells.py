@@ -106,10 +106,11 @@ def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
     for name, value in wanted.items():
         if value is None:
             continue
-        values = set(_values(value))
         known = {getattr(item, name) for item in items}
+        texts = {str(one): one for one in known if one is not None}
+        values = {texts.get(str(one), one) for one in _values(value)}  # a number may be written as a text
         for unknown in sorted(values - known, key=str):
-            raise UnknownName(f"{name} in these results", str(unknown), sorted(str(one) for one in known if one is not None))
+            raise UnknownName(f"{name} in these results", str(unknown), texts)
         kept = [item for item in kept if getattr(item, name) in values]
     return kept
 
@@ -226,23 +227,17 @@ def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
     return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})
 
 
-def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
+def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]] | None, wanted: Mapping[str, Any]) -> pa.Table:
     # Imported here: what a report needs is not needed for rows.
     from wasp_cli.report.trained import NOT_TRAINED, scalars, trained_artifacts
 
-    roots = [*((KIND, key) for key in cells), *parts]
-    if not roots:
+    roots = [*((KIND, key) for key in cells), *(parts or ())]
+    if not roots and parts is None:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
         roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
     shown = chosen(trained_artifacts(layout, roots)[0], wanted)
-    columns: dict[str, list[Any]] = {
-        "key": [part.key for part in shown],
-        "kind": [part.kind for part in shown],
-        "task": [part.task for part in shown],
-        "seed": [part.seed for part in shown],
-        "seconds": [part.seconds for part in shown],
-        "folder": [str(layout.artifact(part.kind, part.key)) for part in shown],
-    }
+    columns: dict[str, list[Any]] = {name: [getattr(part, name) for part in shown] for name in ("key", "kind", "task", "seed", "seconds")}
+    columns["folder"] = [str(layout.artifact(part.kind, part.key)) for part in shown]
     numbers = [{f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)} for part in shown]
     for name in dict.fromkeys(name for each in numbers for name in each):
         columns[name] = [each.get(name) for each in numbers]
@@ -265,8 +260,7 @@ def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
     run = read_run(layout, last_runs(layout)[0][spec])
     paper = load_paper() if name == "paper" else None
     report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent)
-    tables = {table.name: table for table in report.tables}
-    known = {"main": report.tables[0], **tables} if tables else {}
+    known = {own: table for table in report.tables for own in (table.name, *["main"] * (table.name == "table1"))}
     if name not in known:
         raise UnknownName("table", name, known)
     return pa.table(data_columns(known[name]))

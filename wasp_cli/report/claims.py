@@ -31,9 +31,13 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats import JUDGED, Frame, Group, groups, row_of
 from wasp_cli.report.tables import task_title
+from wasp_cli.report.tables.comparison import MEANS as NECESSITY
+from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 
+COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
+"""Everything that a claim may be about (spec.paper.COLUMNS)."""
 Outcome = Literal["holds", "fails", "undecided", "untested"]
 
 
@@ -224,8 +228,8 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
 def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:
     if left is None or (right is None and asked.right is not None):
         return None
-    # To nine digits: 0.3 - 0.1 is not 0.2 to a computer.
-    other = right.mean if right is not None else asked.bound or 0.0
+    # To nine digits: 0.3 - 0.1 is not 0.2 to a computer. Shares are printed in percent, and a bound is none.
+    other = right.mean if right is not None else (asked.bound or 0.0) * COLUMN_OF[asked.column].scale
     contrast = round(left.mean - other - signed_margin(asked) * abs(other), 9)
     return decide((contrast, contrast), asked.relation) == "holds"
 

@@ -12,12 +12,10 @@ from rich.text import Text
 
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.bootstrap import Limits
-from wasp_cli.report.claims import Answer, Beside, Judged, Outcome, VerdictReport, signed_margin, stood_for
+from wasp_cli.report.claims import COLUMN_OF, Answer, Beside, Judged, Outcome, VerdictReport, signed_margin, stood_for
 from wasp_cli.report.render import markdown_row, rendered
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title, who_title
-from wasp_cli.report.tables.comparison import MEANS as NECESSITY
-from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:
@@ -185,8 +183,6 @@ def verdict_html(verdict: VerdictReport) -> Markup:
     return rendered("claims.html", verdict=verdict, claims=claims, **told)
 
 
-COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
-"""Everything that a claim may be about (spec.paper.COLUMNS)."""
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")
 MEANINGS = (

@@ -14,6 +14,7 @@ from io import BytesIO
 from itertools import groupby, pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+from zlib import crc32
 
 import numpy as np
 
@@ -34,7 +35,7 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-LINES = ("-", "--", ":")  # of methods with one colour, in their rounds
+LINES = ("-", "--", ":")  # of methods with one colour, in their rounds; the last one is that of classes of one's own
 ENDINGS = ("png", "svg")
 # The markers move on by one with every round of the colours, or the eighth method would look like the first.
 STYLES = {  # colour and marker of a method, the same in every figure; the marker also tells them apart in print
@@ -94,7 +95,9 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def style_of(method: str) -> tuple[str, str]:
-    return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
+    """Return colour and marker of a method; those of a class of one's own follow from its name, and are those of no other method here."""
+    free = [style for style in product(PALETTE[1:], METHOD_MARKERS) if style not in STYLES.values()]
+    return STYLES.get(method) or free[crc32(method.encode()) % len(free)]
 
 
 def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
@@ -198,7 +201,7 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
         for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
             for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
                 x, share = profile(group, key, at_least=key == "return")
-                place = names.index(group.method) // len(PALETTE) if group.method in names else 0  # a class of one's own is in no list
+                place = names.index(group.method) // len(PALETTE) if group.method in names else -1
                 look = {"color": style_of(group.method)[0], "linestyle": LINES[place % len(LINES)], "linewidth": 1.3}
                 panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
             column[0].set_title(task_title(task), loc="left", fontweight="bold")
@@ -376,13 +379,8 @@ def _draw_severities(panel: Axes, group: Group, conditions: Sequence[Condition],
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
-    panel.set_xticks(
-        range(len(conditions)),
-        [f"{operator_title(variant)} {value:g}" for variant, value in conditions],
-        rotation=35,
-        ha="right",
-        fontsize=7,
-    )
+    names = [f"{operator_title(variant)} {value:g}" for variant, value in conditions]
+    panel.set_xticks(range(len(conditions)), names, rotation=35, ha="right", fontsize=7)
     ruled(panel, "y")
     panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
     for i, (left, right) in enumerate(pairwise(conditions)):

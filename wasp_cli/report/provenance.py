@@ -82,7 +82,7 @@ class Origins:
             counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
             changes = [change for manifest in manifests for change in (*changed_since(_modules(manifest)), *library_changes(manifest))]
             since = f"since then has changed: {few(list(dict.fromkeys(changes)))}"
-            since = since if changes else "made with the present code and libraries"
+            since = since if changes else "their own code and libraries are the present ones"
             results = f"{len(manifests)} of {self.total} results here are published ones ({counted})"
             yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {since}."
         cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-WHOLE = re.compile(r"(\d+) of \1 planned cells")
+WHOLE = re.compile(r"(\d+) of \1 planned cells are")
 """A note that nothing is missing: a caption goes without, and the comments above the table have it."""
 
 
@@ -69,7 +69,7 @@ def markdown(table: Table) -> str:
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
         lines.append(markdown_row([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
-        lines += ["", *(f"- {note}" for note in table.notes + table.meanings)]
+        lines += ["", *(f"- {markdown_text(note)}" for note in table.notes), *(f"- {meaning}" for meaning in table.meanings)]
     return "\n".join(lines) + "\n"
 
 
@@ -283,12 +283,12 @@ def data_uri(data: bytes, mime: str) -> str:
 RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text, "tex": latex, "html": html}
 
 
-def make_own(folder: Path) -> None:
-    """Make the folder of a report, and see that nothing which is written there is written elsewhere; a StoreError where it is a link."""
+def make_own(folder: Path, names: Iterable[str] = ()) -> None:
+    """Make the folder of a report, without links of these names, which would pass for files of its own; a StoreError where it is one."""
     if folder.is_symlink():
         raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
     folder.mkdir(parents=True, exist_ok=True)
-    for path in folder.iterdir():
+    for path in map(folder.joinpath, names):
         if path.is_symlink():
             path.unlink()
 

@@ -180,7 +180,7 @@ def _or_missing(wanted: Wanted, kind: str, read: Callable[[Path], Result]) -> Re
     """What is read of a table; a report names what is not there or damaged and goes on, and never averages without it in silence."""
     missing = partial(Missing, wanted.identity, wanted.label, kind=kind)
     if wanted.refused is not None:
-        return missing(wanted.refused)
+        return missing(f"refused: {wanted.refused}")
     key = wanted.path.parent.name
     if not wanted.path.exists():
         blocked = f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"

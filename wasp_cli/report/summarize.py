@@ -112,26 +112,27 @@ class Report:
         `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too. Unless
         asked to `redraw`, figures stay where an earlier report says the same: they take most of the time.
         """
-        make_own(folder)
+        make_own(folder, (*KNOWN, "trained"))
+        page = folder / PAGES[0]
+        ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")  # else what is there already is a person's
         figures = [] if redraw else self._kept(folder)
         figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
         films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
         texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
         pages = write_pages(folder, texts, self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
-        for name in KNOWN - {path.name for path in (*pages, *figures)}:
+        for name in KNOWN - {path.name for path in (*pages, *figures)} if ours else ():
             (folder / name).unlink(missing_ok=True)
         if not evidence:
             return [*pages, *figures]
         from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
 
-        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
+        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"), anew=ours)]
 
     def _kept(self, folder: Path) -> list[Path]:
         figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
         page = folder / "report.md"
-        same = page.is_file() and page.read_text(encoding="utf-8") == self.markdown([path.name for path in figures])
-        return figures if same else []
+        return figures if page.is_file() and page.read_bytes() == self.markdown([path.name for path in figures]).encode() else []
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
@@ -231,7 +232,7 @@ def report_run(
         # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
         parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
-    remarks = (*origins.remarks(), *absent)
+    remarks = (*left_out, *origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
@@ -250,7 +251,7 @@ def report_run(
     )
     back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
-    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged)
+    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *published, *remarks, *unknown, *damaged)
     return Report(
         name=spec.name, layout=layout, facts=facts, tables=(*front, *back), shown=len(front), frame=frame, trained=trained,
         assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.render import make_own, markdown, terminal, write_pages
+from wasp_cli.report.render import make_own, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summarize import identity_of, name_missing, report_run
 from wasp_cli.report.summary import Value, paired_difference, spread_note
@@ -103,7 +103,7 @@ class SweepReport:
     key: str
     swept: tuple[Swept, ...]
     damaged: tuple[str, ...] = ()  # records that do not read
-    published: tuple[str, ...] = ()  # what was published and not computed here
+    remarks: tuple[str, ...] = ()  # what was published or left out, and what else a reader of the table has to know
 
     @cached_property
     def frame(self) -> Frame:
@@ -127,7 +127,7 @@ class SweepReport:
 
     def terminal(self, console: Console) -> None:
         console.print(terminal(self.table, console.width))
-        for fact in self.published:
+        for fact in self.remarks:
             console.print(Text(fact), soft_wrap=True)
         name_missing(console, self.missing)
 
@@ -140,32 +140,29 @@ class SweepReport:
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
             f"{len(self.frame.cells)} of {len(self.frame.order)} different cells, {sum(cell.count for cell in self.frame.cells)} episodes.",
-            *self.published,
-            *self.damaged,
+            *map(markdown_text, (*self.remarks, *self.damaged)),
         ]
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
         if self.missing:
-            parts.append("## Missing cells\n\n" + "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing))
+            lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
+            parts.append(f"## Missing cells\n\n{lines}")
         return "\n".join([*parts, markdown(self.table)])
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "name": self.name,
-            "spec": self.spec,
-            "setting": self.key,
-            "values": [point.value for point in self.swept],
-            "rows": [line.as_json() for line in lines(self.swept)],
+            "name": self.name, "spec": self.spec, "setting": self.key, "values": [point.value for point in self.swept],
+            "rows": [line.as_json() for line in lines(self.swept)], "remarks": [*self.remarks],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
-        }
+        }  # fmt: skip
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
     swept: list[Swept] = []
     damaged: list[str] = []
-    published: list[str] = []
+    remarks: list[str] = []
     for point, asked in zip(sweep.points, cells, strict=True):
         report = report_run(results, point.loaded.spec, asked)
         damaged += report.damaged
-        published += [f"`{sweep.key}` = `{point.text}`: {fact}" for fact in report.published]
+        remarks += [f"{sweep.key} = {point.text}: {fact}" for fact in (*report.published, *report.remarks)]
         swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in asked}))
-    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(published))
+    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(remarks))

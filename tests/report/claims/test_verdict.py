@@ -230,6 +230,14 @@ def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note
     assert ("; t " in text) == (words == "holds")
 
 
+@pytest.mark.parametrize(("column", "bound", "shown"), [("success", 0.7, False), ("success", 0.6, True), ("return", 60.0, True)])
+def test_percent_in_print_is_held_against_a_bound_that_is_a_share(column: str, bound: float, shown: bool) -> None:
+    tables = f"[{{name: Table 1, columns: [{column}], rows: {{goal1: {{wasp: [62]}}}}}}]"
+    paper = paper_with(asked("at_least", f"bound: {bound}", f"columns: [{column}]"), tables=tables)
+    ((answer,),) = judge(frame_of(cell("wasp", [1.0, 2.0])), paper).claims[0].answers
+    assert answer.shown_in_print is shown
+
+
 # The verdict as tables, text and HTML: the paper that is shipped, over a grid of invented cells.
 
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import figures as methods
-from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure
+from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure, style_of
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
 
 
@@ -41,7 +41,7 @@ def test_an_assistant_from_a_file_of_ones_own_is_drawn_too(frame: Frame, tmp_pat
 
 
 def test_methods_differ_in_colour_and_marker() -> None:
-    assert len(set(STYLES.values())) == len(STYLES)
+    assert len({style_of("a:A"), style_of("b:B"), *STYLES.values()}) == 2 + len(STYLES)
     first = list(STYLES.values())[: len(PALETTE)]
     assert len({colour for colour, _ in first}) == len({marker for _, marker in first}) == len(first)
 

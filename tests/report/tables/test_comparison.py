@@ -70,7 +70,9 @@ def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
     (note,) = [note for note in found(comparison_table(together)).notes if "[low, high]" in note]
     assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
     single = found(comparison_table(read_frame(grid(seeds=(0,), episodes=1))))
-    assert "No intervals: there is a single world to resample." in single.notes
+    impaired = [one for one in grid(seeds=(0, 1)) if one.identity.operator in ("noisy", "laggy")[: 1 + one.identity.seed]]
+    for table in (single, found(comparison_table(read_frame(impaired)))):
+        assert "No intervals: there is a single world to resample, or the trainings have cells of different operators." in table.notes
     assert all(each.interval is None for row in single.rows for each in row.values)
 
 
@@ -145,6 +147,7 @@ def test_the_table_says_it_where_there_are_any(costs: list[float], note: str) ->
     table = ablation_table(frame_of(wasp([1.0, 2.0, 3.0], **columns), wasp(costs, "no-case2", **columns)))
     found = [text for text in table.notes if "the same as with the full method" in text]
     assert [text.partition(" are ")[0] for text in found] == ([f"Goal1, WASP, no Case II recovery: {note}"] if note else [])
+    assert all(text.endswith("method in what happened and what was corrected.") for text in found)  # gates may differ
 
 
 # The tables of a sweep against numbers worked out by hand (tests/report/swept.py says how).

@@ -111,3 +111,6 @@ def test_links_are_not_followed_to_write(store: tuple[Layout, list[Trained]], tm
     write_evidence(layout, [denoiser], report)
     assert page.read_text() != (outside / "quality.md").read_text() == "mine"
     assert [path.name for path in outside.iterdir()] == ["quality.md"]
+    page.parent.rename(report / "trained" / "mine")
+    assert write_evidence(layout, [denoiser], report, anew=False) == [page]
+    assert (report / "trained" / "mine").is_dir()

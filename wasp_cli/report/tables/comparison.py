@@ -45,7 +45,7 @@ def comparison_table(frame: Frame) -> Table | None:
         counted = f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
         said = [*limit_notes(rows), counted]
     else:
-        said = ["No intervals: there is a single world to resample."]
+        said = ["No intervals: there is a single world to resample, or the trainings have cells of different operators."]
     notes = (*said, *lonely, *missing_notes(frame))
     labels = ("Task", "Measure", "Method")
     return Table("statistics", "Confidence intervals", labels, columns, tuple(rows), notes, MEANINGS, grouping=2)

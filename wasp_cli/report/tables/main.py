@@ -71,7 +71,7 @@ def missing_notes(frame: Frame) -> list[str]:
         return [f"{total} of {total} planned cells of what is installed here are finished; none failed. {' '.join(frame.absent)}"]
     if not frame.missing:
         return [f"{total} of {total} planned cells are finished; none failed, and none is left out."]
-    # The reason begins with what happened: failed, blocked by another node, damaged, or nothing yet.
+    # The reason begins with what happened: failed, blocked by another node, refused, damaged, or nothing yet.
     fates = Counter("damaged" if each.damaged else each.reason.partition(" ")[0].rstrip(":") for each in frame.missing)
     said = ", ".join(f"{count} {'not computed' if fate == 'not' else fate}" for fate, count in fates.items())
     return [
@@ -121,8 +121,8 @@ def ablation_table(frame: Frame) -> Table | None:
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
             same, total = same_episodes(group.cells, reference)
             if same:
-                where = f"{task_title(group.task)}, {title}"
-                notes.append(f"{where}: {same} of {total} episodes are the same as with the full method, in every number.")
+                which = f"{task_title(group.task)}, {title}: {same} of {total} episodes"
+                notes.append(f"{which} are the same as with the full method in what happened and what was corrected.")
         rows.append(Row((task_title(group.task), title), numbers))
     cells = [cell for group in ablations for cell in group.cells]
     meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)

@@ -22,7 +22,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.provenance import Origins, is_from_published
-from wasp_cli.report.render import markdown_row
+from wasp_cli.report.render import markdown_row, markdown_text
 from wasp_cli.report.summary import Value, over_seeds
 from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.stages.registry import stages_of
@@ -92,7 +92,7 @@ def trained_artifacts(
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
     lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
     for artifact in artifacts:
-        numbers, time = numbers_text(artifact.summary), duration(artifact.seconds)
+        numbers, time = markdown_text(numbers_text(artifact.summary)), duration(artifact.seconds)
         lines.append(markdown_row((task_title(artifact.task), artifact.seed, artifact.stage, time, numbers, f"`{artifact.key[:8]}`")))
     return "\n".join(lines) + "\n"
 
@@ -244,15 +244,10 @@ def _ahead(training: _Training) -> Table:
             if told or (share and measure is MEASURES[0]):
                 rows.append(Row((task_title(task), measure.title + share), tuple(values)))
     kept = [i for i in range(len(AHEAD)) if any(row.values[i].mean is not None for row in rows)] or range(len(AHEAD))
-    return Table(
-        "world_model",
-        "World model, imagined steps ahead",
-        ("Task", "Measure"),
-        tuple(Column(f"step_{AHEAD[i]}", str(AHEAD[i]), digits=3) for i in kept),
-        tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows),
-        meanings=("On held-out episodes. Persistence says that the cost stays what it is now.",),
-        ranked=False,
-    )
+    columns = tuple(Column(f"step_{AHEAD[i]}", str(AHEAD[i]), digits=3) for i in kept)
+    shown = tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows)
+    meanings = ("On held-out episodes. Persistence says that the cost stays what it is now.",)
+    return Table("world_model", "World model, imagined steps ahead", ("Task", "Measure"), columns, shown, meanings=meanings, ranked=False)
 
 
 def _incomplete(training: _Training) -> tuple[str, ...]:

@@ -245,13 +245,15 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
 }
 
 
-def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write what there is to see of trained parts in place of what an earlier report drew; of a damaged artifact a file is left out."""
+def write_evidence(
+    layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None, *, anew: bool = True
+) -> list[Path]:
+    """Write what there is to see of trained parts; of a damaged artifact a file is left out. With `anew` what was there before goes."""
     root = report / FOLDER
-    if root.is_symlink() or root.is_file():  # it would lead elsewhere
-        root.unlink()
-    elif root.is_dir():
+    if anew and root.is_dir() and not root.is_symlink():
         shutil.rmtree(root)
+    elif anew or root.is_symlink():  # it would lead elsewhere
+        root.unlink(missing_ok=True)
     written: list[Path] = []
     for part in trained:
         if part.kind in EVIDENCE:
