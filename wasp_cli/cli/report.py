@@ -220,7 +220,7 @@ def compare(
             say(f"written: {paths[0]} (its tables are in the same folder)")
     unlike = [compared.first.spec.name for compared in comparisons if not compared.alike]
     if strict and unlike:
-        raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")
+        raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names what is missing, not installed here or beyond noise")
 
 
 @command(
