@@ -87,7 +87,7 @@ def test_report_compare_and_view_name_the_file_and_go_on(column, without_figures
     path = one_cell(after)
     assert column in COLUMNS
     flip(path, letter(path, column))
-    told = run_here("report", after.layout.root, "--no-films", "--no-trained", "--paper", "none", columns=400, code=0)
+    told = run_here("report", after.layout.root, "--no-films", "--no-trained", "--paper", "none", columns=400, code=1)
     assert f"{path} is damaged: it has no column {column}" in told.output
     assert "1 of 8 cells are missing (1 damaged)" in told.output
     compared = run_here("compare", before.layout.root, after.layout.root, columns=400, code=0)
