@@ -163,9 +163,10 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
 @pytest.mark.parametrize("place", ["report", "file"])
 def test_what_names_this_machine_is_refused(private, place, results, small_spec):
     results = results.rename(results.with_name(private))
-    text = HOST if private == "host" else json.dumps(f"{results}/runs")
+    named = HOST if private == "host" else f"{results}/runs"
+    text = json.dumps(("é" if private == "host" else "ended\n") + named)
     if place == "report":
-        (results / "reports/small/report.md").write_text(f"see {text}\n")
+        (results / "reports/small/report.md").write_text(f"see {named}\n")
     else:
         victim = sorted(results.glob("store/expert/*"))[0]
         (victim / "half.bin").write_bytes(f"see {text}".encode())

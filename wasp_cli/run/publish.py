@@ -155,8 +155,8 @@ def _private(layout: Layout) -> dict[str, str]:
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
     for what, text in private.items():
-        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))  # JSON escapes what is not ASCII
-        if re.search(rf"(?<!\w)({forms})(?!\w)".encode(), data):
+        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))  # JSON escapes what is not ASCII, also just before a name
+        if re.search(rf"(?:(?<!\w)|(?<=\\[bfnrt])|(?<=\\u[0-9a-f]{{4}}))({forms})(?!\w)".encode(), data):
             return what
     return None
 
