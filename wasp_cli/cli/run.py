@@ -186,7 +186,7 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
     from wasp_cli.store.artifact import corruption, invalidate
     from wasp_cli.store.layout import SESSION_FILE
 
-    if missing:
+    if missing := [cell for cell in missing if not cell.invalid]:
         for cell in missing:
             driven = cell.damaged and (layout.artifact(cell.kind, cell.key) / SESSION_FILE).exists()
             if cell.damaged and not driven and corruption(layout, cell.kind, cell.key) is not None:

@@ -136,7 +136,7 @@ def without_invalid(
         rest = None if whole is not None else of_episodes(cell, ~np.isin(np.arange(cell.count), list(out)))
         if rest is None:
             first = whole or next(note for (other, _), note in marked.items() if other == key)
-            missing.append(Missing(cell.identity, first.label, f"marked as invalid by {first.author}: {first.text}", key))
+            missing.append(Missing(cell.identity, first.label, f"marked as invalid by {first.author}: {first.text}", key, invalid=True))
             judged.pop(cell.identity, None)
             said.append(f"The cell {first.label} is left out: {_why(first)}.")
             continue

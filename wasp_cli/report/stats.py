@@ -80,6 +80,7 @@ class Missing:
     key: str = ""
     damaged: bool = False  # whether its rows are there and do not read
     kind: str = "evaluate"  # of the node that makes them
+    invalid: bool = False  # whether a person marked it so
 
 
 @dataclass(frozen=True, eq=False)
