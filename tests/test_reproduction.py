@@ -70,6 +70,13 @@ def test_the_tables_are_those_of_the_published_rows():
             ("race1 no-rollout", "cost -1.400 [-3.158, +0.309]", "and 1.4 less [-.3, 3.2] in training 2"),
             ("goal1 no-rollout", "success -0.067 [-0.158, +0.025], cost +0.292 [-0.925, +1.542]", "nothing is certain in training 2"),
         )),
+        ((3,), "Table 1", (
+            ("race1 ida", "cost +4.333 [+1.742, +7.259]", "4.3 [1.7, 7.3] less than IDA and"),
+            ("race1 saferl", "cost +2.908 [+0.983, +4.942]", "2.9 [1.0, 4.9] less than SafeRL-Res."),
+            ("race1 diffusion", "cost +2.050 [-0.767, +5.468]", "Diffusion costs 2.1 [-.8, 5.5] more,"),
+            ("race1 ida-guarded", "cost -0.483 [-2.025, +0.950]", "IDA + safety gate .5 less [-1.0, 2.0]."),
+            ("race1 no-case2", "cost +2.175 [+0.208, +5.142]", "Without Case II WASP costs 2.2 [.2, 5.1] more."),
+        )),
         ((2,), "Table 1", (
             ("race1 ida", "cost +4.575 [-0.392, +11.792]", "4.6 [-.4, 11.8] on Race1"),
             ("formula1 ida", "cost +0.975 [+0.117, +1.992]", "1.0 [.1, 2.0] on FormulaOne1"),
