@@ -81,7 +81,12 @@ def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
 def claims() -> str:
     """Return the table of all claims in Markdown."""
     rows = [
-        (f"{judged.claim.says} (`{judged.claim.id}`)", word(judged), word(other), decides(judged) + ("; trainings 1 and 3" if on == BRANCHED else ""))
+        (
+            f"{judged.claim.says} (`{judged.claim.id}`)",
+            word(judged),
+            word(other),
+            decides(judged) + ("; trainings 1 and 3" if on == BRANCHED else ""),
+        )
         for judged, other, on in verdicts()
     ]
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
