@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from tests.run.fake_stages import Fake
-from tests.run.harness import ROOT, data_of, prepared, run
+from tests.run.harness import ROOT, data_of, prepared, run, wait_until
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
@@ -122,21 +122,20 @@ def test_workers_give_the_same_bytes_as_this_process(fakes, small_spec, tmp_path
 
 
 def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes, small_spec, tmp_path):
-    """The other one goes on for a while: meanwhile everything is done that does not need it."""
+    """The other one goes on until no worker has anything to do: meanwhile everything is done that does not need it."""
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    first = plan.to_run()[0]
-    started, finish = threading.Event(), threading.Event()
+    first, run_id, started = plan.to_run()[0], new_run(layout, loaded, plan), threading.Event()
+    runner = Runner(layout, run_id, InlinePool())
 
     def other() -> None:
         with held(layout.lock(first.key), lambda: True, {"pid": 1}):
             started.set()
-            finish.wait(600)
+            wait_until(lambda: '"waiting"' in layout.journal(run_id).read_text(encoding="utf-8"), 60.0)
 
     thread = threading.Thread(target=other)
     thread.start()
     started.wait()
-    threading.Timer(1.0, finish.set).start()
-    summary = Runner(layout, new_run(layout, loaded, plan), InlinePool()).run(plan)
+    summary = runner.run(plan)
     thread.join()
     assert summary.complete
     needing = {first.key}

@@ -45,7 +45,6 @@ class NodeJob:
     attempt: int = 1
     threads: int = 1
     limit: float | None = None  # seconds that it may take; None for no limit
-    wait: bool = False  # whether to wait while another run computes it; otherwise it comes back as `busy`
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -20,12 +20,12 @@ from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unsee
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import is_held
 from wasp_cli.store.provenance import provenance
 
 UNEXPLAINED = 5  # deaths of idle workers that a run lives with
 DEATH_SECONDS = 2.0  # within which the whole pool learns that one of its workers was killed
 LOOK_SECONDS = 0.5
-ASK_SECONDS = 2.0  # between two looks at a node that another run computes
 POLL_SECONDS = 0.1
 ARRIVAL_SECONDS = 60.0  # within which an artifact of another machine is seen here: file systems keep for so long that a name was not there
 ELSEWHERE = "the worker writes to another folder of this name: every machine needs the same one; then run again"
@@ -68,13 +68,13 @@ class Runner:
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0  # deaths of workers that computed nothing
         self._flying: dict[Future[NodeResult], Flight] = {}  # what workers compute now, in the order in which it began
-        self._elsewhere: dict[str, tuple[float, Flight]] = {}  # by key what another run computes, and when that was last seen
+        self._elsewhere: list[Flight] = []  # what another run computes
         self._suspects: list[Flight] = []  # what ran when a worker was killed
         self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
         self._deaths: list[tuple[Flight, bool, str]] = []  # lost with workers, not in the journal yet: whether it is a suspect, and why
         self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
-        self._deserted = False
+        self._deserted = self._waits = False
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
@@ -123,7 +123,7 @@ class Runner:
                 return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
-                self._flying[self._pool.alone(replace(flight.job, wait=False))] = replace(flight, alone=True)
+                self._flying[self._pool.alone(flight.job)] = replace(flight, alone=True)
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
@@ -136,17 +136,17 @@ class Runner:
                 return
 
     def _waited(self) -> Flight | None:
-        """A node that another run computes: asked about from time to time, and waited for where nothing else is left to do."""
-        due = [key for key, (since, _) in self._elsewhere.items() if time.monotonic() - since > ASK_SECONDS or not self._flying]
-        if not due:
-            return None
-        _, flight = self._elsewhere.pop(due[0])
-        return replace(flight, job=replace(flight.job, wait=not self._flying))
+        """A node that another run has computed, or given up: no worker is asked before, which on Slurm is a job each time."""
+        free = (place for place, flight in enumerate(self._elsewhere) if not is_held(self._layout.lock(flight.node.key)))
+        return self._elsewhere.pop(place) if (place := next(free, None)) is not None else None
 
     def _landed(self) -> list[tuple[Flight, NodeResult | WorkersDied]]:
         """Wait until a node ends, or its worker."""
         if not self._flying:
-            time.sleep(POLL_SECONDS)
+            if not self._waits and self._elsewhere:
+                self._waits = True
+                self._journal.write("waiting")
+            time.sleep(LOOK_SECONDS)
             return []
         done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
         if any(map(_death, done)):
@@ -166,7 +166,7 @@ class Runner:
         if result.state in ("done", "shared") and not self._arrived(job):
             result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
         if result.state == "busy":
-            self._elsewhere[node.key] = (time.monotonic(), replace(flight, alone=False))
+            self._elsewhere.append(replace(flight, alone=False))
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
             self._jobs[node.key] = replace(job, attempt=job.attempt + 1)

@@ -34,7 +34,11 @@ from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
 POLL_SECONDS = 0.25
-NOTES = {"workers back": "workers are back; the run goes on", "draining": "finishing running nodes; Ctrl-C again stops now"}
+NOTES = {
+    "workers back": "workers are back; the run goes on",
+    "draining": "finishing running nodes; Ctrl-C again stops now",
+    "waiting": "another run computes what is needed now; waiting",
+}
 SHARE = 0.05  # of one core, that drawing the board may take: a long journal is read less often
 
 

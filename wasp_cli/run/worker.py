@@ -95,18 +95,13 @@ class Envelope:
         with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
             if heartbeat.deaths >= DEATHS:
                 return self._failed(KILLED)
-
-            def waiting() -> bool:
-                heartbeat.tell(0.0, "another run computes it; waiting")
-                return job.wait and not layout.stop(job.run_id).exists()
-
             try:
-                with held(layout.lock(job.key), waiting, heartbeat.fixed):
+                with held(layout.lock(job.key), lambda: False, heartbeat.fixed):
                     if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
                     return self._result("shared", summary=artifact.read_manifest(layout, job.kind, job.key).get("summary", {}))
             except Busy:
-                return self._result("skipped" if job.wait else "busy")
+                return self._result("busy")
 
     def _computed(self, progress: Progress) -> NodeResult:
         job, layout = self.job, self.layout
