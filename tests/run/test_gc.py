@@ -159,8 +159,9 @@ def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, results, t
     run_id = run_ids(layout)[-1]
     journal = layout.run(run_id) / "journal.jsonl"
     events = [event for event in read_json_lines(journal) if event["event"] != "run ended"]
+    write_record(layout.reporting(run_id), {"host": "elsewhere"})  # its report was to follow
     for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
-        events[0] |= facts
+        events[0] |= {**facts, "locked": False}
         journal.write_text("".join(json.dumps(event) + "\n" for event in events))
         collect(results, "--yes")
         assert (keys_of(small_spec, results) <= finished(results)) == stays

@@ -18,6 +18,7 @@ from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import commit, read_record, staging_folder
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import is_held
 
 RUN = "20260501-120000-small-0001"
 
@@ -53,6 +54,7 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, smal
         assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 36, 2)
         assert state["finished"] + state["running"] + state["waiting"] == 36
         assert {node["share"] for node in state["active"]} == {0.5}
+        assert is_held(next(layout.root.glob("runs/*/journal.jsonl")))
         text = status(layout)
         assert "2 running" in text
         label = state["active"][0]["label"]

@@ -85,7 +85,8 @@ def test_a_run_that_goes_on(layout):
         ({}, "running"),
         ({"pid": dead_pid()}, "died"),
         ({"boot": "of yesterday"}, "died" if boot_id() else "running"),
-        ({"host": "elsewhere", "pid": dead_pid()}, "running"),  # cannot be seen from here
+        ({"host": "elsewhere"}, "running"),  # cannot be seen from here
+        ({"host": "elsewhere", "locked": True}, "died"),
     ],
 )
 def test_the_death_of_a_run_shows(facts, state, layout):

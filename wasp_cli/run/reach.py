@@ -111,11 +111,11 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
+    state = state_of(layout, run).state
     with suppress(ArtifactError):  # a full disk
-        record = read_record(layout.reporting(run.run_id))
+        record = read_record(layout.reporting(run.run_id)) if state not in ("died", "interrupted") else None
         if record is not None and not is_gone(record):
             return True
-    state = state_of(layout, run).state
     return state == "running" or (state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import secrets
@@ -163,6 +164,10 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self.locked = False  # the kernel lets go of it however this process ends: so its end is seen from other machines too
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.locked = True
         self.failure: StoreError | None = None  # what kept an event from being written whole; the first one
 
     def write(self, event: str, **facts: Any) -> None:

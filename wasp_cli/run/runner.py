@@ -83,7 +83,8 @@ class Runner:
         nodes = plan.to_run()
         self._begun = plan.begun
         self.summary.workers = self._pool.jobs
-        self._journal.write("run started", nodes=len(nodes), **this_process(), jobs=self._pool.jobs, backend=self._pool.name)
+        facts = {"nodes": len(nodes), "jobs": self._pool.jobs, "backend": self._pool.name, "locked": self._journal.locked}
+        self._journal.write("run started", **facts, **this_process())
         try:
             self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
             if self.stop.asked:

@@ -6,6 +6,7 @@ The board goes to stderr; all of it is read from the journal, the plan, and the 
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import threading
@@ -26,7 +27,7 @@ from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
-from wasp_cli.run.watch import RunState, desertion, state_of
+from wasp_cli.run.watch import STALE_SECONDS, RunState, desertion, state_of
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import find_node, matching, only, same_label
 from wasp_cli.store.layout import Layout
@@ -158,7 +159,6 @@ def numbers(summary: Mapping[str, Any]) -> str:
 
 
 BAR = 40
-STALE_SECONDS = 30.0  # a node says about every second that it lives; silence for longer is worth a word
 LISTED = 12
 
 
@@ -179,15 +179,9 @@ def progress_of(state: RunState, names: Mapping[str, str]) -> Group:
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
     counts = ("finished", "running", "waiting")
-    return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, datetime):
-        return value.isoformat(timespec="seconds")
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+    rows = [{**asdict(state), **{name: getattr(state, name) for name in counts}} for state in states]
+    told: list[dict[str, Any]] = json.loads(json.dumps(rows, default=lambda moment: moment.isoformat(timespec="seconds")))
+    return told
 
 
 def _block(state: RunState, now: datetime) -> Group:
@@ -212,8 +206,7 @@ def life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        endings = {"finishing running nodes": state.draining, "no worker is left": state.deserted}
-        ending = next((words for words, holds in endings.items() if holds), "")
+        ending = "finishing running nodes" if state.draining else "no worker is left" if state.deserted else ""
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
@@ -254,9 +247,8 @@ def _running_table(state: RunState, now: datetime) -> Table:
     for node in state.active:
         memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
         silent = (now - node.seen).total_seconds() if node.seen else 0.0
-        odd = f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
-        if node.gone or state.state == "died":
-            odd = "gone"
+        gone = node.gone or state.state == "died"
+        odd = "gone" if gone else f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
         texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, odd)
         rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
     return rows

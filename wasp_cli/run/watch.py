@@ -1,4 +1,4 @@
-"""How far a run is, from its plan, its journal and the small files of running nodes.
+"""How far a run is, from its plan, its journal, which it keeps locked, and the small files of running nodes.
 
 Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death.
 """
@@ -19,9 +19,11 @@ from wasp_cli.plan.recorded import PlannedNode, PlannedRun
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import read_json_lines
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
+STALE_SECONDS = 30.0  # a node says about every second that it lives; silence for longer is worth a word
 ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does not run any more
 
 
@@ -87,8 +89,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     (start, *_) = by_event.get("run started", ({},))
-    state, ended = _life(run, events, start)
-    going = state == "running"
+    state, ended = _life(run, events, is_gone(start))
     # A node that died with its worker and runs again ends twice; the last time counts.
     ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
     failed = {}
@@ -97,6 +98,11 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         if ends[key] == "failed":
             failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
+    # Where locks do not reach this machine, nodes that run still tell. The end is written before the lock is let go.
+    silent = all((now - node.seen).total_seconds() > STALE_SECONDS for node in active if node.seen)
+    if state == "running" and start.get("locked") is True and silent and not is_held(layout.journal(run.run_id)):
+        state, ended = _life(run, events_of(layout, run.run_id), gone=True)
+    going = state == "running"
     started = moment(start.get("at"))
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
@@ -155,13 +161,13 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
     return []
 
 
-def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any]) -> tuple[State, datetime | None]:
+def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], gone: bool) -> tuple[State, datetime | None]:
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
     for event in reversed(events):
         if event.get("event") in ("run ended", "run interrupted"):
             return ("ended" if event["event"] == "run ended" else "interrupted"), moment(event.get("at"))
-    return ("died", moment(events[-1].get("at"))) if is_gone(start) else ("running", None)
+    return ("died", moment(events[-1].get("at"))) if gone else ("running", None)
 
 
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
