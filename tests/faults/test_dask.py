@@ -14,7 +14,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
-from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, run, start, wait_until, wasp
+from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, finished, run, start, wait_until, wasp
 from wasp_cli.run.pool import SlurmPool
 
 
@@ -123,6 +123,8 @@ import os, pathlib, subprocess, sys
 folder = pathlib.Path(os.environ["FAKE_SLURM"])
 number = str(len(list(folder.glob("*.id"))) + 1)
 script = sys.argv[-1]
+if (folder / "busy").exists():
+    sys.exit((folder / "busy").unlink() or "sbatch: error: Socket timed out")
 if "refused" in pathlib.Path(script).read_text():
     sys.exit("sbatch: error: invalid partition specified: refused")
 environment = {**os.environ, "SLURM_JOB_ID": number, "SLURM_NTASKS": "1", "SLURM_NODEID": "0", "SLURM_PROCID": "0", "SLURM_LOCALID": "0",
@@ -177,9 +179,8 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     small_spec.write_text(text)
     results = tmp_path / "results"
     options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60,cpus_per_task=3")
-    first = start("run", small_spec, "--results", results, *options)
-    _, errors = first.communicate(timeout=600)
-    assert first.returncode == 0, errors
+    first = wasp("run", small_spec, "--results", results, *options)
+    assert first.returncode == 0, first.stderr
     run(small_spec, tmp_path / "here")
     assert data_of(results) == data_of(tmp_path / "here")
     scripts = [path.read_text() for path in slurm.glob("*.sh")]
@@ -191,11 +192,10 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
 @pytest.mark.slow
 def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"s0 world_model": "kill"})
-    done = start("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "-j", "2")
-    _, errors = done.communicate(timeout=600)
+    done = wasp("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "-j", "2")
     assert done.returncode == 1
-    assert "world_model" in errors
-    assert "Traceback" not in errors
+    assert "world_model" in done.stderr
+    assert "Traceback" not in done.stderr
     assert data_of(tmp_path / "results")
 
 
@@ -212,12 +212,15 @@ def test_jobs_that_end_while_others_are_cancelled_stop_nothing() -> None:
 
 
 def test_what_sbatch_refuses_is_told(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    done = start("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "--scheduler", "partition=refused")
-    _, errors = done.communicate(timeout=600)
+    done = wasp("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "--scheduler", "partition=refused")
     assert done.returncode == 1
-    assert "Slurm takes no job" in errors
-    assert "invalid partition" in errors
-    assert "Traceback" not in errors
+    assert "Slurm takes no job" in done.stderr
+    assert "invalid partition" in done.stderr
+    assert "Traceback" not in done.stderr
+    (slurm / "busy").touch()
+    done = wasp("run", small_spec, "--results", tmp_path / "results", "--select", "stage=expert,seed=0", "--backend", "slurm")
+    assert "Slurm takes no job: sbatch: error: Socket timed out" in done.stderr
+    assert len(finished(tmp_path / "results")) == 1
 
 
 def test_bad_options_and_a_machine_without_slurm_are_told_before_anything_runs(slurm: Path, small_spec: Path, tmp_path: Path) -> None:

@@ -350,7 +350,7 @@ class SlurmPool(Pool):
             self._pending[result] = self._executor.submit(execute_here, replace(job, threads=threads))
         except Exception as error:  # sbatch refuses in many ways
             reason = " ".join(str(error).split())[-300:]
-            result.set_exception(WaspError(f"Slurm takes no job: {reason}", f"options of sbatch: {EXAMPLES['slurm']}"))
+            result.set_exception(WorkersDied(f"Slurm takes no job: {reason}"))  # it may take the next one, and others run
         return result
 
     def _watch(self) -> None:
