@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -227,9 +228,14 @@ def test_a_result_of_changed_source_is_not_published(job):
     assert not exists(Layout(Path(job.root)), job.kind, job.key)
 
 
-def test_numbers_of_numpy_and_nested_ones_become_plain():
-    import numpy as np
+@pytest.mark.parametrize(("told", "state"), [(None, "done"), ([1], "failed")])
+def test_a_stage_may_tell_nothing_and_no_list(told, state, job, monkeypatch):
+    monkeypatch.setattr(Fake, "run", lambda self, job: told)
+    result = execute(job)
+    assert (result.state, result.summary) == (state, {})
 
+
+def test_numbers_of_numpy_and_nested_ones_become_plain():
     summary = {"a": np.float32(0.5), "b": [np.int64(2), float("inf")], "c": {"d": True}}
     assert worker.finite(summary) == {"a": 0.5, "b": [2, None], "c": {"d": True}}
 

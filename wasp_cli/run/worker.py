@@ -116,7 +116,7 @@ class Envelope:
                 keep_memory()
                 set_threads(getattr(stage, "torch_threads", 1))
                 with placed(_clone_of(job, layout)):
-                    summary = finite(stage.run(_stage_job(job, layout, stage, staging, progress)))
+                    summary = finite(dict(stage.run(_stage_job(job, layout, stage, staging, progress)) or {}))
             if (changed := _change_of_source(job)) is not None:
                 raise changed
             seconds = time.monotonic() - began
