@@ -1,7 +1,9 @@
 """What a table cannot see: changed rows, cells of several versions, and a method that is not installed any more."""
 
 import json
+import os
 import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,10 @@ from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
 from tests.view.conftest import brought
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import training_device
+from wasp_cli.run import verify
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -48,9 +53,8 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
         record["provenance"] |= {"versions": {"torch": "1.0.0"}, "git": {"sha": "b" * 40, "dirty": False}}
         path.write_text(json.dumps(record), encoding="utf-8")
     said = "commit aaaaaaa (5 cells), bbbbbbb (3 cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
-    assert (
-        f"The cells were not computed with the same versions: {said}" in run_here("report", side.layout.root, *REPORT, columns=300).output
-    )
+    told = run_here("report", side.layout.root, *REPORT, columns=300).output
+    assert f"The cells were not computed with the same versions: {said}" in told
 
 
 def without(folder: Path, method: str, name: str = "held", **changes: Any) -> Path:
@@ -107,6 +111,16 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     assert devices == ["cpu", "cuda"]
     del record["provenance"]
     assert "error: KeyError: 'provenance'" in told(1)
+
+
+def killed(root: Path, key: str) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verify, "again", killed)
+    with pytest.raises(WaspError, match="a worker process was killed"):
+        list(verify.verify(Layout(STORE), ["", ""], 2))
 
 
 # `wasp export`: stored curves and the main table, read again by TensorBoard and Trackio themselves.

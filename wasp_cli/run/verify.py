@@ -11,6 +11,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,7 +77,10 @@ def why_not(layout: Layout, key: str) -> str | None:
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
     from joblib import Parallel, delayed
 
-    yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)
+    try:
+        yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)
+    except BrokenExecutor as error:
+        raise WaspError("a worker process was killed (out of memory, or by a signal)", "-j N computes fewer cells at once") from error
 
 
 def again(root: Path, key: str) -> Answer:
