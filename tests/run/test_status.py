@@ -104,6 +104,8 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     layout.log("20260501-150000-small-0004", "a", key(2)).touch()  # it found what the third run computed
     assert log("a") == "of 20260501-140000-small-0003\n"
     assert log("a", "--run", "0004") == ""
+    write_run(layout, "20260501-160000-4-0005", [planned(7, "b", "cached")], spec="4")
+    assert "no log of 'a'" in run_here("logs", "a", "--run", "4", "--results", layout.root, columns=80, code=2).stderr, "4 is a spec"
     several = run_here("logs", "0000", "--results", layout.root, columns=80, code=2)
     assert "'0000' names 3 nodes" in several.stderr
 

@@ -6,11 +6,13 @@ import pytest
 
 from tests.run.layered import fresh_console
 from wasp_cli.errors import UsageError
+from wasp_cli.plan.recorded import keys_of
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
 from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import read_record
+from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fresh_console"]
@@ -53,6 +55,8 @@ def test_every_value_is_a_run_that_reports_find(fakes, small_spec, tmp_path):
         assert (recorded.spec.name, section["ratio"], recorded.spec.episodes) == (name, float(name.rpartition("-")[2]), 7)
         assert len(recorded.cells) == len({cell for cell, _ in recorded.cells}) == 8
         assert all(layout.artifact("evaluate", key).is_dir() for _, key in recorded.cells)
+        cell, key = next((cell, key) for cell, key in recorded.cells if cell.method == "diffusion")
+        assert find_node(layout, str(cell), keys_of(layout, name, str(cell))).key == key, "its label is that of three cells"
     (record,) = layout.runs.glob("*-small-sweep-diffusion.ratio-*/sweep.json")
     assert read_record(record) == {
         "spec": "small",

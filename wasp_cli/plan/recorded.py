@@ -86,10 +86,10 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
     return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, restricted) if isinstance(spec, str) else None
 
 
-def planned_runs(layout: Layout) -> list[PlannedRun]:
-    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep."""
+def planned_runs(layout: Layout, *, parts: bool = False) -> list[PlannedRun]:
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep, and come with `parts` alone."""
     runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
-    of_sweeps = {part for run in runs for part in run.parts}
+    of_sweeps = () if parts else {part for run in runs for part in run.parts}
     return [run for run in runs if run.run_id not in of_sweeps]
 
 
@@ -103,13 +103,11 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name."""
-    named = [run for run in runs if run.run_id == text]
-    named += [run for run in runs if text and run.run_id.endswith(text)]
-    named += [run for run in runs if run.spec == text]
-    if named:
-        return named[0]
-    raise UnknownName("run", text, [run.run_id for run in runs])
+    """Return the run of a name, or the newest of the spec of this name, or the newest whose name ends so."""
+    named = [run for run in runs if text in (run.run_id, run.spec)] or [run for run in runs if text and run.run_id.endswith(text)]
+    if not named:
+        raise UnknownName("run", text, [run.run_id for run in runs])
+    return named[0]
 
 
 def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None:
@@ -120,7 +118,7 @@ def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None
     from wasp_cli.store.find import same_label
 
     if run is not None:
-        return frozenset(named_run(planned_runs(layout), run).nodes)
+        return frozenset(named_run(planned_runs(layout, parts=True), run).nodes)
     keys: set[str] = set()
     with suppress(StoreError):  # a folder without runs
         for planned in planned_runs(layout):
