@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import typer
 from click.testing import Result
 
 from tests.commands import run_here
@@ -269,6 +270,14 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
     process.communicate()
     assert sent
     assert (process.returncode, said) == (130, ["interrupted\n"])
+
+
+def test_ctrl_c_at_a_question_is_an_interruption(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def asked(*_: object) -> None:
+        raise typer.Abort
+
+    monkeypatch.setattr("wasp_cli.run.record.results_of", asked)
+    assert (here("gc", tmp_path).exit_code, here("gc", tmp_path).stderr) == (130, "interrupted\n")
 
 
 def test_who_was_started_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
             expected = error if isinstance(error, WaspError) else refusal(error)
             report_error(expected)
             raise typer.Exit(expected.exit_code) from None
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, typer.Abort):  # the latter where a question was asked
             if os.environ.get("WASP_DEBUG"):
                 raise
             print("interrupted", file=sys.stderr)
