@@ -6,7 +6,8 @@ from rich.console import Console
 
 from tests.plan.test_grid import grid
 from wasp_cli.plan.plan import Plan, make_plan, plan_against, show
-from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.run.session import _take_back
+from wasp_cli.store.artifact import commit, exists, staging_folder
 from wasp_cli.store.layout import Layout
 
 
@@ -68,3 +69,6 @@ def test_a_damaged_artifact_is_computed_again(tmp_path):
     assert "data.bin' has 3 bytes, not 5" in step.reason
     assert "data.bin' has 3 bytes, not 5" in text_of(plan)
     assert plan.count("cached") == 1
+    (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"12345")
+    _take_back(plan, layout)
+    assert exists(layout, node.kind, node.key), "another run has repaired it since"

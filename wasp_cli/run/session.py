@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
-from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
+from wasp_cli.errors import ArtifactError, CellsFailed, Interrupted, UsageError, first
 from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
@@ -27,11 +27,11 @@ from wasp_cli.run.show import board
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import stages_of
-from wasp_cli.store.artifact import exists, invalidate, sweep
+from wasp_cli.store.artifact import invalidate, read_manifest, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
-from wasp_cli.store.slim import WITHOUT_STEPS
+from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 
 CGROUP = Path("/sys/fs/cgroup")  # what limits a container, on Linux
 
@@ -102,8 +102,9 @@ def run_spec(
 def _take_back(plan: Plan, layout: Layout) -> None:
     """Take cells out of use whose steps are needed now, and were left out when they were published."""
     for node in (step.node for step in plan.steps if step.state == "damaged"):
-        if exists(layout, node.kind, node.key):  # what is damaged otherwise does not
-            invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
+        with suppress(ArtifactError):  # what is damaged otherwise may have been repaired since
+            if without_steps(read_manifest(layout, node.kind, node.key)):
+                invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
 def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
