@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import typer
@@ -15,12 +16,13 @@ from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec, written
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
-from wasp_cli.cli.report import NotWritten
+from wasp_cli.cli.report import NotWritten, show_report
 from wasp_cli.cli.run import say_next
 from wasp_cli.errors import CellsFailed
 from wasp_cli.plan.plan import with_keys
 from wasp_cli.run.record import Recorded, new_run
 from wasp_cli.spec.load import load
+from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 
@@ -198,16 +200,8 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
 
 
 def test_the_report_is_written_though_the_terminal_is_gone(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wasp_cli.cli.report import show_report
-    from wasp_cli.report.summarize import Report
-    from wasp_cli.spec.paper import load_paper
-
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-
-    def gone(self: Report, console: object) -> None:
-        raise BrokenPipeError
-
-    monkeypatch.setattr(Report, "terminal", gone)
+    monkeypatch.setattr("wasp_cli.report.summarize.Report.terminal", Mock(side_effect=BrokenPipeError))
     with pytest.raises(BrokenPipeError):
         show_report(layout, Recorded("run", loaded.spec, with_keys(plan.grid.cells), []), load_paper())
     assert (layout.reports("small") / "report.md").is_file()
@@ -234,10 +228,7 @@ def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
 def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
     fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unwritten(*_: object, **__: object) -> None:
-        raise NotWritten("the report cannot be written")
-
-    monkeypatch.setattr("wasp_cli.cli.run.show_report", unwritten)
+    monkeypatch.setattr("wasp_cli.cli.run.show_report", Mock(side_effect=NotWritten("the report cannot be written")))
     fakes.set(behave={"s1 critics": "refuse"})
     results = tmp_path / "results"
     done = here("run", small_spec, "--results", results, "-j", "0")
@@ -273,11 +264,9 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
 
 
 def test_ctrl_c_at_a_question_is_an_interruption(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def asked(*_: object) -> None:
-        raise typer.Abort
-
-    monkeypatch.setattr("wasp_cli.run.record.results_of", asked)
-    assert (here("gc", tmp_path).exit_code, here("gc", tmp_path).stderr) == (130, "interrupted\n")
+    monkeypatch.setattr("wasp_cli.run.record.results_of", Mock(side_effect=typer.Abort))
+    done = here("gc", tmp_path)
+    assert (done.exit_code, done.stderr) == (130, "interrupted\n")
 
 
 def test_who_was_started_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from typer.main import get_command
@@ -18,7 +19,6 @@ from wasp_cli.cli import app
 from wasp_cli.cli.options import GROUPS, method_names, setting_names, task_names, variant_names
 from wasp_cli.errors import UnknownName, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.hints import settings
 from wasp_cli.spec.load import load, restricted, sized
@@ -208,9 +208,7 @@ def test_specs_are_offered_from_here_and_from_their_folder(tmp_path: Path, monke
 
 
 def test_a_plugin_that_does_not_load_offers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(self: object) -> None:
-        raise WaspError("plugin 'x' does not load")
-
+    broken = Mock(side_effect=WaspError("plugin 'x' does not load"))
     monkeypatch.setattr("wasp_cli.registry.Registry._entries", broken)
-    monkeypatch.setattr("wasp_cli.spec.hints.settings", lambda: broken(OPERATORS))
+    monkeypatch.setattr("wasp_cli.spec.hints.settings", broken)
     assert task_names() == method_names() == variant_names() == setting_names() == []

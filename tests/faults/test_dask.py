@@ -62,7 +62,7 @@ def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_s
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
         process = start("run", small_spec, "--results", results, *through(cluster))
-        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 3)
+        wait_until(lambda: len(finished(results)) >= 3)
         for worker in cluster.processes[1:]:
             os.killpg(worker.pid, signal.SIGKILL)
         wait_until(lambda: "no worker is left" in run_here("status", results, columns=200).stdout)
@@ -89,12 +89,12 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, smal
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
         process = start("run", small_spec, "--results", results, *through(cluster))
-        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 3)
+        wait_until(lambda: len(finished(results)) >= 3)
         os.killpg(cluster.processes[0].pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "error: the dask scheduler is lost" in errors
-    kept = len(list(results.glob("store/*/*/_manifest.json")))
+    kept = len(finished(results))
     fakes.set()
     assert run(small_spec, results).done == 18 - kept
     assert as_undisturbed(small_spec, results)
@@ -181,8 +181,7 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, smal
     options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60,cpus_per_task=3")
     first = wasp("run", small_spec, "--results", results, *options)
     assert first.returncode == 0, first.stderr
-    run(small_spec, tmp_path / "here")
-    assert data_of(results) == data_of(tmp_path / "here")
+    assert as_undisturbed(small_spec, results)
     scripts = [path.read_text() for path in slurm.glob("*.sh")]
     assert len(scripts) == len(data_of(results))
     assert all('"threads": 3' in path.read_text() for path in results.glob("store/*/*/_manifest.json"))

@@ -108,30 +108,24 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
 
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(jobs, fakes, small_spec, tmp_path):
-    fakes.set(behave={NODE: "sleep"})
+@pytest.mark.parametrize(
+    ("behaviour", "message"),
+    [
+        ("sleep", "it took longer than the limit of 8.0 s"),
+        ("hang", "it exceeded its time limit and did not stop, so its process was ended"),
+    ],
+)
+def test_a_node_that_sleeps_or_hangs_is_ended_and_named_and_the_others_finish(jobs, behaviour, message, fakes, small_spec, tmp_path):
+    fakes.set(behave={NODE: behaviour})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
     ((node, result),) = summary.failed
-    assert node.label == LABEL
-    assert result.message == "it took longer than the limit of 8.0 s"
+    assert (node.label, result.message) == (LABEL, message)
     assert not summary.blocked
-    fakes.set()
-    assert run(small_spec, tmp_path / "results").complete
-    assert as_undisturbed(small_spec, tmp_path / "results")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(jobs, fakes, small_spec, tmp_path):
-    fakes.set(behave={NODE: "hang"})
-    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
-    ((node, result),) = summary.failed
-    assert node.label == LABEL
-    assert result.message == "it exceeded its time limit and did not stop, so its process was ended"
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
     fakes.set()
     assert run(small_spec, tmp_path / "results").complete
+    assert as_undisturbed(small_spec, tmp_path / "results")
 
 
 @pytest.mark.slow
@@ -209,13 +203,9 @@ def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monke
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(jobs, fakes, small_spec, tmp_path):
-    fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)
-    pool = LokyPool(jobs)
-    try:
-        summary = run(small_spec, tmp_path / "results", pool)
-    finally:
-        pool.close(kill=True)
-    assert [node.label for node, _ in summary.failed] == ["goal1 s0 human noisy=0.2"]
+    fakes.set(behave={NODE: "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=None)
+    assert [node.label for node, _ in summary.failed] == [LABEL]
     assert summary.failed[0][1].message.startswith(f"{KILLED}; it last held ")
     assert not summary.blocked
     ran = fakes.executions()

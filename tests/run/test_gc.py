@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -247,13 +248,9 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fak
 
 def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, results, tmp_path, monkeypatch):
     layout = Layout(results)
-
-    def killed(folder: Path) -> None:
-        raise KeyboardInterrupt
-
     whole = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
     with monkeypatch.context() as patch:
-        patch.setattr(reach, "discard", killed)
+        patch.setattr(reach, "discard", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             remove_unreached(layout, set(), unreached(layout, set(), runs=False, before=None), runs=False, before=None)
     left = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}

@@ -13,6 +13,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import faked, run, wait_until, written
+from tests.run.harness import finished as keys
 from tests.run.recorded import dead_pid, process
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
@@ -56,10 +57,6 @@ def publish(spec: Path, results: Path, *options: str | Path, code: int = 0) -> s
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.rglob("*") if path.is_file()}
-
-
-def keys(folder: Path) -> set[str]:
-    return {path.parent.name for path in folder.glob("store/*/*/_manifest.json")}
 
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):

@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -349,22 +350,14 @@ def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, 
 def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="file name too long"):
         results_of(tmp_path / ("x" * 300))
-
-    def forbid(path: Path) -> None:
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr("wasp_cli.plan.recorded.os.scandir", forbid)
+    monkeypatch.setattr("wasp_cli.plan.recorded.os.scandir", Mock(side_effect=PermissionError(13, "Permission denied")))
     with pytest.raises(StoreError, match="permission denied"):
         results_of(tmp_path)
 
 
 def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(small_spec, tmp_path, monkeypatch):
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("wasp_cli.run.record.write_record", full)
+    monkeypatch.setattr("wasp_cli.run.record.write_record", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(StoreError, match="no space left on device"):
         new_run(layout, loaded, plan)
     assert not [*layout.runs.glob("*")]
