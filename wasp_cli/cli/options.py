@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
+from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -172,14 +173,8 @@ def spec_names(incomplete: str) -> list[str]:
     """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", "specs/"]
-    files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
+    files = [name for folder in folders for name in sorted(glob(f"{escape(folder)}*.yaml"))]
     return files if typed else [*files, *shipped_names()]
-
-
-def _yaml_files(folder: Path) -> list[str]:
-    with suppress(OSError):  # no such folder, or none that may be read
-        return sorted(path.name for path in folder.glob("*.yaml"))
-    return []
 
 
 def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:

@@ -98,7 +98,6 @@ def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int 
         schedule.ended(node)
 
 
-FIGURES = Path(__file__).parent / "times.json"
 SLICES, SLICE_SECONDS = 25, 0.01
 SIZE = 65_536
 SIZES = {"expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions", "evaluate": "episodes"}
@@ -133,8 +132,8 @@ def speed() -> float:
     return max(rounds_per_second() for _ in range(SLICES))  # the fastest: others may use the machine too
 
 
-def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
-    figures: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+def shipped() -> Mapping[str, Any]:
+    figures: Mapping[str, Any] = json.loads((Path(__file__).parent / "times.json").read_text(encoding="utf-8"))
     return figures
 
 
