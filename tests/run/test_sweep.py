@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import run_here
 from tests.run.layered import fresh_console
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.recorded import keys_of
@@ -57,6 +58,8 @@ def test_every_value_is_a_run_that_reports_find(fakes, small_spec, tmp_path):
         assert all(layout.artifact("evaluate", key).is_dir() for _, key in recorded.cells)
         cell, key = next((cell, key) for cell, key in recorded.cells if cell.method == "diffusion")
         assert find_node(layout, str(cell), keys_of(layout, name, str(cell))).key == key, "its label is that of three cells"
+        log = run_here("logs", str(cell), "--run", name, "--path", "--results", layout.root, columns=80, code=0).stdout
+        assert log.endswith(f"-{key[:8]}.log\n")
     (record,) = layout.runs.glob("*-small-sweep-diffusion.ratio-*/sweep.json")
     assert read_record(record) == {
         "spec": "small",

@@ -133,9 +133,7 @@ def _writable(results: Path) -> Finding:
         return Finding("results", "missing", error.message, error.hint or "")
     for folder in (layout.root, *layout.needed()):
         # Looking must not create anything: the nearest existing folder tells as much.
-        place = folder
-        while not os.path.lexists(place) and place != place.parent:
-            place = place.parent
+        place = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
         if not os.path.isdir(place) or not os.access(place, os.W_OK | os.X_OK):
             return Finding("results", "missing", f"'{place}' is no folder that can be written", "choose another folder with --results DIR")
     return Finding("results", "ok", f"'{results}' can be written")

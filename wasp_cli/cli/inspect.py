@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -64,7 +64,10 @@ def logs(
 
     layout = results_of(place.results)
     runs = planned_runs(layout)
-    log = find_log(layout, runs if place.run is None else [named_run(runs, place.run)], node)
+    if place.run is not None:  # the logs of a sweep's values lie in the sweep
+        named = named_run(planned_runs(layout, parts=True), place.run)
+        runs = [replace(run, nodes=named.nodes) for run in runs if named.run_id in (run.run_id, *run.parts)]
+    log = find_log(layout, runs, node)
     if path:
         print(log.path)
     else:
