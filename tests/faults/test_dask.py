@@ -4,7 +4,6 @@ import json
 import os
 import platform
 import signal
-import stat
 import sys
 from concurrent.futures import Future
 from pathlib import Path
@@ -166,7 +165,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, source in {"sbatch": SBATCH, "srun": SRUN, "sacct": SACCT, "scancel": ""}.items():
         program = programs / name
         program.write_text(f"#!{sys.executable}\n{source}", encoding="utf-8")
-        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("FAKE_SLURM", str(folder))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

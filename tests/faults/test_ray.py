@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.run.harness import ROOT, data_of, run, start
+from tests.run.harness import ROOT, as_undisturbed, wasp
 
 pytest.importorskip("ray")
 pytestmark = pytest.mark.slow
@@ -28,10 +28,8 @@ def cluster(fakes) -> Iterator[str]:
 
 def test_a_grid_through_ray_has_the_same_bytes(fakes, small_spec, cluster, tmp_path):
     results = tmp_path / "results"
-    process = start("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
-    _, errors = process.communicate(timeout=600)
-    assert process.returncode == 0, errors
-    assert "18 computed, 0 computed before" in errors
-    run(small_spec, tmp_path / "here")
-    assert data_of(results) == data_of(tmp_path / "here")
+    done = wasp("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
+    assert done.returncode == 0, done.stderr
+    assert "18 computed, 0 computed before" in done.stderr
+    assert as_undisturbed(small_spec, results)
     assert not list(results.glob("runs/*/outcomes/*"))

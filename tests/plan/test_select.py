@@ -48,8 +48,7 @@ def test_a_stage_selects_nodes_that_others_need():
 def test_what_nobody_needs_any_more_is_left_alone():
     laid_out = grid(stages=[], methods=["human"])
     cells = {node.key for _, node in laid_out.cells}
-    stored = {"evaluate": cells}
-    plan = make_plan(laid_out, stored, {})
+    plan = make_plan(laid_out, {"evaluate": cells}, {})
     assert plan.to_run() == []
     assert {step.reason for step in plan.steps if step.state == "unneeded"} == {"everything that needs it is computed"}
     one = next(iter(cells))

@@ -113,12 +113,8 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     assert "error: KeyError: 'provenance'" in told(1)
 
 
-def killed(root: Path, key: str) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verify, "again", killed)
+    monkeypatch.setattr(verify, "again", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(WaspError, match="a worker process was killed"):
         list(verify.verify(Layout(STORE), ["", ""], 2))
 

@@ -23,7 +23,6 @@ from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
-from wasp_cli.run.worker import execute
 from wasp_cli.stages.base import Job
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
@@ -157,9 +156,7 @@ class Elsewhere(InlinePool):
         self.folder = folder
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        done: Future[NodeResult] = Future()
-        done.set_result(execute(replace(job, root=str(self.folder)), own_process=False))
-        return done
+        return super().submit(replace(job, root=str(self.folder)))
 
 
 class Late(InlinePool):
