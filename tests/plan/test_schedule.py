@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from wasp_cli.plan import schedule as times
-from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.grid import lay_out, together
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against, show
 from wasp_cli.plan.reuse import lay_out_over
@@ -130,6 +130,12 @@ def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
     assert (seconds > 1, unknown) == (True, 0)
     show(plan, Console(width=200), 1)
     assert "an estimate, from times of nodes like them" in capsys.readouterr().out
+
+
+def test_each_value_of_a_sweep_over_presets_has_its_own_figures(tmp_path):
+    alone = [planned("quickstart.yaml", tmp_path, f"preset={preset}") for preset in ("quick", "cpu")]
+    plan = plan_against(together([each.grid for each in alone]), Layout(tmp_path / "absent"))
+    assert plan.critical_path()[0] == pytest.approx(alone[1].critical_path()[0])
 
 
 def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path, monkeypatch):

@@ -3,7 +3,6 @@
 import os
 import shutil
 import threading
-from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import replace
 from datetime import timedelta
@@ -23,7 +22,6 @@ from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
-from wasp_cli.stages.base import Job
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_json_lines
@@ -204,25 +202,19 @@ def test_an_artifact_may_arrive_late(fakes, small_spec, tmp_path):
 @pytest.mark.parametrize("moment", ["while a node runs", "between two nodes"])
 def test_a_folder_that_is_moved_away_is_not_made_again(moment, fakes, small_spec, tmp_path, monkeypatch):
     results, moved = tmp_path / "results", tmp_path / "moved"
-    real = Fake.run
+    place, name = (Fake, "run") if moment == "while a node runs" else (InlinePool, "submit")
+    real = getattr(place, name)
 
-    def away(self: Fake, job: Job) -> Mapping[str, Any]:
+    def away(self: Any, job: Any) -> Any:
         if len(fakes.executions()) == 2:
             os.replace(results, moved)
         return real(self, job)
 
-    class Moving(InlinePool):
-        def submit(self, job: NodeJob) -> Future[NodeResult]:
-            if len(fakes.executions()) == 2:
-                os.replace(results, moved)
-            return super().submit(job)
-
-    if moment == "while a node runs":
-        monkeypatch.setattr(Fake, "run", away)
+    monkeypatch.setattr(place, name, away)
     with pytest.raises(StoreError, match="does not see the results folder"):
-        run(small_spec, results, InlinePool() if moment == "while a node runs" else Moving())
+        run(small_spec, results)
     assert not results.exists()
-    monkeypatch.setattr(Fake, "run", real)
+    monkeypatch.setattr(place, name, real)
     os.replace(moved, results)
     assert run(small_spec, results).complete
     assert len(fakes.executions()) == len(set(fakes.executions())) + (moment == "while a node runs")

@@ -41,7 +41,7 @@ class Grid:
     named: tuple[Node, ...]  # what the spec trains by name
     branched: tuple[tuple[Cell, Node], ...]  # the cells whose interventions are to be judged, each with the node of its branches
     points: int  # combinations that the spec writes down: the unimpaired reference counts for every operator there, and once in `cells`
-    preset: str  # of the spec: for estimates, and in no key
+    presets: Mapping[str, str]  # by key of a node, that of its spec: for estimates, and in no key
     reused: Mapping[str, Reused] = field(default_factory=dict)  # by key, the published results that stand in the place of nodes
     notes: tuple[str, ...] = ()  # published results that cannot be used, each with the reason
 
@@ -70,7 +70,7 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     severities = sum(map(len, spec.operators.values()))
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)
     points = len(spec.tasks) * len(spec.seeds) * assistants * max(severities, 1)
-    return Grid(tuple(cells), tuple(nodes), tuple(named), tuple(branched), points, spec.preset)
+    return Grid(tuple(cells), tuple(nodes), tuple(named), tuple(branched), points, {node.key: spec.preset for node in nodes})
 
 
 def together(grids: Sequence[Grid]) -> Grid:
@@ -80,7 +80,7 @@ def together(grids: Sequence[Grid]) -> Grid:
         tuple({node.key: node for grid in grids for node in grid.named}.values()),
         tuple({node.key: (cell, node) for grid in grids for cell, node in grid.branched}.values()),
         sum(grid.points for grid in grids),
-        grids[0].preset,
+        {key: preset for grid in grids for key, preset in grid.presets.items()},
         {key: reused for grid in grids for key, reused in grid.reused.items()},
         tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
     )

@@ -178,7 +178,7 @@ def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = 
     # Cells that are to run, and of which another version is there.
     again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
     begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
-    guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
+    guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.presets, _timed(plan))
     return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
 
 

@@ -137,25 +137,25 @@ def shipped() -> Mapping[str, Any]:
     return figures
 
 
-def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
+def estimated(nodes: Iterable[Node], presets: Mapping[str, str], near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
     """Return the seconds by sort that nodes will take here, where there is a figure for them or for something like them.
 
     `near` are nodes of the same spec that were computed, each with its seconds.
     """
     figures = shipped()
-    known: Mapping[str, float] = figures["seconds"].get(preset, {})
-    times: dict[str, list[float]] = {}
+    times: dict[tuple[str, str], list[float]] = {}  # of one unit, by preset and name of a figure
     for node, seconds in near:
-        times.setdefault(figures_like(node.kind, node.task, node.axes)[0], []).append(seconds / units(node.kind, node.config))
+        figure = presets[node.key], figures_like(node.kind, node.task, node.axes)[0]
+        times.setdefault(figure, []).append(seconds / units(node.kind, node.config))
     here: dict[str, float] = {}
     elsewhere: dict[str, float] = {}
     for node in nodes:
-        size = units(node.kind, node.config)
+        size, preset = units(node.kind, node.config), presets[node.key]
         for name in figures_like(node.kind, node.task, node.axes):
-            if name in times:
-                here[node.sort] = median(times[name]) * size
-            elif name in known:
-                elsewhere[node.sort] = known[name] * size
+            if (preset, name) in times:
+                here[node.sort] = median(times[preset, name]) * size
+            elif name in figures["seconds"].get(preset, {}):
+                elsewhere[node.sort] = figures["seconds"][preset][name] * size
             else:
                 continue
             break
