@@ -12,7 +12,7 @@ from pathlib import Path
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.bootstrap import difference_of
+from wasp_cli.report.bootstrap import contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
@@ -24,11 +24,12 @@ from wasp_cli.report.tables.main import ablation_table, main_table
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, BRANCHED = (1, 2), (1, 3)  # those of Tables 1 and 2, and those of Figure 3, on Race1
-ABLATED = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
+TRAININGS, ABLATED, BRANCHED = (1, 2, 3), (1, 2), (1, 3)  # those of Table 1, of Table 2, and of Figure 3, on Race1
+VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 
 LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
@@ -37,8 +38,9 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 @cache
 def grid(trainings: tuple[int, ...] = TRAININGS) -> Grid:
-    """Return the cells of Tables 1 and 2 and, of trainings of Figure 3, the nodes of their branches."""
-    settings = (f"seeds={list(trainings)}", ABLATED, *(STAGES if {*trainings} <= {*BRANCHED} else ()))
+    """Return the cells of Table 1, those of Table 2 except for all trainings, and the nodes of the branches of Figure 3's trainings."""
+    ablations = () if trainings == TRAININGS else (VARIANTS,)
+    settings = (f"seeds={list(trainings)}", *ablations, *(STAGES if {*trainings} <= {*BRANCHED} else ()))
     spec = load(ROOT / "specs" / "table1.yaml", settings).spec
     return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
 
@@ -70,11 +72,13 @@ def decides(judged: Judged) -> str:
 
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
-    """Return of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: all, where these can be asked."""
-    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED)}
+    """Return of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: the first that have an answer."""
+    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, ABLATED, BRANCHED)}
     printed = [who.method for who in reports[BRANCHED].others].index("printed")
-    pairs = zip(*(report.claims for report in reports.values()), strict=True)
-    chosen = [(branched, BRANCHED) if whole.outcome == "untested" else (whole, TRAININGS) for whole, branched in pairs]
+    chosen = [
+        next((each, on) for each, on in zip(asked, reports, strict=True) if each.outcome != "untested")
+        for asked in zip(*(report.claims for report in reports.values()), strict=True)
+    ]
     return [(judged, judged.others[printed], trainings) for judged, trainings in chosen]
 
 
@@ -85,7 +89,7 @@ def claims() -> str:
             f"{judged.claim.says} (`{judged.claim.id}`)",
             word(judged),
             word(other),
-            decides(judged) + ("; trainings 1 and 3" if on == BRANCHED else ""),
+            decides(judged) + ("" if on == TRAININGS else f"; trainings {on[0]} and {on[1]}"),
         )
         for judged, other, on in verdicts()
     ]
@@ -94,8 +98,25 @@ def claims() -> str:
 
 def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
-    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame(BRANCHED))}
-    return {"The 21 claims": claims()} | {name: rows_alone(table) for name, table in made.items() if table is not None}
+    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame(ABLATED)), "Figure 3": necessity_table(frame(BRANCHED))}
+    alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
+    return {"The 21 claims": claims(), "What the others cost more": costs_more()} | alone
+
+
+def costs_more() -> str:
+    """Return in Markdown what each assistant costs more than WASP, with 95 % intervals over trainings and worlds; bold without 0 in it."""
+    told: dict[str, dict[str, str]] = {}
+    rows = [group for group in groups(frame()) if group.cells and group.variant == "full" and METHODS[group.method].impaired]
+    wholes = {group.task: group for group in rows if group.method == "wasp"}
+    for group in rows:
+        contrast = contrast_of(group.cells, wholes[group.task].cells, "cost")
+        if group.method not in ("human", "wasp") and contrast is not None and contrast.bootstrap is not None:
+            low, high = contrast.bootstrap
+            bold = "**" if low * high > 0 else ""
+            told.setdefault(METHODS[group.method].title, {})[group.task] = f"{bold}{contrast.value:+.1f} [{low:+.1f}, {high:+.1f}]{bold}"
+    head = ("Method", *(TASKS[task].title for task in wholes))
+    lines = (head, ("---", *["---:"] * len(wholes)), *((method, *row.values()) for method, row in told.items()))
+    return "\n".join(markdown_row(line) for line in lines)
 
 
 @cache
