@@ -1,5 +1,6 @@
 """What a session finds that was driven before, and what it needs, without driving."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,13 +9,16 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
+from tests.view.conftest import PUBLISHED, published_cells
 from wasp_cli.drive import session as module
-from wasp_cli.drive.desk import END
+from wasp_cli.drive.block import Cut
+from wasp_cli.drive.desk import END, NEXT
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.store.artifact import commit, staging_folder, write_record
+from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.people import SESSION_FILE
+from wasp_cli.store.parquet import write_table
+from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE
 
 
 def driven(results: Path, episodes: int, **told: Any) -> SimpleNamespace:
@@ -47,6 +51,21 @@ def test_a_study_and_what_is_driven_freely_stay_apart(tmp_path: Path, monkeypatc
         again.prepared()
     again.record(there)
     assert not there.layout.runs.exists(), "the report of free drives has no study"
+
+
+def test_a_sitting_that_finishes_nothing_new_is_kept_too(tmp_path: Path) -> None:
+    """Else the next sitting would offer a world again that this one skipped."""
+    layout, loaded = Layout(tmp_path), wanted(tmp_path, episodes=30, session=0).loaded()
+    ((_, node),) = lay_out_over(loaded.spec, layout, None).cells
+    begun = shutil.copytree(PUBLISHED / "store" / "evaluate" / published_cells()["goal1 s1 human noisy=0.45"], tmp_path / "begun")
+    write_table(BEAT.empty_table(), begun / TIMING_FILE)
+    write_record(begun / SESSION_FILE, {"cut": [], "sittings": []})
+    for sitting in (1, 2, 3):
+        record = module.CellRecord(layout, node, None, 1, {}, begun if sitting == 1 else layout.artifact(node.kind, node.key))
+        record.cut(Cut(7, 3, NEXT))
+        record.publish("run", node)
+        told = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE)
+        assert (record.finished, record.skipped, len(told["sittings"])) == (30, sitting, sitting)
 
 
 def test_driving_a_task_trains_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

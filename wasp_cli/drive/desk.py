@@ -82,8 +82,7 @@ class Desk:
         """Say what is driven in now; whoever connects later is told too."""
         with self._lock:
             self._world, self._latest = message, None
-            self._messages.append(message)
-        self.changed()
+            self.say(message)
 
     def say(self, message: Mapping[str, Any]) -> None:
         with self._lock:
@@ -94,8 +93,7 @@ class Desk:
         """Say what goes on now; whoever connects later is told too."""
         with self._lock:
             self._state = {"phase": phase, **facts}
-            self._messages.append({"type": "state", **self._state})
-        self.changed()
+            self.say({"type": "state", **self._state})
 
     def asked(self) -> str | None:
         """Return and forget what was asked for. Where nobody is there, or the window has no focus, it is a pause."""

@@ -386,6 +386,10 @@ class CellRecord:
         staging = staging_folder(self._layout, self._node.key)  # whose lock is held: nobody takes it for what a killed process left
         for path in self._folder.iterdir():
             shutil.copyfile(path, staging / path.name)
+        place = self._layout.artifact(node.kind, node.key)
+        # A sitting that finished nothing new leaves the same episodes, and more that is known of them: worlds that it skipped, its pauses.
+        if (before := read_record(place / SESSION_FILE)) and before["sittings"] == self._session["sittings"][: len(before["sittings"])]:
+            discard(place)
         commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
         return summary

@@ -228,12 +228,11 @@ def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, di
         values[0, : len(traces[branch][name])] = np.array(traces[branch][name], np.float32)
         return values
 
-    known = criterion.tau_R is not None
     tau_R = np.inf if criterion.tau_R is None else criterion.tau_R
     worth = necessity(row(ALONE, "cost"), row(ASSISTED, "cost"), row(ALONE, "reward"), row(ASSISTED, "reward"), tau_R)
     deviation = float(stored.numbers["deviation"][step])
     # What avoids cost is not unnecessary, whatever tau_R is.
-    decided = deviation > INTERVENED and (known or float(worth.delta_c[0]) > 0)
+    decided = deviation > INTERVENED and (criterion.tau_R is not None or float(worth.delta_c[0]) > 0)
     return Verdict(
         episode=int(stored.row["episode"]), step=step, intervened=deviation > INTERVENED, deviation=deviation, window=criterion.window,
         rho=float(worth.rho[0]), delta_c=float(worth.delta_c[0]), delta_r=float(worth.delta_r[0]),
