@@ -159,7 +159,7 @@ def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
 )
 def test_mistakes_are_told(tmp_path: Path, more: dict[str, Any], message: str) -> None:
     with pytest.raises((UsageError, UnknownName)) as refused:
-        wanted(tmp_path / "results", **{"method": None, **more}).prepared()
+        wanted(tmp_path / "results", **{"method": None, **more}).everyone()[0].prepared()
     assert message in f"{refused.value.message} {refused.value.hint}"
 
 
