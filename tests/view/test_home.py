@@ -56,6 +56,14 @@ def test_a_newer_spec_takes_no_cells_from_the_table_of_an_older_one(results: Pat
     assert [row.values for row in older["table"].rows] == [row.values for row in before["table"].rows]
 
 
+def test_a_run_that_has_just_begun_breaks_no_page(results: Path, tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    site = site_of(tmp_path)
+    assert site.cells.listed() == [], "which is asked again after some seconds alone"
+    shutil.copytree(results, tmp_path, dirs_exist_ok=True)
+    assert [table["spec"] for table in main_tables(site)] == ["part"]
+
+
 def test_the_report_is_shown_as_a_stranger(server: ViewServer, results: Path) -> None:
     assert 'href="/report/part"' in ask(server, "/")[2]
     status, headers, page = ask(server, "/report/part")

@@ -234,7 +234,7 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
         return
     known = site.cells.wait()
     for spec, cells in listed.items():
-        there = [(cell.identity, cell, known[cell.key]) for cell in cells]
+        there = [(cell.identity, cell, known.get(cell.key) or site.cells.one(cell)) for cell in cells]  # the listing may be older
         numbers = tuple(shown.numbers for _, _, shown in there if shown.numbers is not None)
         missing = [Missing(who, cell.label, shown.reason, cell.key, shown.damaged) for who, cell, shown in there if shown.numbers is None]
         frame = Frame(numbers, tuple(missing), tuple(who for who, _, _ in there))
@@ -260,8 +260,7 @@ def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
 
 def run_page(site: Site, run_id: str) -> str:
     run = named_run(runs_of(site), run_id)
-    state = state_of(site.layout, run)
-    return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id), live=state.state == "running")
+    return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id))
 
 
 def run_now(site: Site, run_id: str) -> Any:
