@@ -65,6 +65,7 @@ def test_every_page_needs_the_token_and_may_load_nothing_from_elsewhere(server: 
 def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(server: ViewServer) -> None:
     status, headers, _ = ask(server, f"{CELL}/episode/0?step=3&token={server.token}", known=False)
     assert (status, headers["location"]) == (303, f"{CELL}/episode/0?step=3".replace("%3D", "="))
+    assert quote(f"/compare/cells?a={LABEL}&b=x", "/?=&") in server.opening(f"/compare/cells?a={LABEL}&b=x"), "a terminal finds it whole"
     assert "HttpOnly" in headers["set-cookie"]
     assert "samesite=lax" in headers["set-cookie"].lower()
 

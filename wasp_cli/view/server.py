@@ -90,7 +90,7 @@ class ViewServer(LocalServer):
 
     def opening(self, place: str = "/") -> str:
         path, mark, query = place.partition("?")
-        joined = quote(path, "/=+%") + "?" + (f"{query}&" if mark and query else "")
+        joined = quote(path, "/=+%") + "?" + (f"{quote(query, '/=+%&')}&" if mark and query else "")
         return f"http://127.0.0.1:{self.port}{joined}token={self.token}"
 
     def stop(self) -> None:
