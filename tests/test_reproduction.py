@@ -124,6 +124,19 @@ def test_what_table_1_says_of_all_trainings_is_published():
     assert {f"{rate:.0f}" for rate in changed[1]} == {"99"}
 
 
+def test_what_the_page_says_of_what_costs_as_little_and_helps_hardly_is_published():
+    head, *rows = rows_of(section("What the others cost more"))
+    costs = {method: dict(zip(head[1:], cells, strict=True)) for method, *cells in rows}
+    alike = [costs[method][task] for method in ("Diffusion", "CSA", "IDA + safety gate") for task in ("Race1", "FormulaOne1")]
+    assert not any("**" in difference for difference in alike), "on the cars they cost as little"
+    returns = {
+        (each.task, each.method): statistics.mean(cell.pooled["return"] for cell in each.cells) for each in groups(reproduction.frame())
+    }
+    weak = [*itertools.product(("race1", "formula1", "goal1"), ("filter", "reach", "mpmi")), ("formula1", "printed")]
+    shares = [100 * returns[task, method] / returns[task, "wasp"] for task, method in weak]
+    assert f"they return {min(shares):.0f} to {max(shares):.0f} % of what WASP returns" in " ".join(PAGE.split())
+
+
 def test_what_training_2_says_of_single_rows_is_published():
     words = " ".join(section("Table 1").split())
     cells = {cell.identity: cell.pooled for cell in reproduction.frame((2,)).cells}
