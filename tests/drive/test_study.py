@@ -86,6 +86,8 @@ def test_orders_are_shown_without_computing_anything(spec: Path, tmp_path: Path)
     assert found.exit_code == 0, found.output
     assert [line.split() for line in found.stdout.splitlines()[1:]] == [["p1", "Human-only", "IDA"], ["p2", "IDA", "Human-only"]]
     assert not (tmp_path / "none").exists()
+    found = run_here("drive", "quickstart", "--orders", columns=200)
+    assert (found.exit_code, "nobody drives in 'quickstart'" in found.stderr) == (2, True), found.output
 
 
 def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:

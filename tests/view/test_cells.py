@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from pathlib import Path
+from threading import Thread
 from urllib.parse import quote
 
 import numpy as np
@@ -23,6 +24,7 @@ from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.report.explain import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
 from wasp_cli.video.film import film
 from wasp_cli.video.frame import HEIGHT, WIDTH
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY, SIZE, Films, draw, frame_name
@@ -107,6 +109,7 @@ def test_the_page_says_where_two_cells_differ(results: Path) -> None:
         assert "Both are the same, decision by decision." in body
         for wrong in ("", f"?a={quote(WASP)}", f"?a={quote(WASP)}&b=zzz", f"?a={quote(WASP)}&b={quote(HUMAN)}&world=1"):
             assert ask(server, f"/compare/cells{wrong}")[0] == 404
+        assert "world=&#x27;x&#x27; is no number" in ask(server, f"{place}&world=x")[2].replace("&#39;", "&#x27;")
 
 
 @pytest.mark.slow
@@ -144,6 +147,21 @@ EPISODE = 1
 def layout(tmp_path_factory: pytest.TempPathFactory) -> Layout:
     """Of one whole cell of 25 decisions, with its tiny models."""
     return Layout(made_store(tmp_path_factory.mktemp("films")))
+
+
+def drawn(films: Films) -> set[str]:
+    return {path.name for path in films.folder.iterdir() if path.is_dir()}
+
+
+def test_two_servers_that_are_asked_for_one_film_at_once_draw_it_once(tmp_path: Path) -> None:
+    here, there = Films(Layout(tmp_path)), Films(Layout(tmp_path))
+    with held(here.folder / "lock", lambda: True):
+        asked = Thread(target=there.ask, args=("0" * 20, EPISODE, FILM))
+        asked.start()
+        asked.join(0.5)
+        assert asked.is_alive() and not drawn(here)
+    asked.join()
+    there.close()
 
 
 def shown(image: bytes) -> np.ndarray:
@@ -197,7 +215,7 @@ def test_films_are_bounded_the_oldest_go_first(layout: Layout) -> None:
         (films.folder / name / "00000.webp").write_bytes(bytes(1000))
         os.utime(films.folder / name, (1e10 - age, 1e10 - age))
     films.ask(CELL, 0, FILM)
-    assert {path.name for path in films.folder.iterdir()} == {"new", "old", f"{CELL}-0-film"}
+    assert drawn(films) == {"new", "old", f"{CELL}-0-film"}
     (films.folder / f"{CELL}-0-film" / "99999.webp").write_bytes(b"drawn")
     beside = Films(layout, room=1)  # of a second server: it has its own films drawn, and leaves those that are drawn as they are
     assert beside.ask(CELL, 0, FILM)["state"] == "drawing"
@@ -206,7 +224,7 @@ def test_films_are_bounded_the_oldest_go_first(layout: Layout) -> None:
     beside.close()
     films.close()
     assert beside.state(CELL, 0, FILM)["state"] == "absent"
-    assert not list(films.folder.iterdir()), "what was not finished goes with the server"
+    assert not drawn(films), "what was not finished goes with the server"
 
 
 def test_results_that_cannot_be_written_have_films_elsewhere(tmp_path: Path) -> None:
@@ -215,7 +233,7 @@ def test_results_that_cannot_be_written_have_films_elsewhere(tmp_path: Path) -> 
     (tmp_path / "results" / ".wasp-view").symlink_to(tmp_path / "outside")
     films = Films(Layout(tmp_path / "results"))
     films.ask(CELL, 0, FILM)
-    assert [path.name for path in films.folder.iterdir()] == [f"{CELL}-0-film"]
+    assert drawn(films) == {f"{CELL}-0-film"}
     assert not list((tmp_path / "outside").iterdir()), "a link leads nowhere"
     films.close()
     assert not films.folder.exists()

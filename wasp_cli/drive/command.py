@@ -19,7 +19,7 @@ from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import Session, cells_of, driven, driven_by, free_session, ordered, participants, prepared, shipped
+from wasp_cli.drive.session import Session, cells_of, driven, driven_by, drivers, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import together
@@ -86,8 +86,8 @@ class Wanted:
         """Return who drives what in which order, without computing anything."""
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
-        orders = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
-        table = count_table("participant", *(str(place + 1) for place in range(max(map(len, orders.values()), default=0))))
+        orders = {number: ordered(cells_of(grid, number), number) for number in sorted(drivers(loaded.spec))}
+        table = count_table("participant", *(str(place + 1) for place in range(max(map(len, orders.values())))))
         for number, cells in orders.items():
             several = len({(cell.task, cell.seed) for cell, _ in cells}) > 1
             names = (f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.assistant) for cell, _ in cells)

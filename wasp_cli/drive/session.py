@@ -195,9 +195,7 @@ def prepared(
     Unless it is `recorded`, no run stays behind, only what had to be computed. Unless it `trains`, models have to be there or published.
     """
     spec = loaded.spec
-    numbers = participants(spec)
-    if not numbers:
-        raise UsageError(f"nobody drives in '{spec.name}'", "name participants in it: operators: {person: {p1: 1, p2: 2}}")
+    numbers = drivers(spec)
     if participant is None and len(numbers) == 1:
         (participant,) = numbers
     if participant not in numbers:
@@ -261,6 +259,13 @@ def shipped(
 
 def participants(spec: Spec) -> dict[int, str]:
     return {int(value): name for name, value in spec.operators.get(PERSON, {}).items()}
+
+
+def drivers(spec: Spec) -> dict[int, str]:
+    """Return `participants`; UsageError where there is none."""
+    if found := participants(spec):
+        return found
+    raise UsageError(f"nobody drives in '{spec.name}'", "name participants in it: operators: {person: {p1: 1, p2: 2}}")
 
 
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:

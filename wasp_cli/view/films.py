@@ -23,7 +23,7 @@ from wasp_cli.errors import StoreError, UsageError, WaspError, described
 from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
-from wasp_cli.store.lock import is_held
+from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import open_plain, parse, read_plain
 from wasp_cli.tasks.registry import TASKS
 
@@ -56,7 +56,7 @@ class Films:
     def ask(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
         """Begin a film unless it is there or being drawn; return how far it is, see `state`."""
         name = _name(key, episode, kind, step)
-        with self._lock:
+        with self._lock, held(self.folder / "lock", lambda: True):  # of all servers: two drew one film at once
             state = self._state(name)
             if state["state"] in ("done", "drawing"):
                 return state

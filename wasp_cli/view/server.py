@@ -206,8 +206,8 @@ def _film(request: Request) -> tuple[str, int, str, int]:
 
 def _number(request: Request, name: str) -> int | None:
     text = request.query_params.get(name, "")
-    if text and not (text.isascii() and text.isdigit() and len(text) < 20):
-        raise UsageError(f"'{text}' is no decision", "decisions are numbered from 0")
+    if text and not (text.isascii() and text.isdigit() and len(text) < 19):
+        raise UsageError(f"{name}='{text}' is no number", "all numbers in addresses are whole ones from 0")
     return int(text) if text else None
 
 
