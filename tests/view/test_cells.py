@@ -159,7 +159,8 @@ def test_two_servers_that_are_asked_for_one_film_at_once_draw_it_once(tmp_path: 
         asked = Thread(target=there.ask, args=("0" * 20, EPISODE, FILM))
         asked.start()
         asked.join(0.5)
-        assert asked.is_alive() and not drawn(here)
+        assert asked.is_alive()
+        assert not drawn(here)
     asked.join()
     there.close()
 
