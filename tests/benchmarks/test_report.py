@@ -8,19 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.benchmarks import many
-from tests.report.invented import invent, write
-from wasp_cli.report.stats import Wanted
-from wasp_cli.store.tables import CellIdentity
 
-CELLS = 100
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(scope="module")
-def cells(tmp_path_factory) -> list[Wanted]:
-    folder = tmp_path_factory.mktemp("cells")
-    episodes = [invent(e, 5, 0.2, 0.05, steps=250) for e in range(30)]
-    return [write(folder, CellIdentity("goal1", "wasp", "full", "noisy", 0.2, seed), episodes) for seed in range(CELLS)]
 
 
 @pytest.fixture(scope="module")
