@@ -28,7 +28,7 @@ from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, ABLATED, BRANCHED = (1, 2, 3), (1, 2), (1, 3)  # those of Table 1, of Table 2, and of Figure 3, on Race1
+TRAININGS, BRANCHED = (1, 2, 3), (1, 3)  # those of Tables 1 and 2, and of Figure 3, on Race1
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 
@@ -38,9 +38,8 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 @cache
 def grid(trainings: tuple[int, ...] = TRAININGS) -> Grid:
-    """Return the cells of Table 1, those of Table 2 except for all trainings, and the nodes of the branches of Figure 3's trainings."""
-    ablations = () if trainings == TRAININGS else (VARIANTS,)
-    settings = (f"seeds={list(trainings)}", *ablations, *(STAGES if {*trainings} <= {*BRANCHED} else ()))
+    """Return the cells of Tables 1 and 2, and the nodes of the branches of Figure 3's trainings."""
+    settings = (f"seeds={list(trainings)}", VARIANTS, *(STAGES if {*trainings} <= {*BRANCHED} else ()))
     spec = load(ROOT / "specs" / "table1.yaml", settings).spec
     return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
 
@@ -73,7 +72,7 @@ def decides(judged: Judged) -> str:
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
     """Return of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: the first that have an answer."""
-    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, ABLATED, BRANCHED)}
+    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED)}
     printed = [who.method for who in reports[BRANCHED].others].index("printed")
     chosen = [
         next((each, on) for each, on in zip(asked, reports, strict=True) if each.outcome != "untested")
@@ -98,7 +97,7 @@ def claims() -> str:
 
 def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
-    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame(ABLATED)), "Figure 3": necessity_table(frame(BRANCHED))}
+    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame(BRANCHED))}
     alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
     return {"The 21 claims": claims(), "What the others cost more": costs_more()} | alone
 
