@@ -14,6 +14,8 @@ from wasp_cli.errors import ArtifactError, TaskError, UnknownName, UsageError
 from wasp_cli.learning.closed_loop import Filter
 from wasp_cli.models.base import Latent
 from wasp_cli.notebook.world_model import LoadedWorldModel
+from wasp_cli.store.artifact import invalidate
+from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.make import make_task
 
 ROOT = Path(__file__).parents[2]
@@ -80,6 +82,10 @@ def test_it_imagines_any_leading_dimensions(model: LoadedWorldModel, episode: tu
     grid = model.imagine(latents, np.broadcast_to(actions[:2], (3, 8, 2, 2)))
     assert grid.shape == (3, 8, 2)
     assert grid[1, 2].shape == (2,)
+    assert model.reward(grid[..., -1]).shape == (3, 8)
+    assert len(grid[0]) == 8
+    with pytest.raises(IndexError):
+        latents[3, 0]
     assert ((model.cost(grid) >= 0) & (model.cost(grid) <= 1)).all()
 
 
@@ -99,7 +105,7 @@ def test_other_shapes_are_refused(model: LoadedWorldModel, episode: tuple[np.nda
             model.filter(wrong, actions)
     with pytest.raises(TaskError, match="8 images need 7 actions"):
         model.filter(images, actions[:3])
-    for odd in (actions[:, :1], actions * np.nan):
+    for odd in (actions[:, :1], actions * np.nan, [[0.0, 0.0], [0.0]]):
         with pytest.raises(TaskError, match="finite"):
             model.filter(images, odd)
     latents = model.filter(images, actions)
@@ -137,6 +143,14 @@ def test_changed_bytes_are_not_loaded(tmp_path: Path, model: LoadedWorldModel) -
     for folder in (tmp_path, copy):
         with pytest.raises(ArtifactError, match="other bytes"):
             wasp_cli.load_world_model(folder)
+    with pytest.raises(ArtifactError, match="other bytes"):
+        wasp_cli.load_world_model(results=tmp_path)
+    invalidate(Layout(tmp_path), "world_model", copy.name, "its bytes")
+    with pytest.raises(ArtifactError, match="taken out of use"):
+        wasp_cli.load_world_model(copy)
+    (copy / "_manifest.json").write_text('{"files": []}')
+    with pytest.raises(ArtifactError, match="does not list the files"):
+        wasp_cli.load_world_model(copy)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from wasp_cli.errors import ArtifactError, TaskError, UsageError
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.models.world_model import load_world_model as load_weights
-from wasp_cli.store.artifact import corruption, file_digest, read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import WHY, corruption, file_digest, listed_files, read_manifest, read_record, stored_keys
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 
@@ -34,16 +34,18 @@ IMAGES = (6, 64, 64)  # shape of what the front and the rear camera see: RGB eac
 
 @dataclass(frozen=True, eq=False)
 class Latents:
-    """Latent states with any leading dimensions, which an index selects from."""
+    """Latent states with any leading dimensions, which an index selects from; `...` stands for all that it does not name."""
 
     h: Tensor  # [..., D] recurrent part
     z: Tensor  # [..., Z] one-hot stochastic part
 
     def __getitem__(self, index: Any) -> Latents:
-        return Latents(self.h[index], self.z[index])
+        leading = index if isinstance(index, tuple) else (index,)
+        leading += () if any(each is ... for each in leading) else (...,)
+        return Latents(*(part[(*leading, slice(None))] for part in (self.h, self.z)))  # never from the parts themselves
 
     def __len__(self) -> int:
-        return len(self.h)
+        return self.shape[0]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -156,18 +158,21 @@ class LoadedWorldModel:
         return self.module.cost(Latent(latents.h, latents.z)).numpy()
 
     def _actions(self, actions: ArrayLike) -> Tensor:
-        tensor = torch.from_numpy(np.array(actions, np.float32))
+        try:
+            tensor = torch.from_numpy(np.array(actions, np.float32))
+        except ValueError as error:
+            raise TaskError(f"actions should be finite [..., {self.action_size}], not of several lengths") from error
         if tensor.ndim < 1 or tensor.shape[-1] != self.action_size or not torch.isfinite(tensor).all():
             raise TaskError(f"actions should be finite [..., {self.action_size}], not {list(tensor.shape)}")
         return tensor
 
 
-def load_world_model(which: str | Path = "results", results: str | Path = "results") -> LoadedWorldModel:
+def load_world_model(which: str | Path | None = None, results: str | Path = "results") -> LoadedWorldModel:
     """Load a trained world model; its files' SHA-256 are checked first.
 
     Args:
         which: a results folder with one world model, the folder of its artifact, or in `results` the label
-            (`goal1 s1 world_model`) or the beginning of the key of one.
+            (`goal1 s1 world_model`) or the beginning of the key of one; None: the only one of `results`.
         results: where labels and keys are looked up.
 
     Raises:
@@ -175,14 +180,10 @@ def load_world_model(which: str | Path = "results", results: str | Path = "resul
         UnknownName: no node has this label or key.
         ArtifactError: a file is missing or damaged.
     """
-    folder = Path(which)
+    folder = Path(results if which is None else which)
     if (folder / "world_model.safetensors").is_file():
-        manifest = read_record(folder / MANIFEST) or {}
-        for name, known in manifest.get("files", {}).items():
-            if file_digest(folder / name) != known["sha256"]:
-                raise ArtifactError(f"'{folder / name}' has other bytes than were stored")
-        return LoadedWorldModel(load_weights(folder), manifest)
-    if folder.is_dir():
+        return _of_folder(folder)
+    if which is None or folder.is_dir():
         layout = Layout(folder)
         keys = sorted(filter(is_key, stored_keys(layout, KIND)))
         if len(keys) != 1:
@@ -200,3 +201,17 @@ def load_world_model(which: str | Path = "results", results: str | Path = "resul
     if wrong is not None:
         raise ArtifactError(wrong, "run the spec again: what is damaged is computed again")
     return LoadedWorldModel(load_weights(layout.artifact(KIND, key)), read_manifest(layout, KIND, key))
+
+
+def _of_folder(folder: Path) -> LoadedWorldModel:
+    """Load from anywhere; a folder without a manifest, and without the sign that it was taken out of use, is somebody's own."""
+    manifest = read_record(folder / MANIFEST)
+    try:
+        for name in [] if manifest is None else listed_files(manifest, folder / MANIFEST):
+            if (manifest or {})["files"][name].get("sha256") != file_digest(folder / name):
+                raise ArtifactError(f"'{folder / name}' has other bytes than were stored")
+        if manifest is None and (folder / WHY).exists():
+            raise ArtifactError(f"'{folder}' was taken out of use", "run the spec again: what is damaged is computed again")
+        return LoadedWorldModel(load_weights(folder), manifest or {})
+    except OSError as error:
+        raise ArtifactError(f"cannot read the world model in '{folder}': {error}") from error
