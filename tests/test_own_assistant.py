@@ -52,6 +52,7 @@ MISTAKES = {
     "1 / 0\n": "module 'halfway' does not import: ZeroDivisionError: division by zero",
     "class Other: ...\n": "the assistant 'halfway:Halfway' is not in <module 'halfway' from '{home}/halfway.py'>",
     "class Halfway:\n    def reset(self, rows, seeds): ...\n": "the assistant 'halfway:Halfway' has no decide",
+    "class Halfway:\n    needs = 'critics'\n    reset = decide = print\n": "`needs` of 'halfway:Halfway' is 'critics', no tuple of stages",
     None: "module 'halfway' does not import: ModuleNotFoundError",
 }
 CHECK = """

@@ -20,7 +20,7 @@ import wasp_cli
 from tests.store.folders import folder_of_cells
 from tests.test_docs import ROOT, blocks
 from tests.video.replayed import CELL, made_store
-from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.notebook import Results
 from wasp_cli.store.tables import cell_file, read_episodes
 
@@ -187,6 +187,13 @@ def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> Non
     (later / "plan.json").write_text(json.dumps({**plan, "cells": [], "branched": []}))
     with pytest.raises(UnknownName, match="unknown table 'main'"):
         wasp_cli.results(copied).table()
+    for parts in (3, [3], [{"kind": "x"}]):
+        (later / "plan.json").write_text(json.dumps({**plan, "parts": parts}))
+        with pytest.raises(ArtifactError, match="cannot read the plan of the last run of 'later'"):
+            wasp_cli.results(copied).trained()
+    (later / "plan.json").write_text("{")
+    with pytest.warns(UserWarning, match="plan.json' is damaged"):
+        assert wasp_cli.results(copied).specs == ["golden"]
 
 
 def test_a_folder_without_runs_shows_its_store(copied: Path) -> None:
@@ -292,3 +299,5 @@ def test_an_episode_has_its_frames(replayable: Path) -> None:
     decisions = cell.episodes()["decisions"][1].as_py()
     assert len(frames) == len({*range(0, decisions, 10), decisions - 1})
     assert len({frame.tobytes() for frame in frames}) == len(frames)
+    with pytest.raises(UsageError, match="every=0 is no number of decisions"):
+        next(cell.replay(episode=1, every=0))

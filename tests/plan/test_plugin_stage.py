@@ -140,3 +140,28 @@ def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
     done = checked()
     assert done.exit_code == 1
     assert message in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("found", "put", "message"),
+    [
+        ('("dataset", "world_model")', '("habits",)', "`needs` of the stage 'habits' is no tuple of names of other stages: ('habits',)"),
+        ('("dataset", "world_model")', '("dataset")', "`needs` of the stage 'habits' is no tuple of names of other stages: 'dataset'"),
+        (
+            'settings = ("action_repeat",)',
+            'settings = ("nope",)',
+            "`settings` of the stage 'habits' is no tuple of names of fields of a spec",
+        ),
+        ('settings = ("action_repeat",)', "", "`settings` of the stage 'habits' is no tuple of names of fields of a spec: None"),
+    ],
+)
+def test_what_a_stage_says_of_itself_is_examined(outsider, found, put, message):
+    (outsider / "stage.py").write_text(STAGE.replace(found, put), encoding="utf-8")
+    assert message in " ".join(checked().stderr.split())
+
+
+def test_a_variant_that_its_section_does_not_take_is_told_before_anything_runs(outsider):
+    more = REGISTERED.replace('needs=("habits",)', 'needs=("habits",), variants={"full": "full", "half": "half"}')
+    (outsider / "entries.py").write_text(more, encoding="utf-8")
+    refused = checked()
+    assert (refused.exit_code, "unknown key 'variant'" in refused.stderr) == (3, True), refused.stderr

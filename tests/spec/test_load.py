@@ -110,6 +110,31 @@ def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path):
             load(path, [text])
 
 
+def test_a_setting_counts_for_tasks_that_have_a_value_of_their_own(tmp_path):
+    spec = tmp_path / "own.yaml"
+    spec.write_text(GOOD + "by_task: {goal1: {wasp: {tau_c: 2.0, alpha: 0.5}}}\n", encoding="utf-8")
+    own = load(spec, ["wasp.tau_c=0.5"]).spec.method("wasp", "full", "goal1").model_dump()
+    assert (own["tau_c"], own["alpha"]) == (0.5, 0.5)
+    assert load(spec, ["by_task.goal1.wasp.tau_c=0.7"]).spec.method("wasp", "full", "goal1").model_dump()["tau_c"] == 0.7
+
+
+@pytest.mark.parametrize(
+    ("addition", "settings", "place"),
+    [
+        ("wasp: {elites: 5000}\n", ["wasp.alpha=0.1"], "wrong.yaml"),
+        ("", ["wasp.elites=5000", "wasp.alpha=0.1"], "--set wasp.elites=5000"),
+        ("wasp: {alpha: 0.2}\n", ["wasp.alpha=0.1", "wasp.elites=5000"], "--set wasp.elites=5000"),
+    ],
+)
+def test_what_is_wrong_with_a_section_is_told_of_what_brought_it(tmp_path, addition, settings, place):
+    spec = tmp_path / "wrong.yaml"
+    spec.write_text(GOOD + addition, encoding="utf-8")
+    with pytest.raises(InvalidSpec) as caught:
+        load(spec, settings)
+    (problem,) = caught.value.problems
+    assert problem.source.endswith(place)
+
+
 def test_files_that_cannot_be_read_say_so(tmp_path):
     (tmp_path / "a.yaml").write_text(GOOD, encoding="utf-8")
     (tmp_path / "binary").write_bytes(b"name: x\nno: \xff\xfe")

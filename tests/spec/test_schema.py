@@ -64,6 +64,7 @@ def test_shipped_specs_validate_and_name_the_schema(path, validator):
         "extends: base.yaml\nname: over\ntask: CartPole-v1\nwasp: {candidates: 8}\n",
         GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
         GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",
+        "extends: table1\nname: over\nmethods: [human, halfway:Halfway]\nwasp: null\nexpert: null\n",
         GOOD + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
     ],
 )
@@ -73,7 +74,7 @@ def test_what_specs_may_write_validates(text, validator):
 
 MISTAKES = [
     ("name: good", "name: ../good"), ("seeds: [0]\n", ""), ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""), ("noisy", "nosiy"),
-    ("{mild: 0.2}", "0.2"),
+    ("{mild: 0.2}", "0.2"), ("[human, wasp]", "[human, my module:Mine]"),
     *(("seeds: [0]", f"seeds: [0]\n{line}") for line in (
         "episode: 3", "task: goal1", "extends: base.json", "wasp: {candidats: 8}", "wasp: {variant: full}", "evaluate: {episodes: 3}",
         "by_task: {goal1: {evaluate: {success_goals: 3}}}", "residual: {operators: {nosiy: [0.5]}}", "stages: [worldmodel]",
@@ -117,7 +118,7 @@ def test_names_of_plugins_are_there(monkeypatch):
     finally:
         spec_type.cache_clear()
     assert "mine" in own
-    assert "mine" in own["methods"]["items"]["enum"]
+    assert "mine" in own["methods"]["items"]["anyOf"][0]["enum"]
     assert "half" in own["variants"]["items"]["enum"]
 
 

@@ -56,7 +56,7 @@ def check(
 def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     """Count the cells of a valid spec (None for a paper, which `--set` does not change), and say it in words."""
     from wasp_cli.plan.grid import cells_of
-    from wasp_cli.spec.load import load
+    from wasp_cli.spec.load import chain_of, loaded, override
     from wasp_cli.spec.paper import is_paper, paper_of
     from wasp_cli.spec.read import read
 
@@ -66,7 +66,7 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
         paper = paper_of(source)
         rows = sum(len(table.rows[task]) for table in paper.tables for task in table.rows)
         return None, f"{rows} printed rows, {len(paper.claims)} claims"
-    spec = load(path, settings).spec
+    spec = loaded(chain_of(source), [override(number, text) for number, text in enumerate(settings, start=1)]).spec
     cells = len(list(cells_of(spec)))
     return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
 

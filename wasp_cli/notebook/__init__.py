@@ -49,7 +49,7 @@ def open_results(folder: str | Path = "results", spec: str | Sequence[str] | Non
         UnknownName: no such spec has run there.
     """
     layout = Layout(Path(folder))
-    plans = reading.recorded_plans(layout)
+    plans = reading.recorded_plans(layout, told=True)
     if not plans and not layout.store.is_dir():
         raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
     named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
@@ -139,8 +139,8 @@ class Results:
         Raises:
             UnknownName: no part has such a task, kind or seed.
         """
-        planned = (part for name in self._named for part in self._plans[name].get("parts", ()))
-        parts = [(part["kind"], part["key"]) for part in planned] if self._plans else None  # of a folder without runs all that there is
+        planned = (part for name in self._named for part in reading.planned_parts(name, self._plans[name]))
+        parts = list(planned) if self._plans else None  # of a folder without runs all that there is
         return reading.trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
 
     def table(self, name: str = "main") -> pa.Table:
@@ -246,9 +246,11 @@ class StoredCell:
             every: decisions between two frames; None: so many that there are at most 125 frames.
 
         Raises:
-            UsageError: no such episode.
+            UsageError: no such episode, or `every` is none.
             ArtifactError: a model is missing or damaged, or what is played is not what was recorded.
         """
         from wasp_cli.video.replay import replay_frames
 
+        if every is not None and (not isinstance(every, int) or every < 1):
+            raise UsageError(f"every={every!r} is no number of decisions", "give a whole number from 1 on, or None")
         yield from replay_frames(self.layout, FoundCell(self.path, self.key, self.manifest), episode, every)

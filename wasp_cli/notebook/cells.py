@@ -52,12 +52,15 @@ class ListedCell(CellIdentity):
         return CellIdentity(self.task, self.method, self.variant, self.operator, self.value, self.seed)
 
 
-def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
-    """Read the plan of the last run of each spec, by the spec's name, oldest first. A plan that does not read is passed over."""
+def recorded_plans(layout: Layout, *, told: bool = False) -> dict[str, Mapping[str, Any]]:
+    """Read the plan of the last run of each spec, by its name, oldest first. One that does not read is left out (`told`: a warning)."""
     if not layout.root.is_dir():
         raise StoreError(f"no results in '{layout.root}': no such folder", "wasp run SPEC --results DIR writes there")
     with suppress(StoreError):  # a folder without runs
-        return {name: read_record(layout.run(run_id) / "plan.json") or {} for name, run_id in last_runs(layout)[0].items()}
+        runs, damaged = last_runs(layout)
+        for wrong in damaged if told else ():
+            warnings.warn(wrong, stacklevel=3)
+        return {name: read_record(layout.run(run_id) / "plan.json") or {} for name, run_id in runs.items()}
     return {}
 
 
@@ -70,6 +73,13 @@ def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
             raise ValueError("a key is none")
         return [replace(cell, key=key, branches=judged.get(cell)) for cell, key in zip(cells, keys, strict=True)]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ArtifactError(f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again") from error
+
+
+def planned_parts(spec: str, plan: Mapping[str, Any]) -> list[tuple[str, str]]:
+    try:
+        return [(str(part["kind"]), str(part["key"])) for part in plan.get("parts", ())]
+    except (KeyError, TypeError) as error:
         raise ArtifactError(f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again") from error
 
 

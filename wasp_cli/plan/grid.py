@@ -172,7 +172,7 @@ class _Builder:
         if method:
             config = self.method(method, variant, task).values
             asked += [(name, f"the method '{method}'") for name in METHODS[method].needs_of(config)]
-        known = [name for name, info in STAGES.items() if info.unit != "person"]
+        known = [name for name, info in STAGES.items() if info.unit == "chain"]
         for name, whose in asked:
             if name not in known:
                 raise UnknownName("stage", name, known, f"{whose} needs an unknown stage '{name}'")

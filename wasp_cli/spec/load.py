@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -69,12 +70,17 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
     loc, depth = tuple(part for part in finding.loc if part != KEY), max(source.depth(finding.loc) for source in chain.sources)
+    near: list[Override] = []  # options that may have written it: the files have nothing nearer to the place
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
-        # The option wins where the files have nothing nearer to the place.
         if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(depth, len(option.path)):
-            message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
-            return Problem(f"{option.option} {option.text}", None, message, finding.hint)
+            near.append(option)
+    words = re.findall(r"\w+", finding.message)
+    # Of a whole section, what the message names has it wrong.
+    said = [option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words]
+    for option in said or (near if depth < len(loc) else []):
+        message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
+        return Problem(f"{option.option} {option.text}", None, message, finding.hint)
     return chain.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
 
 
@@ -210,7 +216,17 @@ def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, 
             node[part] = below = below if isinstance(below, dict) else {}
             node = below
         node[option.path[-1]] = option.value
+        tasks = result.get("by_task")
+        for own in tasks.values() if isinstance(tasks, dict) else ():  # an option counts for every task
+            _forget(own, option.path)
     return result
+
+
+def _forget(document: Any, path: tuple[str, ...]) -> None:
+    for part in path[:-1]:
+        document = document.get(part) if isinstance(document, dict) else None
+    if isinstance(document, dict):
+        document.pop(path[-1], None)
 
 
 WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
@@ -254,14 +270,16 @@ def ablation(
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)
     if variant == AS_PRINTED:
-        narrowed = [f"name=ablate-{variant}", "methods=[human, wasp, printed]", f"variants=[{WHOLE}]"]
+        narrowed = ["methods=[human, wasp, printed]", f"variants=[{WHOLE}]"]
     else:
         # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
         method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
-        narrowed = [f"name=ablate-{variant}", f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
+        narrowed = [f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
-    return replace(load(path, [*narrowed, *sized(preset, settings)]), restricted=bool(tasks))
+    found = load(path, [*narrowed, *sized(preset, settings)])
+    named = found.spec.model_copy(update={"name": spec_name(found.spec.name, f"ablate-{variant}")})
+    return replace(found, spec=named, restricted=bool(tasks))
 
 
 OPTION = "--vary"

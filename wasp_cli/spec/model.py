@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from functools import cache
+from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, create_model, model_validator
@@ -178,6 +179,13 @@ class Spec(Config):
     def _parts_fit(self, info: ValidationInfo) -> Spec:
         refuse(_list_problems(self, recorded=bool((info.context or {}).get(RECORDED))) + _skill_problems(self))
         _check_tasks(self)
+        for name in (name for name in self.methods if len(METHODS[name].variants) > 1):
+            for variant, task in product(self.variants_of(name), ("", *self.by_task)):
+                try:
+                    self.method(name, variant, task)
+                except ValidationError as error:  # a variant may ask for more than its section does
+                    errors = [_moved(problem, (name,)) for problem in error.errors(include_url=False)]
+                    raise ValidationError.from_exception_data("Spec", errors) from error
         return self
 
 
@@ -281,6 +289,9 @@ def spec_type() -> type[Spec]:
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
 
 
+WHAT = {"needs": "other stages", "settings": "fields of a spec"}
+
+
 def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage (`made`: its class) that has no place in a plan."""
     taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
@@ -297,6 +308,10 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     section = getattr(made, "config", None)
     if not (isinstance(section, type) and issubclass(section, Config)):
         raise WaspError(f"the class of stage '{entry.name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
+    for name, known in (("needs", set(STAGES) - {entry.name}), ("settings", set(Spec.model_fields))):
+        listed = getattr(made, name, None)
+        if not isinstance(listed, tuple) or not set(listed) <= known:
+            raise WaspError(f"`{name}` of the stage '{entry.name}' is no tuple of names of {WHAT[name]}: {listed!r}", "repair the plugin")
 
 
 def validate(document: Mapping[str, Any]) -> Spec:

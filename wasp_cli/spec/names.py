@@ -67,9 +67,15 @@ def _registered(registry: Registry[Any]) -> AfterValidator:
         if name not in registry:
             raise unknown(registry.kind, name, registry)
         # The code of others is loaded now: it should not fail after the training.
-        return name if name in registry.own else _usable(name, info, lambda: registry.load(name))
+        return name if name in registry.own else _usable(name, info, lambda: _load(registry, name))
 
     return AfterValidator(check)
+
+
+def _load(registry: Registry[Any], name: str) -> None:
+    needs = getattr(registry.load(name), "needs", ())
+    if not isinstance(needs, (tuple, list)):
+        raise WaspError(f"`needs` of '{name}' is {needs!r}, no tuple of stages", 'write it as in needs = ("critics",)')
 
 
 def training_stages() -> list[str]:

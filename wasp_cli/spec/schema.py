@@ -26,6 +26,8 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MARKS = ("in_key", "in_paper")  # what the models say to reports, and no validator knows
 FOREIGN = r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
 """`tasks.registry.is_foreign` as a pattern."""
+OWN = r"^[A-Za-z_][A-Za-z0-9_.]*:[A-Za-z_][A-Za-z0-9_]*$"
+"""A class of one's own: `methods.registry.OwnMethod`."""
 Schema = dict[str, Any]
 
 
@@ -71,10 +73,11 @@ def spec_schema() -> Schema:
 def _name_things(top: Schema, definitions: Schema) -> None:
     for name in ("methods", "stages", "variants", "tasks", "seeds"):
         top[name]["uniqueItems"] = True
-    for name, known in (("methods", list(METHODS)), ("stages", training_stages()), ("variants", assistant_variants())):
+    for name, known in (("stages", training_stages()), ("variants", assistant_variants())):
         top[name]["items"] = {"enum": known}
     top["tasks"]["items"] = _task()
-    top["methods"]["items"]["enumDescriptions"] = [info.rule for info in METHODS.values()]  # editors show them
+    named = {"enum": list(METHODS), "enumDescriptions": [info.rule for info in METHODS.values()]}  # editors show them
+    top["methods"]["items"] = {"anyOf": [named, {"type": "string", "pattern": OWN, "examples": ["my_module:MyAssistant"]}]}
     top["operators"]["propertyNames"] = {"enum": list(OPERATORS)}
     severities = top["operators"]["additionalProperties"]
     severities["additionalProperties"] = False  # names of severities have a pattern
@@ -84,6 +87,8 @@ def _name_things(top: Schema, definitions: Schema) -> None:
     top["by_task"]["additionalProperties"] = {"type": "object", "properties": sections, "additionalProperties": False}
     for kind in mixing_stages():
         _section(top[kind], definitions)["properties"]["operators"]["propertyNames"] = {"enum": list(OPERATORS)}
+    for name in (*STAGES, *method_sections()):
+        _section(top[name], definitions)["type"] = ["object", "null"]  # null removes the section of an extended spec
 
 
 def _task() -> Schema:
