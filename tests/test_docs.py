@@ -121,7 +121,8 @@ def test_the_quickstart_prints_its_table(tmp_path: Path) -> None:
     printed = {row["method"]: row for row in csv.DictReader(table)}
     for method, (returned, _, cost, *_) in quickstart_rows().items():
         assert float(printed[method]["return"]) == pytest.approx(float(returned), abs=1.5), "processors round differently"
-        assert float(printed[method]["cost"]) == pytest.approx(float(cost), abs=5)
+        assert float(printed[method]["cost"]) == pytest.approx(float(cost), abs=8), "few episodes have most of it"
+    assert float(printed["WASP"]["cost"]) < float(printed["IDA"]["cost"])
 
 
 def quickstart_rows() -> dict[str, list[str]]:

@@ -207,7 +207,7 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     if without_steps(cell.manifest):
         raise UsageError(
             f"{printable(cell.label or str(cell.path))} is published in part, so that its branches cannot be played again",
-            "without --step its first episodes can; wasp run SPEC --reuse none computes it whole",
+            "without --step its first episodes can; wasp run SPEC --reuse none computes another cell: it trains anew",
         )
     stored.require(step)
     path = checked(default_name(stored, f"_s{step}.gif") if out is None else out, STILL)

@@ -174,7 +174,7 @@ def _read(cell: FoundCell, episode: int) -> Episode:
         here = f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on" if kept else "no episode of this cell has its own"
         raise UsageError(
             f"the steps of episode {episode} are not here",
-            f"{here}; what is published may leave out steps: wasp run SPEC --reuse none computes the cell whole",
+            f"{here}; what is published may leave out steps, and wasp run SPEC --reuse none computes another cell: it trains anew",
         )
     a_h, a = (np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1) for name in ("a_h", "a"))
     if not a.size or a.shape != a_h.shape:
