@@ -20,6 +20,7 @@ from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import training_device
 from wasp_cli.run import verify
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.provenance import processor
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -111,6 +112,32 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     assert devices == ["cpu", "cuda"]
     del record["provenance"]
     assert "error: KeyError: 'provenance'" in told(1)
+
+
+def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verify, "why_not", lambda *_: None)
+    layout = Layout(brought(tmp_path, "goal1 s1 csa noisy=0.45", "goal1 s1 csa laggy=0.7"))
+    first, second = sorted(layout.kind("evaluate").iterdir())
+    for folder, name in ((first, f"{verify.kind(processor())}, AVX9"), (second, "another")):
+        record = json.loads((folder / "_manifest.json").read_text(encoding="utf-8"))
+        record["provenance"]["processor"] = name
+        (folder / "_manifest.json").write_text(json.dumps(record), encoding="utf-8")
+    assert verify.draw(layout, 30, 0) == verify.Drawn((first.name,), 2, 1, 0)
+    assert verify.draw(layout, 30, 0, anywhere=True).cells == (first.name, second.name)
+
+
+def test_what_differs_with_avx512_is_computed_once_more_with_avx2(monkeypatch: pytest.MonkeyPatch) -> None:
+    def again(_: Path, key: str) -> verify.Answer:
+        with_avx2 = os.environ.get("ATEN_CPU_CAPABILITY") == "avx2"
+        means = () if with_avx2 or key == "same" else (("cost", 1.0, 2.0),)
+        return verify.Answer(key, key, ("cost",) if means else (), (), 0.0, "A" if key != "elsewhere" else "B", "A, AVX512", means)
+
+    monkeypatch.setattr(verify, "again", again)
+    monkeypatch.delenv("ATEN_CPU_CAPABILITY", raising=False)
+    found = {answer.key: answer for answer in verify.verify(Layout(STORE), ["same", "other", "elsewhere"], 1)}
+    assert {key: (bool(answer.differing), answer.with_avx2) for key, answer in found.items()} == {
+        "same": (False, False), "elsewhere": (True, False), "other": (False, True),
+    }  # fmt: skip
 
 
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

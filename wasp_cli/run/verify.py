@@ -2,7 +2,8 @@
 
 A cell can be computed again where every artifact that it was computed from is whole in the same folder. Nothing of the folder is changed:
 each cell is written to an empty folder elsewhere, by today's code. Wall times are not compared, and steps only of the episodes whose steps
-ship. Processors of several makers round differently, and then an episode may go another way: bits are those of one kind of processor.
+ship. Processors of several makers round differently, and then an episode may go another way: bits are those of one kind of processor. So do
+the vector instructions of one: a cell that differs with AVX512 is computed once more with AVX2.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -27,26 +29,32 @@ from wasp_cli.store.provenance import processor
 from wasp_cli.tasks.registry import TASKS
 
 EVALUATE, DEVICE = "evaluate", "WASP_DEVICE"  # the stage; the variable that stages ask for a device
+CAPABILITY, AVX2 = "ATEN_CPU_CAPABILITY", "avx2"  # torch reads it when it is imported
 
 
 @dataclass(frozen=True)
 class Drawn:
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
+    elsewhere: int  # of these, cells that another kind of processor computed, and that were left out for that
     others: int  # cells of the folder that cannot: something that they were computed from is not there
 
 
 @dataclass(frozen=True)
 class Answer:
+    key: str
     label: str
     differing: tuple[str, ...]  # names of the columns that are not the same; `error: ...` where it could not be computed
     libraries: tuple[str, ...]  # libraries of another version than then, which may round differently
     seconds: float
-    processor: str | None = None  # on which the cell was computed, where it is another one than here
+    then: str  # the processor on which the cell was computed; empty where its manifest does not say
+    here: str  # that on which it was computed again
     means: tuple[tuple[str, float, float], ...] = ()  # of a cell that differs: return and cost of an episode, then and now
+    with_avx2: bool = False
 
 
-def draw(layout: Layout, cells: int, seed: int) -> Drawn:
+def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Drawn:
+    """Draw from the cells that this kind of processor computed; from all where there is none, or with `anywhere`."""
     import numpy as np
 
     keys = sorted(stored_keys(layout, EVALUATE))
@@ -54,8 +62,20 @@ def draw(layout: Layout, cells: int, seed: int) -> Drawn:
     if not possible:
         reason = f": {why_not(layout, keys[0])}" if keys else ""
         raise UsageError(f"'{layout.root}' has no cell that can be computed again from what is there{reason}", "name a folder with models")
-    drawn = np.random.default_rng(seed).choice(len(possible), min(cells, len(possible)), replace=False)
-    return Drawn(tuple(possible[i] for i in sorted(drawn)), len(possible), len(keys) - len(possible))
+    own = [key for key in possible if kind(computed_on(read_manifest(layout, EVALUATE, key))) == kind(processor())]
+    among = possible if anywhere or not own else own
+    drawn = np.random.default_rng(seed).choice(len(among), min(cells, len(among)), replace=False)
+    return Drawn(tuple(among[i] for i in sorted(drawn)), len(possible), len(possible) - len(among), len(keys) - len(possible))
+
+
+def computed_on(manifest: Mapping[str, Any]) -> str:
+    provenance = manifest.get("provenance")
+    return str(provenance.get("processor", "")) if isinstance(provenance, dict) else ""
+
+
+def kind(name: str) -> str:
+    """Return the name of a processor without its vector instructions."""
+    return name.partition(",")[0]
 
 
 def why_not(layout: Layout, key: str) -> str | None:
@@ -76,9 +96,19 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
     from joblib import Parallel, delayed
+    from joblib.externals.loky import ProcessPoolExecutor
 
+    rounded: list[str] = []
     try:
-        yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)
+        for answer in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys):
+            if answer.means and kind(answer.then) == kind(answer.here) and "AVX512" in answer.here and CAPABILITY not in os.environ:
+                rounded.append(answer.key)
+            else:
+                yield answer
+        if rounded:
+            with ProcessPoolExecutor(jobs, env={CAPABILITY: AVX2}) as workers:
+                for done in as_completed([workers.submit(again, layout.root, key) for key in rounded]):
+                    yield replace(done.result(), with_avx2=True)
     except BrokenExecutor as error:
         raise WaspError("a worker process was killed (out of memory, or by a signal)", "-j N computes fewer cells at once") from error
 
@@ -93,7 +123,7 @@ def again(root: Path, key: str) -> Answer:
     manifest = read_manifest(layout, EVALUATE, key)
     libraries: tuple[str, ...] = ()
     means: tuple[tuple[str, float, float], ...] = ()
-    then = None
+    then = ""
     inputs = {name: layout.artifact(manifest["upstream_kinds"][name], upstream) for name, upstream in manifest["upstream"].items()}
     stage: Stage = load_target(STAGES[EVALUATE].target)()
     set_threads(getattr(stage, "torch_threads", 1))
@@ -102,7 +132,7 @@ def again(root: Path, key: str) -> Answer:
         try:
             # A GPU rounds differently: what a CPU computed, one computes again. No text is as good as no variable.
             os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
-            libraries, then = tuple(library_changes(manifest)), manifest["provenance"].get("processor")
+            libraries, then = tuple(library_changes(manifest)), computed_on(manifest)
             stage.run(Job(
                 EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
                 settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
@@ -114,15 +144,14 @@ def again(root: Path, key: str) -> Answer:
             differing = (f"error: {error.message if isinstance(error, WaspError) else described(error)}",)
         finally:
             os.environ[DEVICE] = asked
-    elsewhere = None if then == processor() else then
-    return Answer(str(manifest.get("label", key)), differing, libraries, time.monotonic() - began, elsewhere, means)
+    return Answer(key, str(manifest.get("label", key)), differing, libraries, time.monotonic() - began, then, processor(), means)
 
 
 def show_answer(answer: Answer, console: Console) -> None:
-    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
+    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}{'  with AVX2' * answer.with_avx2}"
     if answer.differing:
         means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
-        places = [*answer.libraries, *([f"computed on {answer.processor}, here {processor()}"] if answer.processor else ())]
+        places = [*answer.libraries, *[f"computed on {answer.then}, here {answer.here}"] * (kind(answer.then) != kind(answer.here))]
         text += f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})" if means else f"  {', '.join(answer.differing)}"
         text += f"  ({'; '.join(places)})" if places else ""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
