@@ -140,6 +140,26 @@ def test_what_the_page_says_of_what_costs_as_little_and_helps_hardly_is_publishe
     assert all(returns[task, method] < returns[task, "human"] for task, method in weak[:-1]), "less than the operators alone"
 
 
+def test_what_the_page_says_of_figure_3_is_in_its_table():
+    head, *rows = rows_of(section("Figure 3"))
+    tasks = list(itertools.accumulate((task for task, *_ in rows), lambda before, task: task or before))
+    table = {(task, row[1].partition(" [")[0]): dict(zip(head, row, strict=True)) for task, row in zip(tasks, rows, strict=True)}
+
+    def number(task: str, method: str, column: str) -> float:
+        return float(re.match(r"[+-]?[\d.]+", table[task, method][column].replace("*", ""))[0])
+
+    words, more = " ".join(section("Figure 3").split()), []
+    for task in ("Race1", "FormulaOne1", "Goal1"):
+        ordered = sorted((each for place, each in table if place == task), key=lambda each: number(task, each, "UIR ↓"))
+        assert {*ordered[:2]} == {"WASP", "IDA + safety gate"}
+        more.append(number(task, "WASP", "UIR swapped") - number(task, "WASP", "UIR ↓"))
+    assert f"It is {min(more):.2f} to {max(more):.2f} higher for WASP".replace(" 0.", " .") in words
+    assert table["Goal1", "WASP"]["ΔC ↑"] == "+0.07 [+0.01, +0.12]"
+    assert table["FormulaOne1", "WASP"]["ΔC ↑"].startswith("+0.05 [-")
+    avoided = [table[task, "Safety filter"]["ΔC ↑"].replace("+0", "") for task in ("Goal1", "FormulaOne1")]
+    assert f"({avoided[0]} and {avoided[1]})" in words
+
+
 def test_what_training_2_says_of_single_rows_is_published():
     words = " ".join(section("Table 1").split())
     cells = {cell.identity: cell.pooled for cell in reproduction.frame((2,)).cells}
