@@ -14,15 +14,17 @@ from wasp_cli.cli import app
 ROOT = Path(__file__).parents[1]
 
 
-def python(folder: Path, *arguments: str, path: tuple[Path, ...] = ()) -> subprocess.CompletedProcess[str]:
+def python(folder: Path, *arguments: str, path: tuple[Path, ...] = (), code: int | None = None) -> subprocess.CompletedProcess[str]:
     """Python in a folder, as the console script of `wasp` is run: with `-P` it does not search the current folder by itself."""
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, [*path, ROOT])), "NO_COLOR": "1", "COLUMNS": "200"}
     command = [sys.executable, "-P", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
+    assert code in (None, done.returncode), done.stdout + done.stderr
+    return done
 
 
-def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return python(folder, "-m", "wasp_cli", *arguments)
+def wasp(folder: Path, *arguments: str, code: int | None = None) -> subprocess.CompletedProcess[str]:
+    return python(folder, "-m", "wasp_cli", *arguments, code=code)
 
 
 def run_here(*arguments: str | Path, columns: int | None, code: int | None = None) -> Result:

@@ -31,6 +31,12 @@ pytest_runtest_call = pytest_fixture_setup
 
 
 @pytest.fixture
+def results(tmp_path):
+    """A results folder that is not there yet."""
+    return tmp_path / "results"
+
+
+@pytest.fixture
 def layout(tmp_path):
     """Of a results folder that is ready, and empty."""
     from wasp_cli.store.layout import Layout

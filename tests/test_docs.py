@@ -115,8 +115,7 @@ def test_the_quickstart_names_what_is_published_of_its_cells() -> None:
 
 @pytest.mark.slow
 def test_the_quickstart_prints_its_table(tmp_path: Path) -> None:
-    done = run_here("run", "quickstart", "--results", tmp_path, columns=200, code=0)
-    assert "Goal1: the operators alone return" in done.stdout
+    assert "Goal1: the operators alone return" in run_here("run", "quickstart", "--results", tmp_path, columns=200, code=0).stdout
     table = (tmp_path / "reports/quickstart/table1.csv").read_text(encoding="utf-8").splitlines()
     printed = {row["method"]: row for row in csv.DictReader(table)}
     for method, (returned, _, cost, *_) in quickstart_rows().items():

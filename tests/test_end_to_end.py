@@ -46,7 +46,9 @@ ida-guarded: {vote: -0.9, quantile: 0.05}
 
 
 def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +56,7 @@ def results(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("chain")
     spec = folder / "chain.yaml"
     spec.write_text(SPEC)
-    done = wasp("run", str(spec), "--results", str(folder / "results"), "-j", "2")
-    assert done.returncode == 0, done.stderr
+    wasp("run", str(spec), "--results", str(folder / "results"), "-j", "2")
     return folder / "results"
 
 
@@ -146,12 +147,9 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
 
 
 def test_report_needs_the_results_folder_alone(results):
-    shown = wasp("report", str(results))
-    assert shown.returncode == 0, shown.stderr
-    for info in METHODS.values():
-        assert info.title in shown.stdout
-    assert "Trained parts" in shown.stdout
-    assert "World model, imagined steps ahead" in shown.stdout
+    shown = wasp("report", str(results)).stdout
+    for said in (*(info.title for info in METHODS.values()), "Trained parts", "World model, imagined steps ahead"):
+        assert said in shown
     parts = {path.parent.name.split("-")[2]: path for path in (results / "reports" / "chain" / "trained").glob("*/*")}
     assert {kind for kind in EVIDENCE if (results / "store" / kind).is_dir()} == set(parts)
     files = {path.name for path in (results / "reports" / "chain" / "trained").glob("*/*")}
@@ -161,8 +159,7 @@ def test_report_needs_the_results_folder_alone(results):
 def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
     # What judges the models has no part in the rows.
     spec = str(results.parent / "chain.yaml")
-    done = wasp("run", spec, "--results", str(tmp_path), "-j", "1", "--set", "stages=[counterfactual]")
-    assert done.returncode == 0, done.stderr
+    wasp("run", spec, "--results", str(tmp_path), "-j", "1", "--set", "stages=[counterfactual]")
     mine, theirs = cells(results), cells(tmp_path)
     assert set(theirs) == set(mine)
     for name in theirs:
@@ -175,10 +172,8 @@ def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
 
 def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_path):
     spec, here = str(results.parent / "chain.yaml"), tmp_path / "results"
-    done = wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))
-    assert done.returncode == 0, done.stderr
+    wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))
     done = wasp("run", spec, "--results", str(here), "--reuse", "published")
-    assert done.returncode == 0, done.stderr
     assert "0 computed, 0 computed before" in done.stderr
     assert "published with this code" in done.stderr
     ours, theirs = cells(here), cells(results)
@@ -191,9 +186,7 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_
 
 
 def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
-    done = wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1")
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2 cells are the same to the bit" in done.stdout
+    assert "2 of 2 cells are the same to the bit" in wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1").stdout
     copy = shutil.copytree(results, tmp_path / "results")
     key = next(path.parent.name for name, path in cells(copy).items() if name == ("human", "full"))
     rows = copy / "store" / "evaluate" / key / "episodes.parquet"

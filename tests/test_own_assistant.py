@@ -21,8 +21,7 @@ def home(tmp_path) -> Path:
 
 
 def nodes(home: Path) -> dict[str, dict[str, str]]:
-    done = wasp(home, "plan", "halfway.yaml", "--json")
-    assert done.returncode == 0, done.stderr
+    done = wasp(home, "plan", "halfway.yaml", "--json", code=0)
     return {node["label"]: node for node in json.loads(done.stdout)["nodes"]}
 
 
@@ -31,16 +30,13 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
     before = nodes(home)
     own = {label for label in before if NAME in label}
     assert {label for label, node in before.items() if node["state"] == "missing" and node["kind"] == "evaluate"} == own
-    done = wasp(home, "run", "halfway.yaml", "-j", "0", "--limit", "2", "--select", f"method={NAME},operator=laggy")
-    assert done.returncode == 0, done.stderr
+    done = wasp(home, "run", "halfway.yaml", "-j", "0", "--limit", "2", "--select", f"method={NAME},operator=laggy", code=0)
     assert "Halfway" in done.stdout
     # Results are read without importing what they name.
     text = (home / "halfway.py").read_text(encoding="utf-8")
     (home / "halfway.py").write_text("open('imported', 'w')\n1 / 0\n", encoding="utf-8")
     for command in (["explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0"], ["report", "results", "--no-films", "--no-trained"]):
-        read = wasp(home, *command)
-        assert read.returncode == 0, read.stderr
-        assert ("Halfway is a class of the module halfway" if command[0] == "explain" else "Halfway") in read.stdout
+        assert ("Halfway is a class of the module halfway" if command[0] == "explain" else "Halfway") in wasp(home, *command, code=0).stdout
     assert not (home / "imported").exists()
     # A changed constant is another assistant, and nobody else's cell.
     (home / "halfway.py").write_text(text.replace("> 0.7", "> 0.5"), encoding="utf-8")
@@ -75,8 +71,7 @@ for source in %r:
 
 
 def test_mistakes_in_it_are_shown_where_the_spec_names_it(home):
-    done = python(home, "-B", "-c", CHECK % list(MISTAKES))
-    assert done.returncode == 0, done.stderr
+    done = python(home, "-B", "-c", CHECK % list(MISTAKES), code=0)
     told = re.split(r"^3$\n?", done.stderr, flags=re.MULTILINE)
     assert len(told) == 1 + len(MISTAKES)
     for message, shown in zip(MISTAKES.values(), told[:-1], strict=True):

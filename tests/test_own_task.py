@@ -26,8 +26,7 @@ def home(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     for name in ("puddle.py", "puddle.yaml"):
         shutil.copy(EXAMPLES / name, folder)
-    done = wasp(folder, "run", "puddle.yaml", "-j", "2", *SMALL, "--set", "stages=[diagnostics, counterfactual]")
-    assert done.returncode == 0, done.stderr
+    done = wasp(folder, "run", "puddle.yaml", "-j", "2", *SMALL, "--set", "stages=[diagnostics, counterfactual]", code=0)
     (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
     return folder
 

@@ -38,9 +38,9 @@ def wasp(*arguments: str | Path, **environment: str) -> subprocess.CompletedProc
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
-def here(*arguments: str | Path) -> Result:
+def here(*arguments: str | Path, code: int | None = None) -> Result:
     """The same in this process, where nothing but the answer matters."""
-    done = run_here(*arguments, columns=200)
+    done = run_here(*arguments, columns=200, code=code)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
     return done
 
@@ -120,8 +120,8 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"), encoding="utf-8")
     assert here("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in here("plan", spec, "--results", results).stdout
-    done = here("run", spec, "--results", results, "-j", "0")
-    assert (done.exit_code, "7 computed" in done.stderr) == (0, True), done.stderr
+    done = here("run", spec, "--results", results, "-j", "0", code=0)
+    assert "7 computed" in done.stderr
     assert "Main results" not in done.stdout
     page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
     assert "- Training only: the spec lists no methods." in page
@@ -143,8 +143,7 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
 def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
     path = spec_with(tmp_path, old, new)
     for command in ("run", "plan", "check"):
-        done = here(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]))
-        assert done.exit_code == 3
+        done = here(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]), code=3)
         assert expected in done.stderr
         assert f"error: {path}:" in done.stderr
         assert done.stdout == ""
@@ -164,36 +163,31 @@ def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp
     ],
 )
 def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: Path) -> None:
-    done = here(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]))
-    assert done.exit_code == 2
-    assert expected in done.stderr
+    assert expected in here(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]), code=2).stderr
 
 
 def test_a_folder_that_was_removed_under_the_shell_ends_with_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     tmp_path.rmdir()
-    done = here("status")
-    assert (done.exit_code, "the current folder is not there any more" in done.stderr) == (2, True)
+    assert "the current folder is not there any more" in here("status", code=2).stderr
 
 
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", Path("/proc/results")):
-        done = here("run", SMOKE, "--results", place)
-        assert (done.exit_code, done.stderr.startswith(f"error: cannot write results to '{place}'")) == (1, True)
+        done = here("run", SMOKE, "--results", place, code=1)
+        assert done.stderr.startswith(f"error: cannot write results to '{place}'")
         assert "--results DIR" in done.stderr
 
 
 @pytest.mark.parametrize("record", ["plan.json", "spec.json"])
-def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    results = tmp_path / "results"
+def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, results: Path, tmp_path: Path) -> None:
     for path in (small_spec, written(tmp_path / "other.yaml", "name: small", "name: other")):
         loaded, layout, plan = prepared(path, results)
         new_run(layout, loaded, plan)
     (damaged,) = layout.runs.glob(f"*-small-*/{record}")
     damaged.write_text("{", encoding="utf-8")
-    done = here("report", results)
-    assert done.exit_code == 1
+    done = here("report", results, code=1)
     assert damaged.parent.name in done.stderr
     assert "Human-only" in done.stdout
     assert (results / "reports" / "other" / "report.md").is_file()
@@ -226,13 +220,11 @@ def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
 
 
 def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fakes: Fakes, small_spec: Path, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("wasp_cli.cli.run.show_report", Mock(side_effect=NotWritten("the report cannot be written")))
     fakes.set(behave={"s1 critics": "refuse"})
-    results = tmp_path / "results"
-    done = here("run", small_spec, "--results", results, "-j", "0")
-    assert done.exit_code == 1
+    done = here("run", small_spec, "--results", results, "-j", "0", code=1)
     assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
     assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
     assert "the report cannot be written" in done.stderr
@@ -241,9 +233,7 @@ def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
     assert done.stdout == ""
     monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
     fakes.set()
-    again = here("run", small_spec, "--results", results, "-j", "0")
-    assert again.exit_code == 0
-    assert "4 computed, 32 computed before" in again.stderr
+    assert "4 computed, 32 computed before" in here("run", small_spec, "--results", results, "-j", "0", code=0).stderr
 
 
 @pytest.mark.parametrize("module", ["wasp_cli.console", "torch._C"])

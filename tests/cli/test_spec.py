@@ -59,14 +59,12 @@ def test_a_problem_of_a_base_or_an_option_is_told_as_such(good: Path) -> None:
     (entry,) = checked(over, "--set", "seeds=x", code=3)
     assert [(problem["file"], problem["line"]) for problem in entry["problems"]] == [(str(good), 3), ("--set seeds=x", None)]
     # People read once what is wrong with both.
-    done = run_here("check", good, over, columns=200, code=3)
-    assert done.stderr.count("unknown task 'gaol1'") == 1
+    assert run_here("check", good, over, columns=200, code=3).stderr.count("unknown task 'gaol1'") == 1
 
 
 def test_errors_are_read_from_top_to_bottom(good: Path) -> None:
     good.write_text(GOOD.replace("goal1", "gaol1").replace("[0]", "0"), encoding="utf-8")
-    done = run_here("check", good, columns=40, code=3)
-    assert done.stderr.splitlines() == [
+    assert run_here("check", good, columns=40, code=3).stderr.splitlines() == [
         f"error: {good}:3:9: unknown task 'gaol1'",
         "    3 | tasks: [gaol1]",
         "      |         ^",

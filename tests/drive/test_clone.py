@@ -47,8 +47,8 @@ reuse: published
 """
 
 
-def wasp(*arguments: object) -> Any:
-    return run_here(*map(str, arguments), columns=200)
+def wasp(*arguments: object, code: int | None = None) -> Any:
+    return run_here(*map(str, arguments), columns=200, code=code)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -75,8 +75,7 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     asked = wanted(results, what=str(spec), method=None, speed=5.0, episodes=None, participant=7, simulated=True)
     drive_session(asked.prepared(), 0, open_browser=False, scripted=Habits(7))
     with swept_before_commit(module):
-        found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=100")
-    assert found.exit_code == 0, found.output
+        found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=100", code=0)
     (said,) = json.loads(found.stdout)
     return results, said
 
@@ -91,8 +90,7 @@ def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, di
     if kind != "evaluate":
         key = read_manifest(layout, "evaluate", key)["upstream"][kind]
     victim = harmed(layout, kind, key)
-    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=3")
-    assert found.exit_code == 1, found.output
+    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=3", code=1)
     assert f"'{victim}' has other bytes than were stored" in " ".join(found.output.split())
     assert not layout.artifact("clone", cloned[1]["key"]).exists()
     assert exists(layout, kind, key) == (kind == "evaluate"), "a model is computed again; what a person drove stays"
@@ -115,22 +113,16 @@ def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dic
 def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
     results = shutil.copytree(cloned[0], tmp_path / "results")
     # A clone of other settings is another one.
-    found = wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=100")
-    assert found.exit_code == 0, found.output
-    assert "goal1 s0 ida cloned=7" in found.output
+    assert "goal1 s0 ida cloned=7" in wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=100", code=0).output
     branched = {path.parent.name: read_branches(path) for path in (Layout(results).store / "counterfactual").glob(f"*/{BRANCHES_FILE}")}
     assert len(branched) == 2
     assert all(len(each.t) for each in branched.values())
-    shown = wasp("replay", "goal1 s0 ida cloned=7", "-e", "0", "--every", "100", "--results", results, "--out", tmp_path / "film.webp")
-    assert shown.exit_code == 0, shown.output
-    again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100")
-    assert again.exit_code == 2
+    wasp("replay", "goal1 s0 ida cloned=7", "-e", "0", "--every", "100", "--results", results, "--out", tmp_path / "film.webp", code=0)
+    again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100", code=2)
     assert "was computed from the clone that is there" in again.output
-    report = wasp("report", results, "--no-films", "--no-trained")
-    assert "the participant's clone drives" in report.output
+    assert "the participant's clone drives" in wasp("report", results, "--no-films", "--no-trained").output
     # Who withdraws leaves neither the clone behind, nor what it drove, nor the branches of either.
-    gone = wasp("drive", spec, "--participant", 7, "--withdraw", "--results", results)
-    assert "5 results deleted" in gone.output
+    assert "5 results deleted" in wasp("drive", spec, "--participant", 7, "--withdraw", "--results", results).output
     left = {path.parent.parent.name for path in Layout(results).store.glob("*/*/_manifest.json")}
     assert not left & {"evaluate", "counterfactual", "clone"}
     assert {"world_model", "policies"} <= left
@@ -142,31 +134,27 @@ def test_made_again_it_has_the_same_bytes(cloned: tuple[Path, dict[str, Any]], t
     shutil.copytree(cloned[0], results)
     weights = Layout(results).artifact("clone", said["key"]) / "clone.safetensors"
     before = weights.read_bytes()
-    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100")
-    assert found.exit_code == 0, found.output
-    assert "in the place of the earlier one" in found.output
+    assert "in the place of the earlier one" in wasp("clone", results, "--participant", 7, "--set", "clone.updates=100", code=0).output
     assert weights.read_bytes() == before
 
 
 @pytest.mark.slow
 def test_who_has_driven_nothing_cannot_be_cloned(cloned: tuple[Path, dict[str, Any]]) -> None:
-    found = wasp("clone", cloned[0], "--participant", 3)
-    assert (found.exit_code, "participant 3 has driven nothing" in found.output) == (2, True)
+    assert "participant 3 has driven nothing" in wasp("clone", cloned[0], "--participant", 3, code=2).output
 
 
 @pytest.mark.slow
 def test_of_too_few_episodes_nothing_is_learnt(cloned: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "FEWEST", 3)
-    found = wasp("clone", cloned[0], "--participant", 7, "--set", "clone.updates=299")
-    assert (found.exit_code, "drove 2 episodes of goal1 with these models, and 3 are needed" in found.output) == (2, True)
+    found = wasp("clone", cloned[0], "--participant", 7, "--set", "clone.updates=299", code=2)
+    assert "drove 2 episodes of goal1 with these models, and 3 are needed" in found.output
 
 
 @pytest.mark.slow
 def test_a_missing_clone_is_said(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
     results = shutil.copytree(cloned[0], tmp_path / "results")
     shutil.rmtree(Layout(results).store / "clone")
-    found = wasp("run", spec, "--results", results, "-j", "0", "--select", "operator=cloned")
-    assert found.exit_code == 1
+    found = wasp("run", spec, "--results", results, "-j", "0", "--select", "operator=cloned", code=1)
     assert "nobody has cloned participant 7" in found.output
 
 

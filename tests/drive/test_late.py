@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
-from wasp_cli.cli import app
 from wasp_cli.drive import block
 from wasp_cli.drive.check import Habits, Timing, checked_blocks, warning
 from wasp_cli.drive.command import drive_session
@@ -70,13 +68,11 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     assert "nobody assisted" in said
     assert "--speed 20" in said
     of = f"late in {len(_late(results, key)[_late(results, key)])} of 100 decisions"
-    told = CliRunner().invoke(app, ["report", str(results)])
-    assert told.exit_code == 0, told.output
-    assert f"WASP on Goal1: {of}" in " ".join(told.output.split())
-    explained = CliRunner().invoke(app, ["explain", key, "--episode", "0", "--results", str(results)]).output
-    assert "no answer in time" in explained
+    assert f"WASP on Goal1: {of}" in " ".join(run_here("report", results, columns=None, code=0).output.split())
+    explain = ("explain", key, "--episode", "0", "--results", results)
+    assert "no answer in time" in run_here(*explain, columns=None).output
     step = str(int(np.flatnonzero(_late(results, key))[0]))
-    decision = CliRunner().invoke(app, ["explain", key, "--episode", "0", "--step", step, "--results", str(results)]).output
+    decision = run_here(*explain, "--step", step, columns=None).output
     assert "The assistant had not answered in time: the command was executed." in decision
 
 

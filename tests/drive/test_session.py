@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tests.commands import run_here
 from tests.drive.conftest import asking, harmed, served, swept_before_commit, wanted
-from wasp_cli.cli import app
 from wasp_cli.drive import session as session_module
 from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.clone import _driven_with
@@ -100,9 +98,7 @@ def test_commands_are_those_of_the_keys(driven: tuple[Path, str]) -> None:
 @pytest.mark.parametrize("command", [("explain", "-e", "1"), ("explain", "-e", "0", "--step", "7"), ("show",)], ids=" ".join)
 def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[str, ...]) -> None:
     name, *options = command
-    found = CliRunner().invoke(app, [name, "goal1 s0 wasp person=0", *options, "--results", str(driven[0])])
-    assert found.exit_code == 0, found.output
-    assert "person" in found.output
+    assert "person" in run_here(name, "goal1 s0 wasp person=0", *options, "--results", driven[0], columns=None, code=0).output
 
 
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
@@ -170,8 +166,8 @@ def test_damaged_models_drive_nobody(kind: str, imported: Path, tmp_path: Path) 
     layout = Layout(results)
     (folder,) = layout.kind(kind).iterdir()
     victim = harmed(layout, kind, folder.name)
-    found = run_here("drive", "goal1", "--episodes", "1", "--simulate", "--no-browser", "--results", results, "-j", "0", columns=200)
-    assert found.exit_code == 1, found.output
+    options = ("--episodes", "1", "--simulate", "--no-browser", "--results", results, "-j", "0")
+    found = run_here("drive", "goal1", *options, columns=200, code=1)
     assert f"'{victim}' has other bytes than were stored" in " ".join(found.output.split())
     assert not list(layout.kind("evaluate").glob("*"))
     assert not list(layout.works.glob("*"))
@@ -192,8 +188,7 @@ def test_what_a_person_drove_is_never_replaced(driven: tuple[Path, str], tmp_pat
 
 def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:
     results = shutil.copytree(imported, tmp_path / "results")
-    found = CliRunner().invoke(app, ["run", "drive", "--method", "human", "--results", str(results), "-j", "0"])
-    assert found.exit_code == 1
+    found = run_here("run", "drive", "--method", "human", "--results", results, "-j", "0", columns=None, code=1)
     assert "a person has to drive this cell" in found.output
 
 

@@ -108,7 +108,6 @@ def test_a_run_heals_it(tmp_path):
     path, *_ = sorted(results.glob(f"store/evaluate/*/{EPISODES_FILE}"))
     whole = path.read_bytes()
     flip(path, letter(path, "cost"))
-    named = run_here(*command, columns=400, code=1)
-    assert str(path) in named.output
+    assert str(path) in run_here(*command, columns=400, code=1).output
     run_here(*command, columns=400, code=0)
     assert path.read_bytes() == whole

@@ -83,9 +83,8 @@ MANY = pytest.param(50, 100, "[goal1, race1, formula1]", marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize(("kills", "seed", "tasks"), [(4, 1, "[goal1]"), MANY])
-def test_kills_at_random_instants(kills, seed, tasks, fakes, small_spec, tmp_path):
+def test_kills_at_random_instants(kills, seed, tasks, fakes, small_spec, results):
     small_spec.write_text(small_spec.read_text(encoding="utf-8").replace("[goal1]", tasks), encoding="utf-8")
-    results = tmp_path / "results"
     fakes.set(seconds=0.15)
     counts, runs = storm(["run", small_spec, "--results", results, "-j", "2"], results, kills, 1.2, random.Random(seed))
     assert sum(counts.values()) == kills

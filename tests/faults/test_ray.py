@@ -26,10 +26,8 @@ def cluster(fakes) -> Iterator[str]:
     subprocess.run([*ray, "stop", "--force"], check=True, capture_output=True, timeout=600)
 
 
-def test_a_grid_through_ray_has_the_same_bytes(fakes, small_spec, cluster, tmp_path):
-    results = tmp_path / "results"
-    done = wasp("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
-    assert done.returncode == 0, done.stderr
+def test_a_grid_through_ray_has_the_same_bytes(fakes, small_spec, cluster, results):
+    done = wasp("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster, code=0)
     assert "18 computed, 0 computed before" in done.stderr
     assert as_undisturbed(small_spec, results)
     assert not list(results.glob("runs/*/outcomes/*"))

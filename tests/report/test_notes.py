@@ -104,8 +104,7 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
     key = next(iter(report_of(results).keys.values()))
-    done = run_here("note", key, "worth a look", "--results", results, columns=200, code=0)
-    assert "worth a look" in done.stdout
+    assert "worth a look" in run_here("note", key, "worth a look", "--results", results, columns=200, code=0).stdout
     report = report_of(results)
     assert not report.frame.missing
     assert [note.text for note in report.notes] == ["worth a look"]

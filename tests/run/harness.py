@@ -128,10 +128,12 @@ def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def wasp(*arguments: str | Path | int, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """The same, to its end."""
+def wasp(*arguments: str | Path | int, code: int | None = None, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """The same, to its end; where it ends with 1, it says why in words."""
     process = start(*map(str, arguments), cwd=cwd)
     out, errors = process.communicate(timeout=600)
+    assert code in (None, process.returncode), errors
+    assert code != 1 or "Traceback" not in errors
     return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
 
 

@@ -217,8 +217,7 @@ def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes,
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", results, columns=200, code=2)
     assert "is no folder of published results" in done.stderr
     shutil.copytree(results / "published", fresh / "published")
-    done = run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200)
-    assert "published with this code" in done.output
+    assert "published with this code" in run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200).output
     run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
     before = tree(fresh / "published")
     told = publish(small_spec, fresh, "--reuse", "published")

@@ -38,8 +38,7 @@ from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.provenance import machine, provenance
 
 
-def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
+def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec, results):
     _, _, plan = prepared(small_spec, results)
     summary = run(small_spec, results)
     assert summary.complete
@@ -51,8 +50,7 @@ def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec,
     assert run(small_spec, results).done == 0
 
 
-def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
+def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, results):
     fakes.set(behave={"s0 ida_q": "raise"})
     summary = run(small_spec, results)
     assert [node.kind for node, _ in summary.failed] == ["ida_q"]

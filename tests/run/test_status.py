@@ -59,8 +59,8 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, smal
         assert "2 running" in text
         label = state["active"][0]["label"]
         assert f"  {label}  " in text
-        shown = run_here("logs", label, "--results", layout.root, columns=80)
-        assert (shown.exit_code, shown.stdout.splitlines()[1].startswith(f"fake {' '.join(label.split()[:3])}")) == (0, True)
+        shown = run_here("logs", label, "--results", layout.root, columns=80, code=0)
+        assert shown.stdout.splitlines()[1].startswith(f"fake {' '.join(label.split()[:3])}")
     finally:
         os.killpg(process.pid, signal.SIGTERM)
         wait_until(lambda: any(layout.root.glob("runs/*/stop")))
@@ -69,8 +69,7 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, smal
     assert json.loads(status(layout, "--json"))[0]["state"] == "interrupted"
 
 
-def test_the_log_of_any_node(fakes, small_spec, tmp_path):
-    results = tmp_path / "results"
+def test_the_log_of_any_node(fakes, small_spec, results):
     fakes.set(behave={"s0 ida_q": "refuse"})
     run(small_spec, results)
     for label in ("goal1 s0 world_model", "goal1 s0 ida_q", "GOAL1 s1 human noisy=0.2", "goal1 human noisy=0.2 seed 1"):
@@ -81,10 +80,8 @@ def test_the_log_of_any_node(fakes, small_spec, tmp_path):
     assert "error: the loss is not finite" in run_here("logs", "goal1 s0 ida_q", "--results", results, columns=80).stdout
     path = Path(run_here("logs", "goal1 s0 ida_q", "--path", "--results", results, columns=20).stdout.rstrip("\n"))
     assert path.is_file()
-    by_key = run_here("logs", path.stem.rpartition("-")[2], "--path", "--results", results, columns=20)
-    assert by_key.stdout.rstrip("\n") == str(path)
-    unknown = run_here("logs", "goal1 s0 ida_p", "--results", results, columns=200, code=2)
-    assert "did you mean 'goal1 s0 ida_q'" in unknown.stderr
+    assert run_here("logs", path.stem.rpartition("-")[2], "--path", "--results", results, columns=20).stdout.rstrip("\n") == str(path)
+    assert "did you mean 'goal1 s0 ida_q'" in run_here("logs", "goal1 s0 ida_p", "--results", results, columns=200, code=2).stderr
 
 
 def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
@@ -106,8 +103,7 @@ def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout):
     assert log("a", "--run", "0004") == ""
     write_run(layout, "20260501-160000-4-0005", [planned(7, "b", "cached")], spec="4")
     assert "no log of 'a'" in run_here("logs", "a", "--run", "4", "--results", layout.root, columns=80, code=2).stderr, "4 is a spec"
-    several = run_here("logs", "0000", "--results", layout.root, columns=80, code=2)
-    assert "'0000' names 3 nodes" in several.stderr
+    assert "'0000' names 3 nodes" in run_here("logs", "0000", "--results", layout.root, columns=80, code=2).stderr
 
 
 def test_a_label_names_the_node_of_the_newest_run_that_left_one(layout):
@@ -132,8 +128,7 @@ def test_a_log_commands_no_terminal(layout):
     write_run(layout, RUN, [planned(1, "a")])
     layout.log(RUN, "a", key(1)).write_bytes(b"\x1b]0;title\x07\x1b[31mred\x1b[0m \xff\n10 %\r20 %\nend")
     arguments = ["logs", "a", "--results", str(layout.root)]
-    piped = run_here(*arguments, columns=80)
-    assert piped.stdout == "\x1b]0;title\x07\x1b[31mred\x1b[0m \ufffd\n10 %\r20 %\nend"
+    assert run_here(*arguments, columns=80).stdout == "\x1b]0;title\x07\x1b[31mred\x1b[0m \ufffd\n10 %\r20 %\nend"
     reader, writer = os.openpty()
     subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], stdout=writer, check=True, cwd=ROOT)
     os.close(writer)
@@ -145,8 +140,7 @@ def test_a_log_commands_no_terminal(layout):
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
 
 
-def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, other_spec, tmp_path):
-    results = tmp_path / "results"
+def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, other_spec, results):
     run(small_spec, results)
     layout = Layout(results)
     (first,) = run_ids(layout)

@@ -44,8 +44,7 @@ def document(text: str) -> dict[str, Any]:
 
 
 def test_the_committed_file_is_current():
-    done = run_here("schema", columns=80, code=0)
-    assert FILE.read_text(encoding="utf-8") == done.stdout, "wasp schema > specs/wasp.schema.json"
+    assert FILE.read_text(encoding="utf-8") == run_here("schema", columns=80, code=0).stdout, "wasp schema > specs/wasp.schema.json"
 
 
 @pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
@@ -172,8 +171,7 @@ def test_a_shipped_spec_is_extended_by_its_name_from_any_folder(value, elsewhere
 @pytest.mark.parametrize("command", [("check",), ("run",), ("sweep", "--vary", "episodes=1,2")])
 def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
     (elsewhere / "other.yaml").write_text("name: other\n")
-    done = run_here(*command, "nope", columns=200)
-    assert (done.exit_code, f"known: other, {', '.join(shipped_names())}" in done.output) == (3, True)
+    assert f"known: other, {', '.join(shipped_names())}" in run_here(*command, "nope", columns=200, code=3).output
     assert "did you mean 'quickstart'?" in run_here(*command, "quikstart", columns=200).output
 
 

@@ -103,8 +103,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     results, mine, pages = brought(tmp_path / "results", STEPLESS), tmp_path / "mine", tmp_path / "pages"
     mine.mkdir()
     (mine / "mine.txt").write_text("mine")
-    done = run_here("view", results, "--bundle", mine, columns=200, code=2)
-    assert "holds something else" in done.stderr
+    assert "holds something else" in run_here("view", results, "--bundle", mine, columns=200, code=2).stderr
     assert [path.name for path in mine.iterdir()] == ["mine.txt"]
     written = []
     for _ in range(2):
