@@ -1,11 +1,11 @@
-"""Invented plans for invented episodes."""
+"""Invented episodes, and plans for them."""
 
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from wasp_cli.metrics.episode import Plans
+from wasp_cli.metrics.episode import Plans, Trajectory
 
 ITERATIONS, STEPS, ACTIONS = 4, 3, 2
 
@@ -27,3 +27,14 @@ def plans_of(share: Any, safe: int = 17) -> Plans:
 def joined(parts: list[Plans]) -> Plans:
     """One after the other."""
     return Plans(**{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Plans)})
+
+
+def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
+    """Four quiet steps unless told otherwise."""
+    given: dict[str, Any] = {
+        "reward": np.zeros(steps), "cost": np.zeros(steps, bool), "cost_env": np.zeros(steps, int), "env_steps": np.full(steps, 4),
+        "goals": np.zeros(steps, int), "a_h": np.zeros((steps, 2)), "a": np.zeros((steps, 2)), "gate": np.zeros(steps, np.int8),
+        **dict.fromkeys(("g_cost", "g_return", "delta_g", "signal"), np.full(steps, np.nan)),
+    }  # fmt: skip
+    plans = changes.pop("plans", None)
+    return Trajectory(**(given | {name: np.asarray(value) for name, value in changes.items()}), plans=plans)

@@ -8,24 +8,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.stats import pearsonr, spearmanr
 
-from tests.plans import joined, plans_of
+from tests.plans import joined, plans_of, trajectory
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episode_metrics, pool
 from wasp_cli.metrics.necessity import necessity
 from wasp_cli.metrics.ranking import average_precision, average_precision_interval, correlations, recall_at
 from wasp_cli.metrics.reliability import BINS, calibration_error, reliability
 from wasp_cli.metrics.windows import sums_ahead
 from wasp_cli.tasks.motors import Motors
-
-
-def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
-    """Four quiet steps unless told otherwise."""
-    fields: dict[str, Any] = {
-        "reward": np.zeros(steps), "cost": np.zeros(steps, bool), "cost_env": np.zeros(steps, int), "env_steps": np.full(steps, 4),
-        "goals": np.zeros(steps, int), "a_h": np.zeros((steps, 2)), "a": np.zeros((steps, 2)), "gate": np.zeros(steps, np.int8),
-        **dict.fromkeys(("g_cost", "g_return", "delta_g", "signal"), np.full(steps, np.nan)),
-    }  # fmt: skip
-    plans = changes.pop("plans", None)
-    return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}), plans=plans)
 
 
 def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:

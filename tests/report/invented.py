@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.plans import plans_of
+from tests.plans import plans_of, trajectory
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.report.stats import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
@@ -22,23 +22,10 @@ def invent(start: int, goals: int, intervene: float, risk: float, steps: int = 2
     cost_env = np.where(t * 7 % 100 < 100 * risk, 1 + t % 4, 0)
     acts = t * 3 % steps < intervene * steps
     a_h = np.stack([t % 9 - 4, t * 5 % 7 - 3], 1) / 8
-    undefined = np.full(steps, np.nan)
     won = (np.arange(steps) < goals).astype(int)
-    return Trajectory(
-        reward=won + t % 3 / 8,
-        cost=cost_env > 0,
-        cost_env=cost_env,
-        env_steps=np.full(steps, 4),
-        goals=won,
-        a_h=a_h,
-        a=np.where(acts[:, None], a_h + np.array([0.375, 0.5]), a_h),
-        gate=np.where(acts, 1, 0),
-        g_cost=undefined,
-        g_return=undefined,
-        delta_g=undefined,
-        signal=undefined,
-        plans=plans_of(np.where(acts, 0.5, np.nan), 30),
-    )
+    a, plans = np.where(acts[:, None], a_h + np.array([0.375, 0.5]), a_h), plans_of(np.where(acts, 0.5, np.nan), 30)
+    done = {"reward": won + t % 3 / 8, "cost": cost_env > 0, "cost_env": cost_env, "goals": won}
+    return trajectory(steps, **done, a_h=a_h, a=a, gate=np.where(acts, 1, 0), plans=plans)
 
 
 def write(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7) -> Wanted:

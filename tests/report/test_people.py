@@ -12,18 +12,9 @@ import pytest
 
 from wasp_cli.report.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted
-from wasp_cli.report.tables import Table
+from wasp_cli.report.tables import Table, people
 from wasp_cli.report.tables.main import severity_table
-from wasp_cli.report.tables.people import (
-    WORKLOAD,
-    Sitting,
-    compared,
-    deviations,
-    over_participants,
-    people_fact,
-    people_tables,
-    read_people,
-)
+from wasp_cli.report.tables.people import WORKLOAD, Sitting, compared, over_participants, people_fact, people_tables
 from wasp_cli.spec.model import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
@@ -106,7 +97,7 @@ def test_the_effect_of_the_order_is_found_and_conditions_cancel_out() -> None:
     for place in range(4):
         assert value(found, str(place + 1), "return").mean == pytest.approx(LEARNT * (place - 1.5))
     assert not any("NOT BALANCED" in note for note in found.notes)
-    assert sum(number for _, number in deviations(study(), "return")) == pytest.approx(0.0)
+    assert sum(number for _, number in people.deviations(study(), "return")) == pytest.approx(0.0)
     # A second task is driven after the first, in places of its own.
     later = [replace(each, place=each.place + 4, cell=_on(each.cell, "race1")) for each in study()]
     assert not any("NOT BALANCED" in note for note in table(people_tables(study() + later), "order").notes)
@@ -172,7 +163,7 @@ def test_damage_is_said_and_the_rest_is_read(tmp_path: Path, session: str | None
         if text is not None:
             (folder / SESSION_FILE).write_text(text)
         wanted.append(Wanted(each.cell.identity, "a cell", folder / "episodes.parquet"))
-    found, damaged = read_people(wanted, Frame((whole.cell, other.cell)))
+    found, damaged = people.read_people(wanted, Frame((whole.cell, other.cell)))
     assert [(each.participant, each.place) for each in found] == [(1, 1)]
     assert len(damaged) == 1
     assert said in damaged[0]

@@ -4,7 +4,7 @@ import shutil
 
 from tests.plan.test_plan import text_of
 from tests.run.harness import data_of
-from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, kinds, node_of, plan, published_manifest, rewrite, run
+from tests.run.layered import COMMON, MORE, SPECIFIC, kinds, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.plan import reasons
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import closure
@@ -13,8 +13,6 @@ from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
-
-__all__ = ["fresh_console"]
 
 
 def test_a_fresh_folder_computes_nothing_that_is_published(here, computed, fakes, small_spec, capsys):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.run.layered import COMMON, MORE, fresh_console, kinds, plan, published_manifest, rewrite, run
+from tests.run.layered import COMMON, MORE, kinds, plan, published_manifest, rewrite, run
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
@@ -17,8 +17,6 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import import_artifact, offers
-
-__all__ = ["fresh_console"]
 
 
 def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.layered import fresh_console
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.recorded import keys_of
 from wasp_cli.report.provenance import last_runs
@@ -15,8 +14,6 @@ from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
-
-__all__ = ["fresh_console"]
 
 VARY = "diffusion.ratio=0.2,0.4,0.6"
 

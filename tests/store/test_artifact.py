@@ -9,16 +9,8 @@ import pytest
 import wasp_cli
 from tests.report.invented import invent, write_rows
 from wasp_cli.errors import StoreError
-from wasp_cli.store.artifact import (
-    commit,
-    damage,
-    exists,
-    file_digest,
-    read_manifest,
-    staging_folder,
-    stored_keys,
-    sweep,
-)  # fmt: skip
+from wasp_cli.store import artifact
+from wasp_cli.store.artifact import commit, damage, exists, read_manifest, staging_folder, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.provenance import cuda_devices, git_state
@@ -95,7 +87,7 @@ def test_sweeping_spares_what_is_being_written(layout):
     mine = staging_folder(layout, OTHER)
     (layout.tmp / "unknown").mkdir()
     with held(layout.lock(OTHER), lambda: None):
-        assert sweep(layout) == 1
+        assert artifact.sweep(layout) == 1
     assert sorted(path.name for path in layout.tmp.iterdir()) == sorted([mine.name, "unknown"])
 
 
@@ -211,6 +203,6 @@ def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_
     (tmp_path / "diagnostics.json").write_text("{}")
     assert slim(tmp_path, "diagnostics", Slimming()) == {}
     assert slim(tmp_path, "dataset", Slimming(images=False)) == {}
-    whole = file_digest(tmp_path / "images.parquet")
+    whole = artifact.file_digest(tmp_path / "images.parquet")
     assert slim(tmp_path, "diagnostics", Slimming(images=False)) == {"images.parquet": {"left_out": "images", "sha256": whole}}
     assert [path.name for path in tmp_path.iterdir()] == ["diagnostics.json"]

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.plans import plans_of
+from tests.plans import plans_of, trajectory
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
@@ -17,23 +17,7 @@ from wasp_cli.report.tables.main import autonomy_table
 from wasp_cli.store import tables
 from wasp_cli.store.branches import CELL_KEY, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
 from wasp_cli.store.numbers import read_numbers
-from wasp_cli.store.tables import (
-    ADDED,
-    ADDED_IN,
-    EPISODES_FILE,
-    PLANNED,
-    RENAMED,
-    STEPS_FILE,
-    CellIdentity,
-    Thresholds,
-    first_rows,
-    read_episodes,
-    read_steps,
-    read_times,
-    read_version,
-    same_rows,
-    write_cell,
-)
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, read_episodes, read_steps, same_rows, write_cell
 
 ROOT = Path(__file__).parents[2]
 CELL = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3)
@@ -44,21 +28,10 @@ def invent(seed: int, steps: int) -> Trajectory:
     acts = rng.random(steps) < 0.5
     a_h = rng.uniform(-1, 1, (steps, 2))
     cost_env = rng.integers(0, 3, steps)
-    return Trajectory(
-        reward=rng.normal(size=steps),
-        cost=cost_env > 0,
-        cost_env=cost_env,
-        env_steps=np.full(steps, 4),
-        goals=rng.integers(0, 2, steps),
-        a_h=a_h,
-        a=np.where(acts[:, None], -a_h, a_h),
-        gate=np.where(acts, 1, 0).astype(np.int8),
-        g_cost=rng.random(steps),
-        g_return=rng.random(steps),
-        delta_g=np.where(acts, 0.5, np.nan),
-        signal=np.full(steps, np.nan),
-        plans=plans_of(np.where(acts, 0.25, np.nan)),
-    )
+    done = {"reward": rng.normal(size=steps), "cost": cost_env > 0, "cost_env": cost_env, "goals": rng.integers(0, 2, steps)}
+    seen = {"g_cost": rng.random(steps), "g_return": rng.random(steps), "delta_g": np.where(acts, 0.5, np.nan)}
+    a, gate = np.where(acts[:, None], -a_h, a_h), np.where(acts, 1, 0).astype(np.int8)
+    return trajectory(steps, **done, **seen, a_h=a_h, a=a, gate=gate, plans=plans_of(np.where(acts, 0.25, np.nan)))
 
 
 @pytest.fixture
@@ -137,8 +110,8 @@ def test_every_column_is_written_from_its_own_field():
     """The schema and the dataclasses name the same things, so that a new metric cannot be forgotten in one of them."""
     metrics = {"return" if name == "return_" else name for name in tables.EpisodeMetrics.__dataclass_fields__}
     assert {field.name for field in tables.METRICS} == metrics
-    assert {field.name for field in tables.STEP} == (set(Trajectory.__dataclass_fields__) - {"plans"}) | {"t", "deviation", *PLANNED}
-    assert set(PLANNED.values()) == set(Plans.__dataclass_fields__)
+    assert {field.name for field in tables.STEP} == (set(Trajectory.__dataclass_fields__) - {"plans"}) | {"t", "deviation", *tables.PLANNED}
+    assert set(tables.PLANNED.values()) == set(Plans.__dataclass_fields__)
 
 
 @pytest.mark.parametrize(("harm", "message"), [("gone", "does not exist"), ("other", "not the table of a cell"), ("cut", "is damaged")])
@@ -162,7 +135,7 @@ def test_steps_that_are_gone_or_a_link_are_named(write, tmp_path):
     with pytest.raises(StoreError, match=r"_steps\.pq does not exist"):
         read_steps(path)
     steps.symlink_to(tmp_path / "elsewhere.parquet")
-    for read in (read_steps, read_times, lambda path: same_rows(path, path)):
+    for read in (read_steps, tables.read_times, lambda path: same_rows(path, path)):
         with pytest.raises(StoreError, match=r"_steps\.pq is no plain file"):
             read(path)
 
@@ -194,23 +167,23 @@ def test_newer_version_is_refused(write, monkeypatch):
 def test_former_names_of_columns_are_read(write, tmp_path):
     path, former = write(), tmp_path / EPISODES_FILE  # as version 4 called its columns
     for name, key in ((EPISODES_FILE, tables.VERSION_KEY), (STEPS_FILE, tables.STEPS_KEY)):
-        table = pq.read_table(path.with_name(name)).rename_columns(RENAMED).replace_schema_metadata({key: b"4"})
+        table = pq.read_table(path.with_name(name)).rename_columns(tables.RENAMED).replace_schema_metadata({key: b"4"})
         pq.write_table(table, tmp_path / name, write_page_checksum=True)
     assert "assistant_variant" in pq.read_table(former).column_names
-    assert (read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (4, True)
+    assert (tables.read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (4, True)
     found, now = (read_numbers(each, ("cost",)) for each in (former, path))
     assert found == now is not None
-    assert first_rows(former.parent, 1).steps.equals(first_rows(path.parent, 1).steps)
+    assert tables.first_rows(former.parent, 1).steps.equals(tables.first_rows(path.parent, 1).steps)
     assert same_rows(former, path)
 
 
 def test_published_rows_do_not_define_what_later_versions_added():
     """They are read, by the quick reader too, and tables say n/a."""
     published = sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))
-    path = next(path for path in published if read_version(path) < ADDED_IN)
+    path = next(path for path in published if tables.read_version(path) < tables.ADDED_IN)
     rows = read_episodes([path])
-    numbers = read_numbers(path, (*ADDED, "int_rate"))
-    assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in ADDED)
+    numbers = read_numbers(path, (*tables.ADDED, "int_rate"))
+    assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in tables.ADDED)
     assert numbers.table["int_rate"].equals(rows["int_rate"])
     frame = read_frame([Wanted(numbers.identity, "a published cell", path)])
     table = autonomy_table(frame)
@@ -314,9 +287,9 @@ def test_former_names_of_branches_are_read(tmp_path):
     write_branches(path, BRANCHED, ROWS)
     table = pq.read_table(path)
     told = json.loads(table.schema.metadata[CELL_KEY])
-    told["identity"] = {RENAMED.get(name, name): value for name, value in told["identity"].items()}
+    told["identity"] = {tables.RENAMED.get(name, name): value for name, value in told["identity"].items()}
     marks = {VERSION_KEY: b"1", CELL_KEY: json.dumps(told).encode()}
-    pq.write_table(table.rename_columns(RENAMED).replace_schema_metadata(marks), former, write_page_checksum=True)
+    pq.write_table(table.rename_columns(tables.RENAMED).replace_schema_metadata(marks), former, write_page_checksum=True)
     found, now = read_branches(former), read_branches(path)
     assert found.cell == now.cell == BRANCHED
     assert (found.t.tolist(), found.deviation.tolist()) == (now.t.tolist(), now.deviation.tolist())

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.plans import trajectory
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Trajectory, episode_metrics
 from wasp_cli.report.claims import judge
@@ -203,7 +204,6 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
 
 REPEAT = 100
 """Ten decisions an episode."""
-NAN = np.full(10, np.nan)
 Stored = tuple[Layout, Frame, dict[CellIdentity, str]]
 
 
@@ -214,13 +214,8 @@ def driven(seed: int, push: float) -> Trajectory:
     steps = [task.step(np.array([[push, 0.1]])) for _ in range(task.max_decisions)]
     a = np.tile([push, 0.1], (len(steps), 1))
 
-    def column(name: str) -> np.ndarray:  # type: ignore[type-arg]
-        return np.array([getattr(step, name)[0] for step in steps])
-
-    return Trajectory(
-        reward=column("reward"), cost=column("cost"), cost_env=column("cost_env"), env_steps=column("env_steps"), goals=column("goals"),
-        a_h=a, a=a, gate=np.zeros(len(steps), int), g_cost=NAN, g_return=NAN, delta_g=NAN, signal=NAN,
-    )  # fmt: skip
+    columns = {name: [getattr(step, name)[0] for step in steps] for name in ("reward", "cost", "cost_env", "env_steps", "goals")}
+    return trajectory(len(steps), **columns, a_h=a, a=a)
 
 
 def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ...]]) -> Stored:

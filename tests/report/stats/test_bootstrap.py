@@ -10,20 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from wasp_cli.report.bootstrap import (
-    RESAMPLES,
-    Estimate,
-    _resampled,
-    _t_quantile,
-    _Training,
-    contrast_of,
-    difference_of,
-    drawn,
-    improvement_over,
-    iqm_of,
-    mean_of,
-    t_limits,
-)
+from wasp_cli.report import bootstrap
+from wasp_cli.report.bootstrap import RESAMPLES, Estimate, contrast_of, difference_of, drawn, improvement_over, iqm_of, mean_of, t_limits
 from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
 from wasp_cli.report.summary import summarise
 from wasp_cli.store.tables import CellIdentity
@@ -212,7 +200,7 @@ def test_the_resamples_are_those_of_two_levels() -> None:
     ]
     every = sorted(np.mean(pair) for s, t in product((0, 1), repeat=2) for pair in product(by_training[s], by_training[t]))
     own, other = cells(LEFT, "ida"), cells(RIGHT, "human")
-    found = _resampled([_Training([pair], "cost", margin) for pair in zip(own, other, strict=True)])
+    found = bootstrap._resampled([bootstrap._Training([pair], "cost", margin) for pair in zip(own, other, strict=True)])
     assert set(np.round(found, 9)) == set(np.round(every, 9))
     for number in set(np.round(every, 9)):
         share = np.mean(np.round(every, 9) == number)
@@ -224,7 +212,7 @@ def test_the_resamples_are_those_of_two_levels() -> None:
 
 def test_t() -> None:
     for freedom in range(1, 31):
-        assert _t_quantile(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-9)
+        assert bootstrap._t_quantile(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-9)
     assert t_limits([3.0]) is None
     assert t_limits([1.0, 2.0, 6.0]) == pytest.approx(stats.t.interval(0.95, 2, 3.0, stats.sem([1.0, 2.0, 6.0])))
 

@@ -14,16 +14,9 @@ from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
 from wasp_cli.report.summary import Value, same_episodes
 from wasp_cli.report.sweep import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, SweepReport, Swept, lines
 from wasp_cli.report.tables import Row, Table
+from wasp_cli.report.tables import main as tables
 from wasp_cli.report.tables.comparison import MEASURES, comparison_table
-from wasp_cli.report.tables.main import (
-    ablation_table,
-    detail_table,
-    latency_table,
-    main_table,
-    operator_table,
-    severity_table,
-    threshold_table,
-)
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, operator_table
 from wasp_cli.store.tables import CellIdentity
 
 Grid = Callable[..., list[Wanted]]
@@ -113,15 +106,11 @@ def labels(table: Table | None) -> list[str]:
 
 def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
     frame = read_frame(grid(ablations=("no-case2",)))
-    tables = [
-        main_table(frame), detail_table(frame), latency_table(frame), operator_table(frame), severity_table(frame),
-        comparison_table(frame),
-    ]  # fmt: skip
-    for table in tables:
-        assert "WASP" in labels(table)
-        assert TITLE not in labels(table)
+    for make in (main_table, detail_table, latency_table, operator_table, tables.severity_table, comparison_table):
+        assert "WASP" in labels(make(frame))
+        assert TITLE not in labels(make(frame))
     assert {"WASP, full", TITLE} <= set(labels(ablation_table(frame)))
-    assert {"WASP", TITLE} <= set(labels(threshold_table(frame)))
+    assert {"WASP", TITLE} <= set(labels(tables.threshold_table(frame)))
     pictures = [path for path in cost_return_figure(frame, tmp_path) if path.suffix == ".svg"]
     assert len(pictures) == 1
     assert not any(TITLE in path.read_text() for path in pictures)
