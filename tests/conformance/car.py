@@ -9,7 +9,6 @@ What a recording cannot tell is left out, and what our outlines of walls cannot 
 * Episode rules are compared on a car that is set down at rest at each recorded place.
 """
 
-import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -17,7 +16,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.conformance.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
+from tests.conformance import comparison
+from tests.conformance.comparison import Check, Recording, check_ends, check_numbers, compare, errors, mean_ratio, meta_of, path_means
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.frames import distance, quaternion_rotation, wrapped, yaw_quaternion
@@ -29,13 +29,9 @@ XY, YAW = 1e-6, 5e-6  # m, rad after one env step without contact
 BESIDE_BARREL = 1e-2  # m; a barrel weighs 14 mg, but where it was is not recorded: one may be missing, or be too many
 PUSHED_OUT, GAP = 2.5, 1.5
 """Tolerances beside walls, in accuracies of their outlines: a car that overlaps is pushed out by up to twice the overlap in a step."""
-REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
-ANGLE = 1e-12
-RECORDED = 1e-9  # recorded goals were rounded to 9 decimals
 FRAME = 25  # env steps between two recorded sets of barrels
 BARREL_CONTACT = 5  # env steps: 3 of them are 0.1 m of way, of which the corners of a barrel account for some
 BARREL_LIDAR = 5e-3  # recorded barrels were rounded to 1 mm
-MEANS = 0.05  # relative tolerance of mean speeds and turn rates over 100 env steps
 
 _STANDING_Z = 0.0999
 
@@ -65,36 +61,20 @@ def check_car_episode(r: Recording, task: CarTask) -> list[Check]:
     return [check for part in parts for check in part(r, task)]
 
 
-def _meta(r: Recording) -> dict[str, Any]:
-    meta: dict[str, Any] = json.loads(str(r["meta"]))
-    return meta
-
-
 def _numbers(r: Recording, task: CarTask) -> list[Check]:
-    ours = task.make(1, action_repeat=1, observe=())
-    model = task.build_model(0, 0, True)
-    known = {
-        "timestep": model.opt.timestep,
-        "integrator": model.opt.integrator,
-        "frameskip": PHYSICS_STEPS,
-        "num_steps": ours.num_steps,
-        "goal_size": ours.goal_radius,
-    }
-    if task.hazard_radius is not None:
-        known["hazard_size"] = task.hazard_radius
-    return check_rules(r, known, ours.cost_sources, ours.state_size) + check_rewards(r, ours.reward_goal, ours.reward_clip, REWARD)
+    return check_numbers(r, task.make(1, action_repeat=1, observe=()), task.build_model(0, 0, True), task.hazard_radius)
 
 
 def _layout(r: Recording, task: CarTask) -> list[Check]:
     ours = task.make(1, action_repeat=1, observe=())
-    ours.reset([_meta(r)["seed"]])
+    ours.reset([meta_of(r)["seed"]])
     start = ours.snapshot()
     rotation = quaternion_rotation(start["qpos"][0, 3:7])
     yaw = wrapped(np.arctan2(rotation[1, 0], rotation[0, 0]) - r["layout_agent_rot"])
     checks = [
         compare("layout agent_xy", start["qpos"][0, :2], r["layout_agent_xy"], 0.0),
-        compare("layout agent_rot", yaw, 0.0, ANGLE),
-        compare("layout goal_xy", start["goal"][0], r["layout_goal_xy"], RECORDED),
+        compare("layout agent_rot", yaw, 0.0, comparison.ANGLE),
+        compare("layout goal_xy", start["goal"][0], r["layout_goal_xy"], comparison.RECORDED),
     ]
     if r["layout_hazards_xy"].size:
         checks.append(compare("layout hazards_xy", start["hazards"][0], r["layout_hazards_xy"], 0.0))
@@ -104,7 +84,7 @@ def _layout(r: Recording, task: CarTask) -> list[Check]:
         apart = wrapped(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) - r["layout_vases_yaw"])
         checks += [
             compare("layout vases_xy", barrels[:, :2], r["layout_vases_xy"], 0.0),
-            compare("layout vases_yaw", apart, np.zeros_like(apart), ANGLE),
+            compare("layout vases_yaw", apart, np.zeros_like(apart), comparison.ANGLE),
         ]
     return checks
 
@@ -113,7 +93,7 @@ def _forced(r: Recording, task: CarTask, rows: NDArray[np.intp]) -> tuple[Naviga
     """A task with one row for each of these recorded states, and the snapshot that puts every row into its state."""
     index = r["state_idx"].astype(np.intp)[rows]
     ours = task.make(len(rows), action_repeat=1, observe=("state",))
-    ours.reset([_meta(r)["seed"]] * len(rows))
+    ours.reset([meta_of(r)["seed"]] * len(rows))
     # A first step lets a world settle whatever it settles at the start.
     ours.step(np.zeros((len(rows), 2)))
     forced = ours.snapshot()
@@ -140,7 +120,7 @@ def _motion(r: Recording, task: CarTask) -> list[Check]:
     looser = task.worst / XY
     checks = _free("xy after one step, free", astray[free], XY, looser)
     checks += _free("yaw after one step, free", np.abs(turned[free]), YAW, looser)
-    checks += _free("reward, free", off[free], REWARD, looser)
+    checks += _free("reward, free", off[free], comparison.REWARD, looser)
     checks += errors(("xy after one step, by barrels", astray, barrels, BESIDE_BARREL))
     return checks + errors(
         ("xy after one step, by walls", astray, walls, PUSHED_OUT * task.accuracy),
@@ -184,17 +164,17 @@ def _observations(r: Recording, task: CarTask) -> list[Check]:
         forced["bodies"][known, :, :2] = r["vases_xy_mm"][frames[known]] / 1000.0
     state = ours.restore(forced).state
     checks: list[Check] = []
-    start, theirs, meta = 0, r["obs"][which], _meta(r)
+    start, theirs, meta = 0, r["obs"][which], meta_of(r)
     for name, size in zip(meta["obs_keys"], meta["obs_dims"], strict=True):
         error = np.abs(state - theirs)[:, start : start + size].max(axis=1)
         start += size
         if name == "vases_lidar":
             checks += errors((name, error, known, BARREL_LIDAR))
         elif name.endswith("lidar"):
-            checks += errors((name, error, np.ones(len(error), np.bool_), LIDAR))
+            checks += errors((name, error, np.ones(len(error), np.bool_), comparison.LIDAR))
         else:
             # Beside walls and barrels the accelerations are those of other contacts.
-            checks += errors((name, error, free if name == "accelerometer" else np.ones(len(error), np.bool_), SENSORS))
+            checks += errors((name, error, free if name == "accelerometer" else np.ones(len(error), np.bool_), comparison.SENSORS))
     return checks
 
 
@@ -241,7 +221,7 @@ def _barrels(r: Recording, task: CarTask) -> list[Check]:
     if not touching.size:
         return []
     ours = task.make(1, action_repeat=1, observe=())
-    ours.reset([_meta(r)["seed"]])
+    ours.reset([meta_of(r)["seed"]])
     ours.step(r["action"][:1])
     first = len(r["xy"])
     for t in range(1, len(r["xy"])):
@@ -261,9 +241,8 @@ def _barrels(r: Recording, task: CarTask) -> list[Check]:
 def _rules(r: Recording, task: CarTask) -> list[Check]:
     """Goals, their moves, ends, and the costs that depend on places alone."""
     ours = task.make(1, action_repeat=1, observe=())
-    ours.reset([_meta(r)["seed"]])
-    rows: dict[str, list[float]] = {"met": [], "terminated": [], "truncated": [], "hazards": []}
-    goals = []
+    ours.reset([meta_of(r)["seed"]])
+    steps, goals = [], []
     for t in range(len(r["xy"])):
         forced = ours.snapshot()
         forced["qpos"][0, :2], forced["qpos"][0, 2] = r["xy"][t], _STANDING_Z
@@ -274,24 +253,15 @@ def _rules(r: Recording, task: CarTask) -> list[Check]:
             forced["bodies"][..., 0] += 1000.0 * (forced["bodies"][..., 0] < 500.0)
         ours.restore(forced)
         step = ours.step(np.zeros((1, 2)))
-        rows["met"].append(step.goals[0])
-        rows["terminated"].append(step.terminated[0])
-        rows["truncated"].append(step.ended[0] and not step.terminated[0])
-        rows["hazards"].append(step.sources.get("hazards", np.zeros(1))[0])
+        steps.append(step)
         goals.append(ours.snapshot()["goal"][0])
         if step.ended[0]:
             break
-    length = len(goals)
-    checks = [compare("length of the episode", length, len(r["xy"]), 0.0)]
-    checks += [
-        compare("goal met", rows["met"], r["goal_met"][:length], 0.0),
-        compare("goal", goals, r["goal_after"][:length], RECORDED),
-        compare("terminated", rows["terminated"], r["terminated"][:length], 0.0),
-        compare("truncated", rows["truncated"], r["truncated"][:length], 0.0),
-    ]
-    keys = _meta(r)["cost_keys"]
+    checks = check_ends(r, steps, goals)
+    keys = meta_of(r)["cost_keys"]
     if "cost_hazards" in keys:
-        checks.append(compare("cost_hazards", rows["hazards"], r["costs"][:length, keys.index("cost_hazards")], 0.0))
+        hazards = [step.sources.get("hazards", np.zeros(1))[0] for step in steps]
+        checks.append(compare("cost_hazards", hazards, r["costs"][: len(steps), keys.index("cost_hazards")], 0.0))
     return checks
 
 
@@ -315,8 +285,8 @@ def check_car_dynamics(r: Recording, task: CarTask) -> list[Check]:
     ones = np.ones(count)
     return [
         *_free(f"{prefix} xy after one step", distance(single[:, :2], qpos[:, 1:, :2].reshape(-1, 2)), XY, task.worst / XY),
-        compare(f"{prefix} mean speed / theirs", mean_ratio(speed, their_speed), ones, MEANS),
-        compare(f"{prefix} turn rate / theirs", mean_ratio(turn, their_turn), ones, MEANS),
+        compare(f"{prefix} mean speed / theirs", mean_ratio(speed, their_speed), ones, comparison.MEANS),
+        compare(f"{prefix} turn rate / theirs", mean_ratio(turn, their_turn), ones, comparison.MEANS),
     ]
 
 

@@ -5,12 +5,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from mujoco import MjModel
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.base import Bools, Floats, Step
 from wasp_cli.tasks.frames import distance, wrapped
+from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 
 Recording = Mapping[str, NDArray[Any]]
+REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
+ANGLE = 1e-12
+RECORDED = 1e-9  # recorded goals were rounded to 9 decimals
+MEANS = 0.05  # relative tolerance of mean speeds and turn rates over 100 env steps
 
 
 class Check(NamedTuple):
@@ -39,31 +45,46 @@ def errors(*parts: tuple[str, Floats, Bools, float]) -> list[Check]:
     return [compare(name, error[on], np.zeros_like(error[on]), tolerance) for name, error, on, tolerance in parts if on.any()]
 
 
-def check_rules(recording: Recording, expected: Mapping[str, float], costs: Sequence[str], sizes: int) -> list[Check]:
-    """Check the numbers that a recording states of its task.
+def meta_of(recording: Recording) -> dict[str, Any]:
+    """Return what a recording states of its task."""
+    meta: dict[str, Any] = json.loads(str(recording["meta"]))
+    return meta
 
-    Args:
-        recording: with `meta`.
-        expected: ours, by the names in `meta`.
-        costs: our cost sources.
-        sizes: length of our state vector.
-    """
-    meta = json.loads(str(recording["meta"]))
-    checks = [compare(f"meta {name}", ours, meta[name], 1e-9) for name, ours in expected.items() if meta.get(name) is not None]
+
+def check_numbers(recording: Recording, task: Navigation, model: MjModel, hazard_radius: float | None) -> list[Check]:
+    """Check the numbers that a recording states of its task, and every recorded reward."""
+    meta, option = meta_of(recording), model.opt
+    expected = {"timestep": option.timestep, "integrator": option.integrator, "frameskip": PHYSICS_STEPS, "hazard_size": hazard_radius}
+    expected |= {"num_steps": task.num_steps, "goal_size": task.goal_radius}
+    known = {name: ours for name, ours in expected.items() if ours is not None and meta.get(name) is not None}
+    checks = [compare(f"meta {name}", ours, meta[name], 1e-9) for name, ours in known.items()]
     theirs = [key.removeprefix("cost_") for key in meta["cost_keys"] if key != "cost_sum"]
     return [
         *checks,
-        compare("meta cost_keys", sorted(costs) != sorted(theirs), 0.0, 0.0),
-        compare("meta obs_dims", sizes, sum(meta["obs_dims"]), 0.0),
+        compare("meta cost_keys", sorted(task.cost_sources) != sorted(theirs), 0.0, 0.0),
+        compare("meta obs_dims", task.state_size, sum(meta["obs_dims"]), 0.0),
+        _rewards(recording, task.reward_goal, task.reward_clip),
     ]
 
 
-def check_rewards(recording: Recording, reward_goal: float, reward_clip: float, tolerance: float) -> list[Check]:
+def check_ends(recording: Recording, steps: Sequence[Step], goals: Sequence[Floats]) -> list[Check]:
+    """Check when the steps of an episode met goals, where these were afterwards, and how it ended."""
+    length = len(steps)
+    return [
+        compare("length of the episode", length, len(recording["xy"]), 0.0),
+        compare("goal met, all steps", [step.goals[0] for step in steps], recording["goal_met"][:length], 0.0),
+        compare("goal, all steps", goals, recording["goal_after"][:length], RECORDED),
+        compare("terminated", [step.terminated[0] for step in steps], recording["terminated"][:length], 0.0),
+        compare("truncated", [step.ended[0] and not step.terminated[0] for step in steps], recording["truncated"][:length], 0.0),
+    ]
+
+
+def _rewards(recording: Recording, reward_goal: float, reward_clip: float) -> Check:
     """Check every recorded reward against the recorded way and our bonus."""
     xy = np.concatenate([recording["layout_agent_xy"][None], recording["xy"]])
     before, after = distance(xy[:-1], recording["goal_before"]), distance(xy[1:], recording["goal_before"])
     rewards = np.clip(before - after + reward_goal * recording["goal_met"], -reward_clip, reward_clip)
-    return [compare("reward, all steps", rewards, recording["reward"], tolerance)]
+    return compare("reward, all steps", rewards, recording["reward"], REWARD)
 
 
 def path_means(path: Floats, seconds: float) -> tuple[Floats, Floats]:

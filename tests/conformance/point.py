@@ -4,25 +4,20 @@ Motion is compared one env step at a time from recorded states ("teacher-forced"
 implementations drift apart within some 50 steps. T = steps of the recording, S = recorded states.
 """
 
-import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.conformance.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
+from tests.conformance import comparison
+from tests.conformance.comparison import Check, Recording, check_ends, check_numbers, compare, errors, mean_ratio, meta_of, path_means
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import quaternion_rotation, wrapped
 from wasp_cli.tasks.goal.model import HAZARD_RADIUS, build_model
 from wasp_cli.tasks.goal.task import Goal
-from wasp_cli.tasks.navigation import PHYSICS_STEPS
 
 XY, YAW, VASE = 2e-5, 5e-5, 2e-3
 """m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
-REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
-ANGLE = 1e-12
-RECORDED = 1e-9  # recorded goals were rounded to 9 decimals
-MEANS = 0.05  # relative tolerance of mean speeds and turn rates over 100 env steps
 
 _Snapshot = dict[str, NDArray[Any]]
 
@@ -33,21 +28,12 @@ def check_point_goal(recording: Recording) -> list[Check]:
 
 
 def _numbers(r: Recording) -> list[Check]:
-    task, model = Goal(1, observe=()), build_model(1)
-    known = {
-        "timestep": model.opt.timestep,
-        "integrator": model.opt.integrator,
-        "frameskip": PHYSICS_STEPS,
-        "num_steps": task.num_steps,
-        "goal_size": task.goal_radius,
-        "hazard_size": HAZARD_RADIUS,
-    }
-    return check_rules(r, known, task.cost_sources, task.state_size) + check_rewards(r, task.reward_goal, task.reward_clip, REWARD)
+    return check_numbers(r, Goal(1, observe=()), build_model(1), HAZARD_RADIUS)
 
 
 def _layout(r: Recording) -> list[Check]:
     task = Goal(1, observe=())
-    task.reset([_seed(r)])
+    task.reset([meta_of(r)["seed"]])
     start = task.snapshot()
     pairs = {
         "agent_xy": start["qpos"][0, :2],
@@ -59,7 +45,7 @@ def _layout(r: Recording) -> list[Check]:
     turned = quaternion_rotation(start["bodies"][0, :, 3:])
     yaw = wrapped(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) - r["layout_vases_yaw"])
     checks = [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
-    return [*checks, compare("layout vases_yaw", yaw, np.zeros_like(yaw), ANGLE)]
+    return [*checks, compare("layout vases_yaw", yaw, np.zeros_like(yaw), comparison.ANGLE)]
 
 
 def _motion(r: Recording) -> list[Check]:
@@ -80,7 +66,7 @@ def _motion(r: Recording) -> list[Check]:
         compare("xy after one step", qpos[:, :2], r["xy"][index], XY),
         compare("yaw after one step", turn, np.zeros_like(turn), YAW),
         compare("vase xy after one step", after["bodies"][:, 0, :2], r["vases_xy"][index, 0], VASE),
-        *errors(("reward, vase untouched", off, ~hit, REWARD), ("reward, vase hit", off, hit, XY)),
+        *errors(("reward, vase untouched", off, ~hit, comparison.REWARD), ("reward, vase hit", off, hit, XY)),
         compare("cost", step.cost_env, r["cost"][index], 0.0),
         compare("goal met", step.goals, r["goal_met"][index], 0.0),
     ]
@@ -101,11 +87,11 @@ def _observations(r: Recording) -> list[Check]:
     forced["control"][: len(at)] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
     state = task.restore(forced).state
     ours, theirs = state[: len(at)], r["obs"][which]
-    meta = json.loads(str(r["meta"]))
+    meta = meta_of(r)
     checks, start = [], 0
     for name, size in zip(meta["obs_keys"], meta["obs_dims"], strict=True):
         part = slice(start, start + size)
-        checks.append(compare(name, ours[:, part], theirs[:, part], LIDAR if name.endswith("lidar") else SENSORS))
+        checks.append(compare(name, ours[:, part], theirs[:, part], comparison.LIDAR if name.endswith("lidar") else comparison.SENSORS))
         start += size
     return checks
 
@@ -113,9 +99,8 @@ def _observations(r: Recording) -> list[Check]:
 def _goals(r: Recording) -> list[Check]:
     """Step through the whole episode, each step from the recorded position; goals and their moves must agree exactly."""
     task = Goal(1, action_repeat=1, observe=())
-    task.reset([_seed(r)])
-    rows: dict[str, list[float]] = {"cost": [], "met": [], "terminated": [], "truncated": []}
-    goals = []
+    task.reset([meta_of(r)["seed"]])
+    steps, goals = [], []
     for t, action in enumerate(r["action"]):
         forced = task.snapshot()
         if t > 0:
@@ -124,23 +109,16 @@ def _goals(r: Recording) -> list[Check]:
             forced["qvel"][0, :2], forced["qvel"][0, 2] = r["vel"][t - 1, :2], r["omega"][t - 1, 2]
         task.restore(forced)
         step = task.step(action[None])
-        rows["cost"].append(step.sources["hazards"][0])
-        rows["met"].append(step.goals[0])
-        rows["terminated"].append(step.terminated[0])
-        rows["truncated"].append(step.ended[0] and not step.terminated[0])
+        steps.append(step)
         goals.append(task.snapshot()["goal"][0])
         if step.ended[0]:
             break
-    length = len(goals)
-    column = json.loads(str(r["meta"]))["cost_keys"].index("cost_hazards")
+    costs, length = [step.sources["hazards"][0] for step in steps], len(steps)
+    column = meta_of(r)["cost_keys"].index("cost_hazards")
     return [
-        compare("length of the episode", length, len(r["xy"]), 0.0),
-        compare("cost, all steps", rows["cost"], r["cost"][:length], 0.0),
-        compare("cost_hazards", rows["cost"], r["costs"][:length, column], 0.0),
-        compare("goal met, all steps", rows["met"], r["goal_met"][:length], 0.0),
-        compare("goal, all steps", goals, r["goal_after"][:length], RECORDED),
-        compare("terminated", rows["terminated"], r["terminated"][:length], 0.0),
-        compare("truncated", rows["truncated"], r["truncated"][:length], 0.0),
+        *check_ends(r, steps, goals),
+        compare("cost, all steps", costs, r["cost"][:length], 0.0),
+        compare("cost_hazards", costs, r["costs"][:length, column], 0.0),
     ]
 
 
@@ -163,20 +141,16 @@ def check_point_dynamics(recording: Recording) -> list[Check]:
     return [
         compare("point xy after one step", ours[..., :2], qpos[:, 1:, :2], XY),
         compare("point yaw after one step", ours[..., 2], qpos[:, 1:, 2], YAW),
-        compare("point mean speed / theirs", mean_ratio(length, their_length), np.ones(count), MEANS),
-        compare("point turn rate / theirs", mean_ratio(turned, their_turned), np.ones(count), MEANS),
+        compare("point mean speed / theirs", mean_ratio(length, their_length), np.ones(count), comparison.MEANS),
+        compare("point turn rate / theirs", mean_ratio(turned, their_turned), np.ones(count), comparison.MEANS),
     ]
-
-
-def _seed(r: Recording) -> int:
-    return int(json.loads(str(r["meta"]))["seed"])
 
 
 def _forced(r: Recording) -> tuple[Goal, _Snapshot]:
     """A task with one row per recorded state, and the snapshot that puts every row into its state."""
     index = r["state_idx"].astype(np.intp)
     task = Goal(len(index), action_repeat=1, observe=("state",))
-    task.reset([_seed(r)] * len(index))
+    task.reset([meta_of(r)["seed"]] * len(index))
     forced = task.snapshot()
     # Their slide joints lie along the start heading, ours along the world axes.
     turn = float(r["layout_agent_rot"])

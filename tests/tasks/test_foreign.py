@@ -17,6 +17,12 @@ from wasp_cli.tasks.foreign.views import views_of
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, is_foreign
 
+BOX = gymnasium.spaces.Box
+
+
+def variant(**attributes: Any) -> type[Lights]:
+    return type("Variant", (Lights,), attributes)
+
 
 def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit():
     name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
@@ -53,16 +59,14 @@ def test_commands_in_unit_bounds_reach_the_environments_own():
 
 
 def test_an_action_of_any_shape_and_type_is_given_as_the_space_has_it():
-    class Shaped(Lights):
-        action_space = gymnasium.spaces.Box(-0.1, 0.1, (2, 3), np.float32)
-
-    task = GymTask(registered(Shaped), 1)
+    space = BOX(-0.1, 0.1, (2, 3), np.float32)
+    task = GymTask(registered(variant(action_space=space)), 1)
     assert task.action_size == 6
     task.reset([0])
     task.step(np.linspace(-1, 1, 6)[None])
     action = task._envs[0].unwrapped.got[0]
     assert (action.shape, action.dtype) == ((2, 3), np.float32)
-    assert Shaped.action_space.contains(action)
+    assert space.contains(action)
     np.testing.assert_allclose(action.ravel(), np.linspace(-0.1, 0.1, 6), atol=1e-7)
 
 
@@ -91,11 +95,7 @@ def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision():
     ids=["goals", "a success that passes", "a success that stays", "nothing"],
 )
 def test_goals_and_success(told, expected):
-    class Scoring(Lights):
-        def info(self):
-            return super().info() | told(self.clock)
-
-    task = GymTask(registered(Scoring), 1)
+    task = GymTask(registered(variant(info=lambda self: Lights.info(self) | told(self.clock))), 1)
     for _ in range(2):  # a new episode counts from nothing
         task.reset([0])
         assert [task.step(np.zeros((1, 2))).goals[0] for _ in range(3)] == expected
@@ -110,18 +110,13 @@ def test_goals_and_success(told, expected):
     ],
 )
 def test_costs_may_be_told_flat(costs, sources):
-    class Flat(Lights):
-        def info(self):
-            return {"cost": 1.0, **costs}
-
-    task = GymTask(registered(Flat), 1)
+    task = GymTask(registered(variant(info=lambda self: {"cost": 1.0, **costs})), 1)
     task.reset([0])
     step = task.step(np.zeros((1, 2)))
     assert task.cost_sources == sources
     assert {name: int(count[0]) for name, count in step.sources.items()} == {name: 4 * (name != "cold") for name in sources}
 
 
-BOX = gymnasium.spaces.Box
 RANDOM = np.random.default_rng(0).integers(0, 256, (64, 64, 6), np.uint8)
 
 
@@ -167,17 +162,14 @@ def test_vectors_of_a_dictionary_are_taken_by_name(entries, privileged, state):
     sizes = {"privileged": 5, "state": 7}
     spaces = {"image": BOX(0, 255, (64, 64, 3), np.uint8)} | {name: BOX(-np.inf, np.inf, (sizes[name],), np.float64) for name in entries}
 
-    class Vectors(Lights):
-        observation_space = gymnasium.spaces.Dict(spaces)
+    def seen(env: Lights) -> dict[str, Any]:
+        return {"image": Lights.seen(env)} | {name: np.full(sizes[name], sizes[name] + env.clock, float) for name in entries}
 
-        def seen(self):
-            return {"image": super().seen()} | {name: np.full(sizes[name], sizes[name] + self.clock, float) for name in entries}
-
-    task = GymTask(registered(Vectors), 1)
+    task = GymTask(registered(variant(observation_space=gymnasium.spaces.Dict(spaces), seen=seen)), 1)
     assert (task.privileged_size, task.state_size) == (privileged, state)
-    seen: Observation = task.reset([0])
-    np.testing.assert_array_equal(seen.privileged, np.full((1, privileged), privileged))
-    np.testing.assert_array_equal(seen.state, np.full((1, state), state))
+    first: Observation = task.reset([0])
+    np.testing.assert_array_equal(first.privileged, np.full((1, privileged), privileged))
+    np.testing.assert_array_equal(first.state, np.full((1, state), state))
 
 
 def test_an_environment_without_snapshots_works_and_says_so_when_asked():
@@ -202,10 +194,6 @@ def test_gymnasium_ids_are_names_of_tasks(name):
 
 
 # Environments of others that lack something or fail: one clear error each, and what is forgiven.
-
-
-def variant(**attributes: Any) -> type[Lights]:
-    return type("Variant", (Lights,), attributes)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from PIL import Image
 
 from tests.plans import trajectory
 from tests.report.explained import Invented
+from tests.report.markup import Outline
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Trajectory, episode_metrics
 from wasp_cli.report.claims import judge
 from wasp_cli.report.explain import CURVE, Episode, timeline
@@ -35,35 +35,8 @@ from wasp_cli.tasks.make import make_task
 from wasp_cli.video.film import sprite_of
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
-VOID = {"meta", "img", "input", "br", "line", "rect", "polyline"}
+FETCHED = ("src", "srcset", "data", "action", "poster")
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
-
-
-class Outline(HTMLParser):
-    """Tags must close in order; anchors and what could be fetched are collected."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.fetched: list[str] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        known = dict(attrs)
-        if tag not in VOID:
-            self.open.append(tag)
-        if known.get("id"):
-            self.ids.append(known["id"] or "")
-        if tag == "a":
-            self.links.append(known.get("href") or "")
-        self.fetched += [value or "" for name, value in attrs if name in ("src", "srcset", "data", "action", "poster")]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert tag not in VOID
-        assert self.open.pop() == tag
 
 
 def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
@@ -85,12 +58,12 @@ def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
 def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
     page = page_of(frame, tmp_path)
     outline = Outline(page)
-    assert outline.open == []
-    assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}
-    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-cost_return"}
-    assert len(set(outline.ids)) == len(outline.ids)
-    assert outline.fetched
-    assert all(source.startswith("data:image/") for source in outline.fetched)
+    ids, fetched = outline.values("id"), outline.values(*FETCHED)
+    assert {str(link["href"]).removeprefix("#") for link in outline.all("a")} == {"results", "trained", "assumptions"}
+    assert set(ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-cost_return"}
+    assert len(set(ids)) == len(ids)
+    assert fetched
+    assert all(source.startswith("data:image/") for source in fetched)
     assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
     missing = f"1 of {len(frame.cells) + 1} cells is missing"
     for text in ('<section class="verdict">', "SafeRL-Res", missing, "wasp.tau_c", "1 min 01 s"):
@@ -100,16 +73,14 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
 
 def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
     page = page_of(frame, tmp_path, word=EVIL)
-    outline = Outline(page)
     assert page.count("<script>") == 1
     assert "<img src=http" not in page
-    assert all(source.startswith("data:image/") for source in outline.fetched)
+    assert all(source.startswith("data:image/") for source in Outline(page).values(*FETCHED))
 
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
     report = Report("empty", Layout(tmp_path), facts=(), tables=(), shown=0, frame=Frame(()), trained=(), assumptions=())
-    page = report.html()
-    assert Outline(page).open == []
+    assert Outline(report.html()).found
 
 
 PROBE = """<script>
