@@ -8,7 +8,6 @@ from tests.plan.test_grid import grid
 from wasp_cli.plan.plan import Plan, make_plan, plan_against, show
 from wasp_cli.run.session import _take_back
 from wasp_cli.store.artifact import commit, exists, staging_folder
-from wasp_cli.store.layout import Layout
 
 
 def text_of(plan: Plan, workers: int = 2, *, every: bool = False) -> str:
@@ -52,9 +51,8 @@ def test_the_plan_as_json_names_every_cell_and_node():
     assert record["counts"] == {"missing": len(keys)}
 
 
-def test_a_damaged_artifact_is_computed_again(tmp_path):
-    layout, laid_out = Layout(tmp_path), grid()
-    layout.prepare()
+def test_a_damaged_artifact_is_computed_again(layout):
+    laid_out = grid()
     node, other, _ = nodes = laid_out.nodes[:3]
     for each in nodes:
         folder = staging_folder(layout, each.key)

@@ -124,31 +124,30 @@ def test_what_cannot_be_noted_is_said(results: Path, arguments: tuple[str, ...],
     assert not (results / FILE).exists()
 
 
-def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_error(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_error(layout: Layout, tmp_path: Path) -> None:
     good = add_note(layout, Note("0123456789abcdef0123", "a cell", 2, "fine\x1b[31m", "invalid", "me"))
     records = [{"key": "../../x", "text": "x"}, {"key": good.key, "mark": "root"}]
     records += [{"key": good.key, "episode": episode} for episode in (True, -1, "3")]
     lines = ["not json", "[]", "{}", *map(json.dumps, records), '{"key": "0123', "[" * 5000]
-    with (tmp_path / FILE).open("a", encoding="utf-8") as file:
+    with (layout.root / FILE).open("a", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
     (found,) = notes_of(layout)
     assert found == good
     assert "\x1b" not in found.text
     assert set(invalid([found])) == {(good.key, 2)}
-    (tmp_path / FILE).unlink()
+    (layout.root / FILE).unlink()
     (tmp_path / "elsewhere").write_text("")
-    os.symlink(tmp_path / "elsewhere", tmp_path / FILE)
+    os.symlink(tmp_path / "elsewhere", layout.root / FILE)
     with pytest.raises(StoreError, match="link"):
         notes_of(layout)
     with pytest.raises(StoreError):
         add_note(layout, Note(good.key, "a cell", None, "text"))
     assert (tmp_path / "elsewhere").read_text() == ""
-    (tmp_path / FILE).unlink()
-    os.mkfifo(tmp_path / FILE)
+    (layout.root / FILE).unlink()
+    os.mkfifo(layout.root / FILE)
     with pytest.raises(StoreError):
         notes_of(layout)
-    (tmp_path / FILE).unlink()
+    (layout.root / FILE).unlink()
     add_note(layout, Note(good.key, "a cell", 3, "a\u2028b", "invalid"))
     assert len(notes_of(layout)) == 1
     with pytest.raises(UsageError):

@@ -1,7 +1,6 @@
 import hashlib
 import io
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -37,9 +36,8 @@ def spec() -> Spec:
 
 
 @pytest.fixture
-def cells(spec: Spec, tmp_path: Path) -> Cells:
+def cells(spec: Spec, layout: Layout) -> Cells:
     """A store with every cell of the spec and the artifacts behind them."""
-    layout = Layout(tmp_path)
     numbered: Cells = [(cell, key("evaluate", number)) for number, cell in enumerate(cells_of(spec))]
     for cell, name in numbered:
         identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
@@ -78,14 +76,14 @@ def terminal(report: Report, width: int = 140) -> str:
     return console.export_text()
 
 
-def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    report, out = report_run(tmp_path, spec, cells), tmp_path / "out"
+def test_complete(spec: Spec, cells: Cells, layout: Layout) -> None:
+    report, out = report_run(layout.root, spec, cells), layout.root / "out"
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
     out.mkdir()
     (out / "order.md").write_text("of a person")
-    (out / "notes").symlink_to(tmp_path)
-    (out / "figure3.svg").symlink_to(tmp_path / "read as a figure")
+    (out / "notes").symlink_to(layout.root)
+    (out / "figure3.svg").symlink_to(layout.root / "read as a figure")
     files = report.write(out)
     assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes", "order.md"}
     (out / "table2.csv").write_text("of an earlier report")
@@ -107,10 +105,9 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     assert "missing" not in text
 
 
-def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, layout: Layout) -> None:
     write_record(layout.failure(key("critics", 1)), {"message": "no data", "log": "x.log"})
-    report = report_run(tmp_path, spec, [], parts(spec))
+    report = report_run(layout.root, spec, [], parts(spec))
     assert (report.missing, [table.name for table in report.tables]) == ((), ["training", "world_model"])
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model", "diagnostics"] * 2
     page, text = report.markdown(), terminal(report)
@@ -124,15 +121,14 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
         assert shown in text
     assert "Main results" not in page
     tables = {f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html")}
-    assert {path.name for path in report.write(tmp_path / "out")} == {"report.md", "report.html"} | tables
+    assert {path.name for path in report.write(layout.root / "out")} == {"report.md", "report.html"} | tables
 
 
-def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, layout: Layout) -> None:
     (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
     (layout.artifact("evaluate", cells[1][1]) / EPISODES_FILE).unlink()
     write_record(layout.failure(cells[1][1]), {"message": "TrainingError: no data", "log": "results/x.log"})
-    report = report_run(tmp_path, spec, cells)
+    report = report_run(layout.root, spec, cells)
     page, text = report.markdown(), terminal(report)
     for named in (
         "goal1 human noisy=0.2 seed 0: not computed yet",
@@ -144,9 +140,9 @@ def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp
 
 
 @pytest.mark.parametrize(("text", "fact"), [("{", "is damaged"), ("{}", "is damaged: no 'upstream'")])
-def test_a_damaged_manifest_is_a_fact_not_a_crash(text: str, fact: str, spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text(text, encoding="utf-8")
-    report = report_run(tmp_path, spec, cells)
+def test_a_damaged_manifest_is_a_fact_not_a_crash(text: str, fact: str, spec: Spec, cells: Cells, layout: Layout) -> None:
+    layout.manifest("expert", key("expert", 0)).write_text(text, encoding="utf-8")
+    report = report_run(layout.root, spec, cells)
     assert fact in report.facts[-1]
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
 
@@ -172,23 +168,22 @@ def branched(layout: Layout, cells: Cells) -> Cells:
     return [(cell, name) for cell, _, name in judged]
 
 
-def test_figures_are_drawn_again_only_where_the_report_says_something_else(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    first = report_run(tmp_path, spec, cells).write(out)
+def test_figures_are_drawn_again_only_where_the_report_says_something_else(spec: Spec, cells: Cells, layout: Layout) -> None:
+    out = layout.root / "out"
+    first = report_run(layout.root, spec, cells).write(out)
     figure = out / "cost_return.png"
     figure.write_bytes(b"drawn before")
-    assert report_run(tmp_path, spec, cells).write(out, redraw=False) == first
+    assert report_run(layout.root, spec, cells).write(out, redraw=False) == first
     assert figure.read_bytes() == b"drawn before"
-    report_run(tmp_path, spec, cells[:-1]).write(out, redraw=False)
+    report_run(layout.root, spec, cells[:-1]).write(out, redraw=False)
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_judge(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_judge(spec: Spec, cells: Cells, layout: Layout) -> None:
     judged = branched(layout, cells)
-    whole = report_run(tmp_path, spec, cells, branched=judged)
+    whole = report_run(layout.root, spec, cells, branched=judged)
     assert not whole.missing
-    assert [artifact.stage for artifact in whole.trained] == [artifact.stage for artifact in report_run(tmp_path, spec, cells).trained]
+    assert [artifact.stage for artifact in whole.trained] == [artifact.stage for artifact in report_run(layout.root, spec, cells).trained]
     assert all("Were the interventions necessary?" in page for page in (whole.markdown(), whole.html()))
 
     first, second, *_ = (name for _, name in judged)
@@ -196,7 +191,7 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
     layout.artifact("counterfactual", second).joinpath(BRANCHES_FILE).unlink()
     record = {"label": "goal1 s1 counterfactual wasp noisy=0.2", "message": "no room", "log": "x.log"}
     write_record(layout.failure(second), record)
-    report = report_run(tmp_path, spec, cells, branched=judged)
+    report = report_run(layout.root, spec, cells, branched=judged)
     assert not report.frame.missing
     assert [gap.key for gap in report.missing] == [first, second]
     told = terminal(report)
@@ -206,21 +201,19 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
     assert "counterfactual of goal1 wasp noisy=0.2 seed 0: not computed yet" in report.markdown()
 
 
-def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
+def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, layout: Layout, frame: Frame) -> None:
     ablations = ablation_table(frame)
-    judged = branched(Layout(tmp_path), cells)
-    tables = report_run(tmp_path, spec, cells, parts(spec), load_paper(), judged).tables
+    judged = branched(layout, cells)
+    tables = report_run(layout.root, spec, cells, parts(spec), load_paper(), judged).tables
     names = {table.name for table in tables} | {ablations.name}
     # Those of people need people: tests/drive/test_study.py.
     assert names == set(TABLES) - {"people", "questionnaires", "order", "timing"}
 
 
-def test_a_damaged_failure_is_named_and_the_report_goes_on(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_a_damaged_failure_is_named_and_the_report_goes_on(spec: Spec, cells: Cells, layout: Layout) -> None:
     (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
-    layout.failures.mkdir()
     layout.failure(cells[0][1]).write_text("{")
-    report = report_run(tmp_path, spec, cells)
+    report = report_run(layout.root, spec, cells)
     (missing,) = report.missing
     assert "is damaged" in missing.reason
     assert len(report.damaged) == 1
@@ -228,12 +221,12 @@ def test_a_damaged_failure_is_named_and_the_report_goes_on(spec: Spec, cells: Ce
     assert report.damaged[0] in report.facts
 
 
-def test_a_blocked_cell_names_what_blocks_it(spec: Spec, tmp_path: Path) -> None:
-    layout, grid = Layout(tmp_path), lay_out(spec)
+def test_a_blocked_cell_names_what_blocks_it(spec: Spec, layout: Layout) -> None:
+    grid = lay_out(spec)
     expert = next(node for node in grid.nodes if node.kind == "expert" and node.seed == 0)
     write_record(layout.failure(expert.key), {"message": "the loss is not finite", "log": "x.log"})
     write_record(layout.run("20260501-120000-tiny-0000") / "plan.json", {"spec": "tiny", **plan_against(grid, layout).as_json()})
-    report = report_run(tmp_path, spec, [(cell, node.key) for cell, node in grid.cells])
+    report = report_run(layout.root, spec, [(cell, node.key) for cell, node in grid.cells])
     reasons = {cell.label: cell.reason for cell in report.missing}
     blocked = "blocked by goal1 s0 expert, which failed: the loss is not finite (log: x.log)"
     assert reasons["goal1 human noisy=0.2 seed 0"] == blocked
@@ -254,11 +247,10 @@ def import_artifact(layout: Layout, kind: str, name: str, **changes: Any) -> Non
     write_record(layout.manifest(kind, name), record | changes)
 
 
-def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, cells: Cells, layout: Layout) -> None:
     for _, name in cells[:2]:
         import_artifact(layout, "evaluate", name)
-    report = report_run(tmp_path, spec, cells)
+    report = report_run(layout.root, spec, cells)
     # Ten cells, and behind them two experts, two world models and two calibrations.
     today = "their own code and libraries are the present ones"
     assert report.published == (
@@ -266,7 +258,7 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
         f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",
     )
     import_artifact(layout, "world_model", key("world_model", 0), sources={MODULE: "before", "wasp_cli.gone": "before"})
-    report = report_run(tmp_path, spec, cells)
+    report = report_run(layout.root, spec, cells)
     assert "3 of 16 results here are published ones (1 world_model, 2 evaluate)" in report.published[0]
     assert report.published[0].endswith(f"; since then has changed: wasp_cli.gone, {MODULE}.")
     assert set(report.published) <= set(report.facts)
@@ -275,19 +267,18 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
     assert [artifact.stage for artifact in report.trained if "published" in artifact.stage] == ["world_model, published"]
 
 
-def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells, layout: Layout) -> None:
     needless = "2 trained parts were not computed, since published results were used in place of what reads them: critics."
-    assert "parts are missing" in report_run(tmp_path, spec, cells, parts(spec)).markdown()
+    assert "parts are missing" in report_run(layout.root, spec, cells, parts(spec)).markdown()
     import_artifact(layout, "evaluate", cells[0][1])
-    report = report_run(tmp_path, spec, cells, parts(spec))
+    report = report_run(layout.root, spec, cells, parts(spec))
     assert needless in report.published
     assert "parts]" not in report.markdown()
     assert "parts are missing" not in report.markdown()
     layout.manifest("expert", key("expert", 0)).unlink()  # needless too, but of seed 1 it is there: the mean is that of one seed
-    assert "1 of 6 parts are missing: goal1 s0 expert" in report_run(tmp_path, spec, cells, parts(spec)).markdown()
+    assert "1 of 6 parts are missing: goal1 s0 expert" in report_run(layout.root, spec, cells, parts(spec)).markdown()
     # What is asked for is not there, so there is a gap.
     layout.manifest("diagnostics", key("diagnostics", 0)).unlink()
-    report = report_run(tmp_path, spec, cells, parts(spec))
+    report = report_run(layout.root, spec, cells, parts(spec))
     assert needless not in report.published
     assert "4 of 8 parts are missing" in report.markdown()

@@ -71,11 +71,10 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     assert not list(layout.failures.iterdir())
 
 
-def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path, monkeypatch):
+def test_the_manifest_tells_what_where_and_how(fakes, small_spec, layout, monkeypatch):
     # The run begins on another machine than a node is computed on, as with Slurm.
     monkeypatch.setattr("wasp_cli.run.runner.provenance", lambda: provenance() | machine() | {"processor": "another", "host": "another"})
-    run(small_spec, tmp_path / "results")
-    layout = Layout(tmp_path / "results")
+    run(small_spec, layout.root)
     (path,) = [path for path in layout.store.glob("critics/*/_manifest.json") if json.loads(path.read_text())["seed"] == 1]
     manifest = json.loads(path.read_text(encoding="utf-8"))
     assert manifest["key"] == path.parent.name
@@ -91,10 +90,9 @@ def test_the_manifest_tells_what_where_and_how(fakes, small_spec, tmp_path, monk
     assert manifest["sources"]
 
 
-def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, tmp_path):
+def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, layout):
     fakes.set(behave={"s0 ida_q": "refuse"})
-    summary = run(small_spec, tmp_path / "results")
-    layout = Layout(tmp_path / "results")
+    summary = run(small_spec, layout.root)
     runs, damaged = last_runs(layout)
     assert not damaged
     assert list(runs) == ["small"]
@@ -102,7 +100,7 @@ def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, tmp_path):
     counts = {name: sum(event["event"] == name for event in events) for name in ("done", "failed", "blocked", "run started", "run ended")}
     assert counts == {"done": summary.done, "failed": 1, "blocked": len(summary.blocked), "run started": 1, "run ended": 1}
     recorded = read_run(layout, runs["small"])
-    loaded, _, plan = prepared(small_spec, tmp_path / "results")
+    loaded, _, plan = prepared(small_spec, layout.root)
     assert recorded.spec == loaded.spec
     assert recorded.cells == [(cell, node.key) for cell, node in plan.grid.cells]
 
@@ -303,8 +301,7 @@ def carried_out(loaded: Loaded, layout: Layout) -> dict[str, dict[str, Any]]:
     return {manifest["label"]: manifest for manifest in manifests}
 
 
-def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes, small_spec, tmp_path):
-    layout = Layout(tmp_path / "results")
+def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes, small_spec, layout):
     look, all_ = loaded_with(small_spec, 10), loaded_with(small_spec, None)
     first = carried_out(look, layout)
     assert {manifest["config"]["episodes"] for manifest in first.values()} == {10}
@@ -335,8 +332,7 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
         ("wasp.candidates=9", METHODS - {"wasp"}),
     ],
 )
-def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, fakes, small_spec, tmp_path):
-    layout = Layout(tmp_path / "results")
+def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, fakes, small_spec, layout):
     carried_out(loaded_with(small_spec, 10), layout)
     plan = planned(loaded_with(small_spec, None, setting), layout)
     assert {node.axes["method"] for node in plan.to_run() if node.key in plan.begun} == methods

@@ -39,8 +39,7 @@ def test_a_run_that_died(layout):
     assert lines[4:] == ["FAILED b: no [memory]", "       log: /x/b.log"]
 
 
-def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, small_spec, tmp_path):
-    layout = Layout(tmp_path / "results")
+def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, small_spec, layout):
     fakes.set(free=6, behave={"s1 ida_q": "refuse"})
 
     def halfway() -> bool:

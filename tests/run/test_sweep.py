@@ -13,7 +13,6 @@ from wasp_cli.run.session import RunOptions, Session, run_sweep
 from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import find_node
-from wasp_cli.store.layout import Layout
 
 VARY = "diffusion.ratio=0.2,0.4,0.6"
 
@@ -41,9 +40,8 @@ def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, cap
     assert swept(small_spec, tmp_path / "results").summary.done == 0
 
 
-def test_every_value_is_a_run_that_reports_find(fakes, small_spec, tmp_path):
-    swept(small_spec, tmp_path / "results", settings=("episodes=7",))
-    layout = Layout(tmp_path / "results")
+def test_every_value_is_a_run_that_reports_find(fakes, small_spec, layout):
+    swept(small_spec, layout.root, settings=("episodes=7",))
     runs, damaged = last_runs(layout)
     assert sorted(runs) == [f"small-diffusion.ratio-{value}" for value in ("0.2", "0.4", "0.6")]
     assert not damaged

@@ -12,7 +12,6 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run, read_run
 from wasp_cli.spec.load import LONGEST_CHAIN, load, restricted
 from wasp_cli.spec.read import InvalidSpec
-from wasp_cli.store.layout import Layout
 
 BASE = """\
 name: base
@@ -175,9 +174,8 @@ def test_options_lie_over_all_files(base):
         load(path, ["wasp.elites"])
 
 
-def test_a_run_records_every_file(base, tmp_path):
+def test_a_run_records_every_file(base, layout):
     path = written(base.parent, "fast", FAST + "seeds: [0]  # one is enough\n")
-    layout = Layout(tmp_path / "results")
 
     def recorded(spec: Path) -> str:
         loaded = load(spec)

@@ -15,6 +15,7 @@ from PIL import Image
 
 from tests.commands import run_here
 from tests.drive.browser import Browser
+from tests.run.harness import wait_until
 from tests.store.untrusted import UntrustedStore
 from tests.video.replayed import CELL, made_store
 from tests.view.conftest import brought, viewed
@@ -36,11 +37,8 @@ from wasp_cli.view.site import FRESH
 def numbers(server: ViewServer) -> dict[str, list[str]]:
     """What the table says of every cell, once it has read them."""
     ask(server, "/cells")
-    end = time.monotonic() + 600
-    while (found := json.loads(ask(server, "/cells/numbers")[2]))["left"]:
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    return dict(found["numbers"])
+    wait_until(lambda: not json.loads(ask(server, "/cells/numbers")[2])["left"])
+    return dict(json.loads(ask(server, "/cells/numbers")[2])["numbers"])
 
 
 def test_a_cell_that_is_computed_meanwhile_appears(tmp_path: Path) -> None:
@@ -172,10 +170,8 @@ def shown(image: bytes) -> np.ndarray:
 @pytest.mark.slow
 def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: Layout) -> None:
     films, stored = Films(layout), read_episode(find_cell(layout, CELL), EPISODE)
-    end = time.monotonic() + 600
-    while (state := films.ask(CELL, EPISODE, FILM))["state"] == "drawing":
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait_until(lambda: films.ask(CELL, EPISODE, FILM)["state"] != "drawing")
+    state = films.ask(CELL, EPISODE, FILM)
     assert (state["state"], state["frames"], state["ready"], state["every"]) == ("done", stored.decisions + 1, stored.decisions + 1, 1)
     assert {"robot", "command", "executed", "cost"} <= {name for name, _, _ in state["legend"]}
     seed, rewards = int(stored.row["episode_seed"]), stored.numbers["reward"]

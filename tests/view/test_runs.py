@@ -4,7 +4,6 @@ import json
 import os
 import re
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
@@ -18,10 +17,8 @@ RUN = "20260501-120000-small-abcd"
 
 
 @pytest.fixture
-def layout(tmp_path: Path) -> Layout:
+def live(layout: Layout) -> Layout:
     """A run of this process: of four nodes one is done, one failed, one runs."""
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
     nodes = [planned(number, f"goal1 s{number} expert", needs=[number - 1] if number else []) for number in range(4)]
     log = layout.log(RUN, "goal1 s1 expert", key(1))
     facts = {"key": key(1), "label": "goal1 s1 expert", "message": "loss is <b>not</b> finite", "log": str(log)}
@@ -38,8 +35,8 @@ def layout(tmp_path: Path) -> Layout:
     return layout
 
 
-def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
-    with viewed(layout.root) as server:
+def test_a_live_run_is_followed(browser: Browser, live: Layout) -> None:
+    with viewed(live.root) as server:
         tab = browser.tab()
         tab.open(server.opening("/"))
         tab.value(f"[...document.querySelectorAll('a')].find(a => a.textContent === '{RUN}').click()")
@@ -54,21 +51,19 @@ def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
         assert tab.value("document.documentElement.scrollWidth") <= 500, "it fits a narrow window"
 
         # Another node ends: the page says so by itself.
-        with layout.journal(RUN).open("a", encoding="utf-8") as journal:
+        with live.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(120.0), "event": "done", "key": key(2), "label": "goal1 s2 expert", "seconds": 9.0}) + "\n")
         tab.until("document.querySelector('#done').textContent === '2'")
         assert "step 5" not in tab.value(said)
 
         # The end: it is not followed any more.
-        with layout.journal(RUN).open("a", encoding="utf-8") as journal:
+        with live.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(130.0), "event": "run ended"}) + "\n")
         tab.until("document.querySelector('#state').textContent === 'ended'")
         tab.close()
 
 
-def test_nodes_are_counted_by_stage_and_what_was_not_needed_is_not_said_to_be_there(tmp_path: Path) -> None:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
+def test_nodes_are_counted_by_stage_and_what_was_not_needed_is_not_said_to_be_there(layout: Layout) -> None:
     states = ("unneeded", "cached", "missing", "missing")
     nodes = [planned(number, f"goal1 s{number} expert", state) for number, state in enumerate(states)]
     nodes.append({**planned(4, "goal1 s3 cell", needs=[3]), "kind": "a-cell"})
@@ -82,8 +77,8 @@ def test_nodes_are_counted_by_stage_and_what_was_not_needed_is_not_said_to_be_th
         assert said == [{"Stage": "expert", "waiting": "2", "cached": "1", "not needed": "1"}, {"Stage": "a-cell", "waiting": "1"}]
 
 
-def test_a_log_is_text(layout: Layout) -> None:
-    with viewed(layout.root) as server:
+def test_a_log_is_text(live: Layout) -> None:
+    with viewed(live.root) as server:
         status, headers, body = ask(server, f"/run/{RUN}/log/{key(1)}")
         assert (status, headers["content-type"], headers["x-content-type-options"]) == (200, "text/plain; charset=utf-8", "nosniff")
         assert "line one" in body

@@ -1,13 +1,13 @@
 """Untrusted, damaged and hostile results in the viewer: it shows what is wrong, executes nothing, reads nothing outside of the folder."""
 
 import json
-import time
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 
 from tests.drive.browser import Browser
+from tests.run.harness import wait_until
 from tests.store.attacks import ATTACKS
 from tests.store.test_untrusted import ON_EVERY_FORM, SECRET, outside
 from tests.store.untrusted import LABEL, RUN, UntrustedStore
@@ -90,10 +90,8 @@ def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Pat
             draw(it.layout, find_cell(it.layout, it.key), 0, kind, 0, tmp_path)
     films = Films(it.layout)
     films.ask(it.key, 0, FILM)
-    end = time.monotonic() + 600
-    while (state := films.state(it.key, 0, FILM))["state"] == "drawing":
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait_until(lambda: films.state(it.key, 0, FILM)["state"] != "drawing")
+    state = films.state(it.key, 0, FILM)
     assert (state["state"], "no task of ours" in state["problem"]) == ("failed", True)
     films.close()
     assert not (outside / "imported").exists()

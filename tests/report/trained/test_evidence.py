@@ -71,8 +71,7 @@ def folder(path: Path) -> None:
 
 @pytest.mark.parametrize("harm", [cut, other, a_list, pipe, folder, Path.unlink])
 @pytest.mark.parametrize("kind", ["dataset", "denoiser", "diagnostics", "expert", "critics"])
-def test_a_damaged_artifact_breaks_nothing(kind: str, harm: Callable[[Path], None], tmp_path: Path) -> None:
-    layout = Layout(tmp_path / "results")
+def test_a_damaged_artifact_breaks_nothing(kind: str, harm: Callable[[Path], None], layout: Layout, tmp_path: Path) -> None:
     one = artifact(layout, kind)
     for path in sorted(layout.artifact(kind, one.key).iterdir()):
         harm(path)
@@ -82,8 +81,7 @@ def test_a_damaged_artifact_breaks_nothing(kind: str, harm: Callable[[Path], Non
     assert not left
 
 
-def test_links_are_not_followed_to_read(tmp_path: Path) -> None:
-    layout = Layout(tmp_path / "results")
+def test_links_are_not_followed_to_read(layout: Layout, tmp_path: Path) -> None:
     trained = [artifact(layout, kind) for kind in EVIDENCE]
     (tmp_path / "outside").mkdir()
     for one in trained:

@@ -42,8 +42,7 @@ def artifact(layout: Layout, kind: str, content: str | None = None, seed: int = 
     return Trained(kind, "goal1", seed, key, 1.0, {}, kind)
 
 
-def test_what_learns_in_the_task(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_what_learns_in_the_task(layout: Layout) -> None:
     expert, residual = driving_curves(layout, [artifact(layout, kind) for kind in ("expert", "residual", "world_model")])
     assert (expert.task, expert.seed, expert.name) == ("goal1", 0, "Expert")
     np.testing.assert_equal(expert.x, [0, 100, 200, 300])
@@ -52,15 +51,13 @@ def test_what_learns_in_the_task(tmp_path: Path) -> None:
     assert residual.name == "SafeRL-Res"
 
 
-def test_losses_are_shares_of_the_first_one(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_losses_are_shares_of_the_first_one(layout: Layout) -> None:
     first = loss_curves(layout, [artifact(layout, "world_model")])
     assert {curve.name: curve.y["loss"].tolist() for curve in first} == {"images": [1.0, 0.5, 0.25], "cost": [1.0, 0.5]}
     assert first[0].x.tolist() == [0, 20, 40]
 
 
-def test_reliability_at_some_steps(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_reliability_at_some_steps(layout: Layout) -> None:
     judged = [artifact(layout, "diagnostics"), artifact(layout, "diagnostics", content="{}", seed=1)]
     found = list(reliabilities(layout, judged))
     assert [(each.step, each.episodes) for each in found] == [(step, "held_out") for step in (1, 5, 10, 15)]
@@ -91,8 +88,7 @@ def test_what_is_untrusted_is_no_curve_and_no_crash(kind: str, document: Any, tm
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2", "\x00", "[" * 5000 + "]" * 5000])
-def test_damaged_files_leave_their_curve_out(content: str, tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_damaged_files_leave_their_curve_out(content: str, layout: Layout, tmp_path: Path) -> None:
     found = [artifact(layout, kind, content=content) for kind in FILES]
     assert (driving_curves(layout, found), loss_curves(layout, found), list(reliabilities(layout, found))) == ([], [], [])
     assert draw_figures(layout, Frame(()), found, tmp_path) == []

@@ -1,7 +1,6 @@
 """Tables of the trained parts, and the pages of single ones."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,8 +90,7 @@ def test_datasets_without_enough_costs_or_a_source_are_warned_of() -> None:
     assert dataset_warnings(contents(data._replace(sources=data.sources[:, :0]), ())) == [], "nothing can cost in such a task"
 
 
-def test_the_report_names_what_is_wrong_with_a_dataset(tmp_path: Path) -> None:
-    layout = Layout(tmp_path)
+def test_the_report_names_what_is_wrong_with_a_dataset(layout: Layout) -> None:
     one, other = artifact(layout, "dataset"), artifact(layout, "expert")
     assert with_warnings(layout, [one, other]) == (one, other), "nothing is wrong"
     contents_file = layout.artifact("dataset", one.key) / "contents.json"
