@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import as_undisturbed, finished, group_is_gone, prepared, run, start, wait_until
+from tests.run.harness import as_undisturbed, finished, goes_on, group_is_gone, prepared, start, wait_until
 from wasp_cli.errors import TimeLimitExceeded
 from wasp_cli.run.job import interruptible, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
@@ -42,16 +42,11 @@ def test_the_first_signal_lets_finish_what_runs(number, whole_group, jobs, fakes
     assert "Traceback" not in errors
     wait_until(lambda: group_is_gone(process.pid))
     assert begun <= finished(results)
-    ran = fakes.executions()
-    assert len(ran) == len(finished(results)), "something began and did not finish"
+    assert len(fakes.executions()) == len(finished(results)), "something began and did not finish"
     assert not list(results.glob("tmp/*"))
     (journal,) = results.glob("runs/*/journal.jsonl")
     assert [event["event"] for event in read_json_lines(journal)][-1] == "run interrupted"
-    fakes.set()
-    summary = run(small_spec, results)
-    assert summary.complete
-    assert len(fakes.executions()) == len(ran) + summary.done == len(finished(results))
-    assert as_undisturbed(small_spec, results)
+    goes_on(fakes, small_spec, results)
 
 
 @pytest.mark.parametrize("jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)])
@@ -69,13 +64,7 @@ def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs, fake
     assert "nodes were finished and are kept" in errors
     assert "Traceback" not in errors
     wait_until(lambda: group_is_gone(process.pid))
-    kept, ran = finished(results), len(fakes.executions())
-    fakes.set()
-    summary = run(small_spec, results)
-    assert summary.complete
-    assert summary.done == len(finished(results)) - len(kept)
-    assert len(fakes.executions()) == ran + summary.done
-    assert as_undisturbed(small_spec, results)
+    goes_on(fakes, small_spec, results)
 
 
 def test_two_runs_share_one_store(fakes, small_spec, results):
@@ -120,9 +109,7 @@ def test_a_node_that_sleeps_or_hangs_is_ended_and_named_and_the_others_finish(jo
     assert not summary.blocked
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
-    fakes.set()
-    assert run(small_spec, tmp_path / "results").complete
-    assert as_undisturbed(small_spec, tmp_path / "results")
+    goes_on(fakes, small_spec, tmp_path / "results")
 
 
 @pytest.mark.slow
@@ -152,9 +139,7 @@ def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(f
     assert f"{LABEL}: {KILLED}; it last held " in errors
     held = float(errors.partition(f"{KILLED}; it last held ")[2].split()[0])
     assert 300 < held < 3000
-    fakes.set()
-    again = run(small_spec, results)
-    assert (again.done, again.complete) == (1, True)
+    assert goes_on(fakes, small_spec, results) == 1
 
 
 def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, small_spec, tmp_path):
@@ -206,7 +191,4 @@ def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(j
     ran = fakes.executions()
     # In flight at a death: the victim and at most one other. Nothing else runs twice.
     assert len(ran) - len(set(ran)) <= 2 * jobs
-    fakes.set()
-    again = run(small_spec, tmp_path / "results")
-    assert (again.done, again.complete) == (1, True)
-    assert as_undisturbed(small_spec, tmp_path / "results")
+    assert goes_on(fakes, small_spec, tmp_path / "results") == 1

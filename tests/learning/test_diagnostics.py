@@ -70,14 +70,8 @@ def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
     data.reward[[11, 24]] = 10.0
     data.cost[:] = 0
     data.cost[24] = 1
-    perfect = Forecast(
-        starts,
-        data.cost[follow] + 5.0 * ~within,
-        data.reward[follow] + 5.0 * ~within,
-        data.terminal[follow] + 5.0 * ~within,
-        follow,
-        within,
-    )
+    cost, reward, terminal = (column[follow] + 5.0 * ~within for column in (data.cost, data.reward, data.terminal))
+    perfect = Forecast(starts, cost, reward, terminal, follow, within)
     table = judge.judged_steps(data, perfect, judge.Alarm(0.3, 0.95), SOURCES)
     # At every step there is a start whose episode ends there, and what is imagined after an end does not count.
     assert [row["reward_variance"] > 0 for row in table] == [True] * 5

@@ -41,14 +41,9 @@ def invent_sweep(
     ]
     found = []
     for n, (text, value) in enumerate(values):
+        place, intervene, left = folder / f"{n}", (n + 1) / 10, 1 - n / (len(values) - 1)
         own = [
-            written(
-                folder / f"{n}",
-                CellIdentity(task, method, "full", operator, severity, seed),
-                4 - c + n,
-                (n + 1) / 10,
-                (1.0 - 0.1 * c) * (1 - n / (len(values) - 1)),
-            )
+            written(place, CellIdentity(task, method, "full", operator, severity, seed), 4 - c + n, intervene, (1.0 - 0.1 * c) * left)
             for method in methods
             for c, (operator, severity) in enumerate(conditions)
             for seed in seeds

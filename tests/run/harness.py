@@ -122,6 +122,17 @@ def finished(results: Path) -> set[str]:
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
+def goes_on(fakes: Fakes, spec: Path, results: Path) -> int:
+    """A run in which nothing goes wrong computes what is not finished, once, and leaves an undisturbed store; how many nodes that were."""
+    kept, ran = len(finished(results)), len(fakes.executions())
+    fakes.set()
+    summary = run(spec, results)
+    assert summary.complete
+    assert summary.done == len(finished(results)) - kept == len(fakes.executions()) - ran
+    assert as_undisturbed(spec, results)
+    return summary.done
+
+
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]

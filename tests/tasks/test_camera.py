@@ -100,7 +100,6 @@ def cyan(image: np.ndarray) -> np.ndarray:
 
 def test_goal_and_hazard_are_seen_on_the_side_where_they_are(cameras):
     front, rear = front_and_rear(cameras["goal"], scene("goal", goal=[(1.2, -0.8)], hazard=[(1.0, 0.7)]))
-
     assert greenish(front)[:, 32:].sum() > 20
     assert greenish(front)[:, :32].sum() == 0
     assert bluish(front)[:, :32].sum() > 20
@@ -112,7 +111,6 @@ def test_goal_and_hazard_are_seen_on_the_side_where_they_are(cameras):
 def test_the_rear_camera_looks_back_and_is_not_a_mirror(cameras):
     # What lies to the robot's left is right in the picture of someone who turns around.
     front, rear = front_and_rear(cameras["goal"], scene("goal", goal=[(-1.2, 0.8)], vase=[(-1.0, -0.5)]))
-
     assert greenish(rear)[:, 32:].sum() > 20
     assert greenish(rear)[:, :32].sum() == 0
     assert cyan(rear)[:, :32].sum() > 10
@@ -261,7 +259,6 @@ def test_the_bytes_are_the_same_on_every_machine(cameras, task):
 def test_bytes_do_not_depend_on_batch_or_threads(cameras, task):
     scenes = some_scenes(task, 5)
     images = cameras[task].render(stacked(scenes))
-
     assert images.shape == (5, 6, 64, 64)
     assert images.dtype == np.uint8
     assert (images == Camera(APPEARANCES[task](1), threads=2).render(stacked(scenes))).all()

@@ -155,15 +155,8 @@ def test_upstream_takes_vision_ids(name, sensors):
 
 
 def test_upstream_says_what_it_does_not_have():
-    for option in (
-        "autoreset",
-        "max_episode_steps",
-        "camera_id",
-        "camera_name",
-        "config",
-        "disable_env_checker",
-        "apply_api_compatibility",
-    ):
+    options = ("autoreset", "max_episode_steps", "camera_id", "camera_name", "config", "disable_env_checker", "apply_api_compatibility")
+    for option in options:
         with pytest.raises(UnknownOption, match=f"unexpected keyword argument '{option}'"):
             upstream("SafetyPointGoal1-v0", **{option: 1})
     for mode in ("human", "depth_array"):

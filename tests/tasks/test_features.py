@@ -25,7 +25,6 @@ def test_lidar_of_one_object():
     width = 2 * np.pi / 16
     angle, distance = 2.25 * width, 1.5
     bins = lidar(distance * np.array([[[np.cos(angle), np.sin(angle)]]]))[0]
-
     np.testing.assert_allclose(bins[[1, 2, 3]], [0.75 * 0.5, 0.5, 0.25 * 0.5], atol=1e-12)
     assert np.count_nonzero(bins) == 3
 

@@ -99,7 +99,6 @@ def test_a_reached_goal_pays_and_moves_to_a_free_place():
     old = task.snapshot()["goal"]
     step = task.step(np.tile([1.0, 0.0], (6, 1)))
     state = task.snapshot()
-
     assert step.goals.tolist() == [1] * 6
     assert (step.reward > 0.9).all()
     assert (np.abs(state["goal"] - old).max(axis=1) > 0).all()
@@ -141,7 +140,6 @@ def test_an_env_step_costs_within_a_hazard_and_only_there():
     state["goal"][:], state["bodies"][..., :2] = -9.0, 5.0
     task.restore(state)
     step = task.step(np.zeros((2, 2)))
-
     assert step.cost_env.tolist() == [3, 0]
     assert step.cost.tolist() == [True, False]
     assert step.sources["hazards"].tolist() == [3, 0]
@@ -154,7 +152,6 @@ def test_the_time_limit_cuts_a_decision_step_short():
     state["env_steps"][:] = [Goal.num_steps - 2, 0]
     task.restore(state)
     step = task.step(np.ones((2, 2)))
-
     assert step.env_steps.tolist() == [2, 4]
     assert step.ended.tolist() == [True, False]
     assert not step.terminated.any()
@@ -166,7 +163,6 @@ def test_an_impossible_goal_terminates(monkeypatch):
     task.reset([0])
     before_the_goal(task)
     step = task.step(np.array([[1.0, 0.0]]))
-
     assert step.terminated.tolist() == [True]
     assert step.ended.tolist() == [True]
 

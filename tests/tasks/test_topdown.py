@@ -31,7 +31,6 @@ def at(image: np.ndarray, place, centre, half_side) -> np.ndarray:
 
 def test_things_of_goal_are_where_they_are():
     image = draw_map(goal_appearance(1), scene(goal_appearance(1), goal=[(1.0, 0.5)], hazard=[(-1.0, 0.5)], vase=[(-0.5, -1.2)]), 0, SIZE)
-
     assert image.shape == (SIZE, SIZE, 3)
     assert image.dtype == np.uint8
     red, green, blue = at(image, (1.0, 0.5), (0, 0), 2.0)

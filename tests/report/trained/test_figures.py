@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.report.invented import invent, write
+from tests.report.trained.parts import BINS
 from wasp_cli.report.stats import Frame, read_frame
 from wasp_cli.report.summarize import draw_figures
 from wasp_cli.report.trained import Trained
@@ -17,18 +18,13 @@ from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabi
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
-RELIABLE = [
-    {"predicted": 0.05, "seen": 0.0, "size": 90},
-    {"predicted": None, "seen": None, "size": 0},
-    {"predicted": 0.9, "seen": 1.0, "size": 3},
-]
 FILES: dict[str, tuple[str, Any]] = {
     "expert": ("curve.json", [{"interactions": 100.0 * i, "return": None if i == 0 else i, "cost_per_1000": 40 - i} for i in range(4)]),
     "residual": ("curve.json", [{"interactions": 50.0 * i, "return": 2 * i, "cost_per_1000": 9} for i in range(3)]),
     "world_model": ("curves.json", {"beta_o": [8.0, 4.0, 2.0], "beta_c": [0.5, 0.25], "alpha_q": [1, 1], "beta_r": [0.0, 1.0]}),
     "diagnostics": (
         "diagnostics.json",
-        {"held_out": {"steps": [{"k": k, "reliability": RELIABLE} for k in range(1, 16)]}, "unseen": {"steps": []}},
+        {"held_out": {"steps": [{"k": k, "reliability": BINS} for k in range(1, 16)]}, "unseen": {"steps": []}},
     ),
 }
 
@@ -65,14 +61,10 @@ def test_reliability_at_some_steps(layout: Layout) -> None:
     assert found[0].size.tolist() == [90, 0, 3]
 
 
+NAMES = st.sampled_from(["held_out", "steps", "k", "reliability", "predicted", "size", "interactions", "return", "beta_o"])
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=3),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(["held_out", "steps", "k", "reliability", "predicted", "size", "interactions", "return", "beta_o"]), inner
-        )
-    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner),
     max_leaves=12,
 )
 
