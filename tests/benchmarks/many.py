@@ -20,9 +20,8 @@ from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.summarize import draw_figures
-from wasp_cli.report.tables import main as main_tables
+from wasp_cli.report.tables import main as tables_of
 from wasp_cli.report.tables.comparison import comparison_table
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, operator_table, severity_table
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity, Thresholds, cell_tables, write_episodes
 
@@ -110,8 +109,8 @@ def main(folder: Path) -> None:
     begun = time.perf_counter()
     frame = read_frame(wanted(folder))
     read = time.perf_counter() - begun
-    makers = (main_table, ablation_table, operator_table, detail_table, severity_table, latency_table, comparison_table)
-    tables = [make(frame) for make in (*makers, main_tables.threshold_table)]
+    names = ("main", "ablation", "operator", "detail", "threshold", "severity", "latency")
+    tables = [*(getattr(tables_of, f"{name}_table")(frame) for name in names), comparison_table(frame)]
     texts = [render(table) for table in tables if table is not None for render in RENDERERS.values()]
     tabled = time.perf_counter() - begun
     with TemporaryDirectory() as drawn:

@@ -5,16 +5,20 @@ import os
 import platform
 import signal
 import sys
+from collections.abc import Callable
 from concurrent.futures import Future
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, finished, goes_on, run, start, wait_until, wasp
-from wasp_cli.run.pool import SlurmPool
+from wasp_cli.errors import WaspError
+from wasp_cli.run.pool import DaskPool, SlurmPool
 
 
 def through(cluster: Cluster) -> tuple[str, ...]:
@@ -34,6 +38,26 @@ def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named
     run(small_spec, tmp_path / "here")
     assert len(data_of(results)) == 18 - 2 - 3, "a calibration and two cells need what refused"
     assert data_of(results).items() <= data_of(tmp_path / "here").items()
+
+
+def test_a_result_that_cannot_be_fetched_is_lost_and_waits_for_nobody():
+    """The scheduler dies between the end of a node and the answer."""
+
+    class Ended:
+        status = "finished"
+
+        def result(self) -> None:
+            raise OSError("Timed out")
+
+        def add_done_callback(self, told: Callable[[Any], None]) -> None:
+            told(self)
+
+    pool = object.__new__(DaskPool)
+    pool._pending, pool._number = set(), count()
+    pool._client = SimpleNamespace(submit=lambda *_, **__: Ended())
+    with pytest.raises(WaspError, match="the dask scheduler is lost"):
+        pool.submit(SimpleNamespace(run_id="r", key="k")).result(timeout=5)
+    assert not pool._pending
 
 
 @pytest.mark.slow

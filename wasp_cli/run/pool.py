@@ -222,16 +222,23 @@ class DaskPool(Pool):
         self._pending.add(result)
 
         def told(ended: Any) -> None:
-            if result.done():  # the scheduler was given up meanwhile
-                return
+            failure: BaseException | None = None
+            answer: Any = None
+            try:
+                error = ended.exception() if ended.status == "error" else None
+                if error is not None or ended.status != "finished":
+                    said = f"{type(error).__name__}: {error}" if error else ended.status
+                    failure = WorkersDied(str(error)) if isinstance(error, KilledWorker) else _lost(said)
+                else:
+                    answer = ended.result()
+            except Exception as error:  # the scheduler died just now: what a worker computed cannot be fetched
+                failure = _lost(f"{type(error).__name__}: {error}")
             self._pending.discard(result)
-            error = ended.exception() if ended.status == "error" else None
-            if isinstance(error, KilledWorker):
-                result.set_exception(WorkersDied(str(error)))
-            elif error is not None or ended.status != "finished":
-                result.set_exception(_lost(f"{type(error).__name__}: {error}" if error else ended.status))
-            else:
-                result.set_result(ended.result())
+            with suppress(InvalidStateError):  # it was given up meanwhile
+                if failure is None:
+                    result.set_result(answer)
+                else:
+                    result.set_exception(failure)
 
         self._client.submit(execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False).add_done_callback(told)
         return result
