@@ -118,10 +118,10 @@ def test_the_quickstart_prints_its_table(tmp_path: Path) -> None:
     assert "Goal1: the operators alone return" in run_here("run", "quickstart", "--results", tmp_path, columns=200, code=0).stdout
     table = (tmp_path / "reports/quickstart/table1.csv").read_text(encoding="utf-8").splitlines()
     printed = {row["method"]: row for row in csv.DictReader(table)}
-    for method, (returned, _, cost, *_) in quickstart_rows().items():
+    for method, (returned, *_) in quickstart_rows().items():
         assert float(printed[method]["return"]) == pytest.approx(float(returned), abs=1.5), "processors round differently"
-        assert float(printed[method]["cost"]) == pytest.approx(float(cost), abs=8), "few episodes have most of it"
-    assert float(printed["WASP"]["cost"]) < float(printed["IDA"]["cost"])
+    costs = {method: float(printed[method]["cost"]) for method in ("Human-only", "IDA", "WASP")}
+    assert costs["WASP"] < costs["IDA"] < costs["Human-only"], "few episodes have most of it, so that its size says little"
 
 
 def quickstart_rows() -> dict[str, list[str]]:

@@ -208,4 +208,4 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     assert "(differ: return)  (computed on Another One, here " in console.file.getvalue()
     record["config"]["of_another_version"] = 1
     manifest.write_text(json.dumps(record), encoding="utf-8")
-    assert again(copy, key).differing[0].startswith("error: 1 validation error")
+    assert again(copy, key).differing[0].startswith("error: ValidationError: 1 validation error")
