@@ -75,6 +75,11 @@ def test_the_tables_are_those_of_the_published_rows():
             ("race1 diffusion", "cost +2.050 [-0.767, +5.468]", "Diffusion costs 2.8 less in training 2, and 2.1 more in training 3."),
         )),
         ((3,), "Table 2", (
+            ("formula1 printed/task-only", "cost +5.350 [+0.758, +14.142]", "it costs 5.4 [.8, 14.1] more there"),
+            ("formula1 printed/no-case2", "cost +0.900 [+0.058, +2.383]", "without Case II .9 [.1, 2.4] more."),
+            ("formula1 printed/no-rollout", "int_rate +0.075 [+0.054, +0.099]", "by 7.5 points [5.4, 9.9]"),
+            ("formula1 printed/safety-only", "return +0.842 [-0.100, +1.883]", "No ablation changes its return with certainty"),
+            ("formula1 printed/no-rollout", "return -0.395 [-2.833, +1.903]", "No ablation changes its return with certainty"),
             ("goal1 no-case2", "cost +6.658 [+3.200, +10.793]", "and 6.7 [3.2, 10.8] more in trainings 1 to 3"),
             ("race1 no-case2", "cost +2.175 [+0.208, +5.142]", "only on Race1 in training 3: 2.2 [.2, 5.1] more."),
             ("race1 no-rollout", "return -0.486 [-0.998, +0.019]", "in trainings 2 and 3 nothing is certain there"),

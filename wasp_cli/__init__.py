@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from wasp_cli.notebook import open_results as results
     from wasp_cli.notebook.world_model import load_world_model
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = ["__version__", "load_world_model", "results"]
 
 

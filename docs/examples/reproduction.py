@@ -29,6 +29,7 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS, BRANCHED = (1, 2, 3), (1, 3)  # those of Tables 1 and 2, and of Figure 3, on Race1
+ALONE = (3,)  # that of the ablations of WASP as printed, on FormulaOne1
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 
@@ -71,14 +72,15 @@ def decides(judged: Judged) -> str:
 
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
-    """Return of every claim the verdict, the one with WASP (as printed), and the trainings they rest on: the first that have an answer."""
-    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED)}
+    """Return of every claim the verdict, the one with WASP (as printed), and the trainings of the former: the first that have an answer."""
+    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED, ALONE)}
     printed = [who.method for who in reports[BRANCHED].others].index("printed")
-    chosen = [
-        next((each, on) for each, on in zip(asked, reports, strict=True) if each.outcome != "untested")
-        for asked in zip(*(report.claims for report in reports.values()), strict=True)
-    ]
-    return [(judged, judged.others[printed], trainings) for judged, trainings in chosen]
+    found: list[tuple[Judged, Judged | None, tuple[int, ...]]] = []
+    for asked in zip(*(report.claims for report in reports.values()), strict=True):
+        ours, on = next((each, on) for each, on in zip(asked, reports, strict=True) if each.outcome != "untested")
+        theirs = (other for each in asked if (other := each.others[printed]) is not None and other.outcome != "untested")
+        found.append((ours, next(theirs, None), on))
+    return found
 
 
 def claims() -> str:
@@ -120,18 +122,22 @@ def costs_more() -> str:
 
 @cache
 def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
-    """Return by task and row what it has more than WASP, for other methods and for ablations of WASP: paired means with 95 % intervals."""
+    """Return by task and row what it has more than WASP, and an ablation more than the whole method: paired means with 95 % intervals."""
     texts: dict[str, str] = {}
     rows = [group for group in groups(frame(trainings)) if group.cells and METHODS[group.method].impaired]
-    for whole in (group for group in rows if (group.method, group.variant) == ("wasp", "full")):
-        for group in rows:
-            if group.task == whole.task and group is not whole:
-                made = {key: difference_of(group.cells, whole.cells, key) for key in ("return", "success", "cost")}
-                texts[f"{group.task} {group.method if group.variant == 'full' else group.variant}"] = ", ".join(
-                    f"{key} {each.value:+.3f} [{each.interval.low:+.3f}, {each.interval.high:+.3f}]"
-                    for key, each in made.items()
-                    if each is not None and each.interval is not None
-                )
+    wholes = {(group.task, group.method): group for group in rows if group.variant == "full"}
+    for group in rows:
+        ablated = group.variant != "full"
+        whole = wholes[group.task, group.method if ablated else "wasp"]
+        name = group.method if not ablated else group.variant if group.method == "wasp" else f"{group.method}/{group.variant}"
+        keys = () if group is whole else ("return", "success", "cost", "int_rate")
+        made = {key: difference_of(group.cells, whole.cells, key) for key in keys}
+        if made:
+            texts[f"{group.task} {name}"] = ", ".join(
+                f"{key} {each.value:+.3f} [{each.interval.low:+.3f}, {each.interval.high:+.3f}]"
+                for key, each in made.items()
+                if each is not None and each.interval is not None
+            )
     return texts
 
 

@@ -192,12 +192,12 @@ def stood_for(who: Who) -> Who:
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
     place = stood_for(who)
     named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
-    own = {side for side in named if side.method == place.method}
-    if own != {place} or who in named:
+    own = {side: Who(who.method, side.variant) for side in named if side.method == place.method}
+    if not own or who.method in {side.method for side in named}:
         return None
 
     def placed(sides: tuple[Who, ...] | None) -> tuple[Who, ...] | None:
-        return sides and tuple(who if side in own else side for side in sides)
+        return sides and tuple(own.get(side, side) for side in sides)
 
     statements = (each.model_copy(update={"left": placed(each.left), "right": placed(each.right)}) for each in claim.statements)
     return _judged(rows, paper, claim.model_copy(update={"statements": tuple(statements)}))

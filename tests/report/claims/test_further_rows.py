@@ -37,10 +37,16 @@ def test_it_stands_on_the_right_side_too_and_against_a_bound() -> None:
     assert outcomes(both(), asked("at_most", "bound: 20")) == ("holds", ["fails"])
 
 
-def test_what_says_nothing_of_the_method_or_names_an_ablation_is_not_asked_again() -> None:
+def test_what_says_nothing_of_the_method_is_not_asked_again() -> None:
     assert outcomes(both(), asked("at_least", "bound: 20", left="human")) == ("holds", [None])
-    ablated = frame_of(*both().cells, *(cell("wasp", [50.0, 51.0, 52.0], seed, variant="task-only") for seed in range(4)))
-    assert outcomes(ablated, asked("higher", "right: [wasp]", left="wasp/task-only")) == ("holds", [None])
+
+
+def test_what_names_an_ablation_is_asked_of_that_of_the_further_row() -> None:
+    statement = asked("higher", "right: [wasp]", left="wasp/task-only")
+    ablated = [cell("wasp", [50.0, 51.0, 52.0], seed, variant="task-only") for seed in range(4)]
+    assert outcomes(frame_of(*both().cells, *ablated), statement) == ("holds", ["untested"])
+    ablated += [cell("printed", [20.0, 21.0, 22.0], seed, variant="task-only") for seed in range(4)]
+    assert outcomes(frame_of(*both().cells, *ablated), statement) == ("holds", ["fails"])
 
 
 def test_a_report_without_that_row_says_nothing_of_it() -> None:
