@@ -29,7 +29,7 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS, BRANCHED = (1, 2, 3), (1, 3)  # those of Tables 1 and 2, and of Figure 3, on Race1
-ALONE = (3,)  # that of the ablations of WASP as printed, on the cars
+PRINTED = (3,)  # that of the ablations of WASP as printed, on the cars
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 
@@ -73,7 +73,7 @@ def decides(judged: Judged) -> str:
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
     """Return of every claim the verdict, the one with WASP (as printed), and the trainings of the former: the first that have an answer."""
-    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED, ALONE)}
+    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED, PRINTED)}
     printed = [who.method for who in reports[BRANCHED].others].index("printed")
     found: list[tuple[Judged, Judged | None, tuple[int, ...]]] = []
     for asked in zip(*(report.claims for report in reports.values()), strict=True):

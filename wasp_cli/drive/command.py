@@ -77,10 +77,10 @@ class Wanted:
         return prepared(loaded, self.results, options, self.participant, how, recorded=recorded, trains=trains)
 
     def everyone(self) -> list[Wanted]:
-        """Return one for each participant of a spec; where a task or a participant is meant, or nobody drives, this one."""
+        """Return one for each participant of a spec; where a task or a participant is meant, this one. UsageError where nobody drives."""
         if self._is_task or self.participant is not None:
             return [self]
-        return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))] or [self]
+        return [replace(self, participant=number) for number in sorted(drivers(self.loaded().spec))]
 
     def orders(self) -> Table:
         """Return who drives what in which order, without computing anything."""

@@ -194,13 +194,11 @@ def prepared(
 
     Unless it is `recorded`, no run stays behind, only what had to be computed. Unless it `trains`, models have to be there or published.
     """
-    spec = loaded.spec
-    numbers = drivers(spec)
+    spec, numbers = loaded.spec, drivers(loaded.spec)
     if participant is None and len(numbers) == 1:
         (participant,) = numbers
     if participant not in numbers:
-        known = ", ".join(map(str, numbers))
-        raise UsageError(f"'{spec.name}' has no participant {participant}", f"choose one with --participant: {known}")
+        raise UsageError(f"'{spec.name}' has no participant {participant}", f"--participant takes {', '.join(map(str, numbers))}")
     if spec.side_by_side != 1:
         raise UsageError("a person drives one episode at a time", "set side_by_side: 1 in the spec")
     layout = Layout(results.absolute())
@@ -384,15 +382,13 @@ class CellRecord:
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
         measures = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
-        job = job_of(self._layout, run_id, node)
         begun = str(self._session["sittings"][0]["begun"])
         seconds = float(self._timing()["at"].to_numpy().max(initial=0.0))
-        manifest = manifest_of(job, {**measures, "late": summary["late_share"]}, seconds, begun)
+        manifest = manifest_of(job_of(self._layout, run_id, node), {**measures, "late": summary["late_share"]}, seconds, begun)
         staging = staging_folder(self._layout, self._node.key)  # whose lock is held: nobody takes it for what a killed process left
-        for path in self._folder.iterdir():
-            shutil.copyfile(path, staging / path.name)
+        shutil.copytree(self._folder, staging, dirs_exist_ok=True)
         place = self._layout.artifact(node.kind, node.key)
-        # A sitting that finished nothing new leaves the same episodes, and more that is known of them: worlds that it skipped, its pauses.
+        # The same episodes may be there, with less that is known of them: this sitting skipped worlds or paused, and finished nothing.
         if (before := read_record(place / SESSION_FILE)) and before["sittings"] == self._session["sittings"][: len(before["sittings"])]:
             discard(place)
         commit(self._layout, node.kind, node.key, staging, manifest)

@@ -179,13 +179,7 @@ class Spec(Config):
     def _parts_fit(self, info: ValidationInfo) -> Spec:
         refuse(_list_problems(self, recorded=bool((info.context or {}).get(RECORDED))) + _skill_problems(self))
         _check_tasks(self)
-        for name in (name for name in self.methods if len(METHODS[name].variants) > 1):
-            for variant, task in product(self.variants_of(name), ("", *self.by_task)):
-                try:
-                    self.method(name, variant, task)
-                except ValidationError as error:  # a variant may ask for more than its section does
-                    errors = [_moved(problem, (name,)) for problem in error.errors(include_url=False)]
-                    raise ValidationError.from_exception_data("Spec", errors) from error
+        _check_variants(self)
         return self
 
 
@@ -220,6 +214,17 @@ def _check_tasks(spec: Spec) -> None:
                 errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
         raise ValidationError.from_exception_data("Spec", errors)
+
+
+def _check_variants(spec: Spec) -> None:
+    """Try every variant that runs: one may ask for more than its section does."""
+    for name in (name for name in spec.methods if len(METHODS[name].variants) > 1):
+        for variant, task in product(spec.variants_of(name), ("", *spec.by_task)):
+            try:
+                spec.method(name, variant, task)
+            except ValidationError as error:
+                errors = [_moved(problem, (name,)) for problem in error.errors(include_url=False)]
+                raise ValidationError.from_exception_data("Spec", errors) from error
 
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
@@ -289,9 +294,6 @@ def spec_type() -> type[Spec]:
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
 
 
-WHAT = {"needs": "other stages", "settings": "fields of a spec"}
-
-
 def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage (`made`: its class) that has no place in a plan."""
     taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
@@ -308,10 +310,11 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     section = getattr(made, "config", None)
     if not (isinstance(section, type) and issubclass(section, Config)):
         raise WaspError(f"the class of stage '{entry.name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
-    for name, known in (("needs", set(STAGES) - {entry.name}), ("settings", set(Spec.model_fields))):
+    others, fields = {*STAGES} - {entry.name}, {*Spec.model_fields}
+    for name, known, what in (("needs", others, "other stages"), ("settings", fields, "fields of a spec")):
         listed = getattr(made, name, None)
         if not isinstance(listed, tuple) or not set(listed) <= known:
-            raise WaspError(f"`{name}` of the stage '{entry.name}' is no tuple of names of {WHAT[name]}: {listed!r}", "repair the plugin")
+            raise WaspError(f"`{name}` of the stage '{entry.name}' is no tuple of names of {what}: {listed!r}", "repair the plugin")
 
 
 def validate(document: Mapping[str, Any]) -> Spec:

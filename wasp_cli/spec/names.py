@@ -73,6 +73,7 @@ def _registered(registry: Registry[Any]) -> AfterValidator:
 
 
 def _load(registry: Registry[Any], name: str) -> None:
+    """Import an entry that is not ours, and see that its `needs` are listed; WaspError where they are not."""
     needs = getattr(registry.load(name), "needs", ())
     if not isinstance(needs, (tuple, list)):
         raise WaspError(f"`needs` of '{name}' is {needs!r}, no tuple of stages", 'write it as in needs = ("critics",)')
