@@ -217,7 +217,7 @@ def named(info: Row) -> Text:
 @command(
     "wasp draw goal1 --seed 3 --out map.png",
     "wasp draw my_pkg:MyEnv-v0",
-    codes="0 done, 1 the environment fails or the file cannot be written, 2 usage",
+    codes="0 done, 1 the environment fails or the disk refuses, 2 usage, or no such folder",
 )
 def draw(
     task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names)],

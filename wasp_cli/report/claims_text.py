@@ -102,12 +102,18 @@ def sentence(answer: Answer) -> str:
     t = f"; t {limits}" if (limits := _limits(answer, answer.contrast.t if answer.contrast else None)) else ""
     contrast = ""
     if answer.contrast is not None:
-        contrast = f"{column.number(answer.contrast.value, True)} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
+        contrast = f"{_signed(answer, answer.contrast.value)} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
     return f"{what}: {', '.join(sides)}; {contrast}{t}, needed: {needed(answer)}"
 
 
 def _limits(answer: Answer, limits: Limits | None) -> str:
-    return "" if limits is None else " to ".join(COLUMN_OF[answer.asked.column].number(limit, True) for limit in limits)
+    return "" if limits is None else " to ".join(_signed(answer, limit) for limit in limits)
+
+
+def _signed(answer: Answer, value: float) -> str:
+    column = COLUMN_OF[answer.asked.column]  # "+0.00 does not hold" would hide on which side of 0 it lies
+    hidden = value and not round(value * column.scale, column.digits)
+    return f"{value * column.scale:+.1g}" if hidden else column.number(value, True)
 
 
 def needed(answer: Answer) -> str:

@@ -67,8 +67,9 @@ def _who(value: Any) -> Who:
     method, slash, variant = value.partition("/")
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    if slash and variant not in METHODS[method].variants:
-        raise unknown("assistant variant", variant, METHODS[method].variants)
+    ablations = [name for name in METHODS[method].variants if name != FULL]  # the whole method has one spelling: two rows of it would be one
+    if slash and variant not in ablations:
+        raise unknown("ablation", variant, ablations)
     return Who(method, variant or FULL)
 
 

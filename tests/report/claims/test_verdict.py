@@ -11,7 +11,7 @@ import pytest
 from tests.spec.good import GOOD
 from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import Answer, Judged, Outcome, VerdictReport, all_of, any_of, decide, judge
-from wasp_cli.report.claims_text import verdict_markdown
+from wasp_cli.report.claims_text import sentence, verdict_markdown
 from wasp_cli.report.stats import CellNumbers, Frame, Missing, Wanted, read_frame
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
@@ -153,6 +153,12 @@ def test_a_margin_is_taken_within_each_training() -> None:
     assert answer.outcome == "holds"
     assert answer.contrast.trainings == pytest.approx([-0.25 * cost for cost in costs])
     assert answer.contrast.t[1] > 0  # three trainings show little
+
+
+def test_a_contrast_shows_on_which_side_of_zero_it_lies() -> None:
+    (answer,) = judged(frame_of(cell("human", [9.0] * 2), cell("wasp", [9.0004] * 2)), asked("lower")).answers[0]
+    assert answer.outcome == "fails"
+    assert "; +0.0004 (+0.0004 to +0.0004), needed" in sentence(answer)
 
 
 def test_what_is_not_there_is_named() -> None:
