@@ -63,6 +63,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.value("window.dispatchEvent(new Event('blur'))")
         comes(set())
         tab.until("phase === 'paused'")
+        assert tab.value("document.activeElement.textContent") == "Go on", "Space or Enter goes on"
         tab.key(False, "KeyA")
         focus = "window.dispatchEvent(new Event('focus'))"
         tab.value(focus)
@@ -117,6 +118,8 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.value("replayStep = () => 8")  # ms: the film takes as long as the replay
         tab.click("Save as a film")
         assert tab.until("saved") > 10_000
+        for shown, said in (("", [0, 0]), ("return: 1, cost: 0", [1, 0])):  # without map and numbers, and without the map
+            assert tab.value(f"review = {{driven: [{{{shown}}}], alone: []}}; [compared().length, replays().length]") == said
         asked = tab.requests()
         tab.close()
         clock.join(300)

@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 from tests.run.harness import wait_until
 from wasp_cli.drive import check as script
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, unpacked
+from wasp_cli.drive.server import BUSY, REFUSED, TOO_MUCH, Server, unpacked
 from wasp_cli.errors import UsageError, WaspError
 
 
@@ -71,10 +71,14 @@ def test_nothing_that_is_asked_for_becomes_a_path(server: Server, path: str) -> 
 
 
 def test_a_socket_needs_token_and_origin(server: Server) -> None:
-    for token, headers in (("guess", {}), ("", {}), (None, {"Origin": "http://evil.example"}), (None, {"Origin": "null"})):
+    for origin in ("http://evil.example", "null"):
         with pytest.raises(InvalidStatus) as refused:
-            driver(server, token, **headers)
+            driver(server, Origin=origin)
         assert refused.value.response.status_code == 403
+    for token in ("guess", ""):  # told so that a page can say it: it sees no status of HTTP
+        with driver(server, token) as ws, pytest.raises(ConnectionClosed) as closed:
+            ws.recv(timeout=300)
+        assert closed.value.rcvd.code == REFUSED
     assert not server.desk.present
     with driver(server, Origin=f"http://127.0.0.1:{server.port}") as ws:
         assert state(ws)["phase"] == "starting"

@@ -101,6 +101,11 @@ def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[s
     assert "person" in run_here(name, "goal1 s0 wasp person=0", *options, "--results", driven[0], columns=None, code=0).output
 
 
+def test_a_person_has_no_other_branch(driven: tuple[Path, str], tmp_path: Path) -> None:
+    asked = ("goal1 s0 wasp person=0", "-e", "0", "--step", "7", "--out", tmp_path / "a.webp", "--results", driven[0])
+    assert "what a person commands in another branch is not on record" in run_here("replay", *asked, columns=200, code=2).output
+
+
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
     results = shutil.copytree(imported, tmp_path / "results")
     session = wanted(results, episodes=2).prepared()
@@ -149,6 +154,7 @@ def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
         ({"hide": ("camera",)}, "cameras"),
         ({"what": "quickstart"}, "nobody drives in 'quickstart'"),
         ({"what": "drive", "method": None, "participant": 4}, "no participant 4"),
+        ({"settings": ("seeds=[0]",)}, "a session's number is its seed"),
         ({"what": "drive", "method": "wasp"}, "--method is for a task"),
         ({"what": "drive", "method": None, "settings": ("side_by_side=2",)}, "one episode at a time"),
     ],

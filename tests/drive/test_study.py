@@ -17,11 +17,12 @@ from wasp_cli.drive.block import Block
 from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END
-from wasp_cli.errors import UsageError
+from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import TABLES
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.goal.task import Goal
 
@@ -148,6 +149,13 @@ def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec
     film = trial / ".wasp-view" / "films" / f"{mine}-0-film"
     film.mkdir(parents=True)
     assert withdrawn(wanted(trial, participant=3)) == 0, "somebody else's"
+    assert "nothing was deleted: participant 3 drove nothing of this" in capsys.readouterr().out
+    for more, words in ((("--session", "1"), "deletes all that the participant drove"), (("--json",), "--json goes with neither")):
+        assert words in run_here("drive", "goal1", "--participant", "2", *more, "--withdraw", "--results", trial, columns=200, code=2).output
+    with held_if_free(layout.lock(unfinished.name)), pytest.raises(UsageError, match="participant 2 is driving now"):
+        withdrawn(wanted(trial, participant=2))
+    with pytest.raises(StoreError, match="no results in"):
+        withdrawn(wanted(trial / "none", participant=2))
     assert withdrawn(wanted(trial, what=str(spec), method=None, episodes=None, participant=2)) == 3
     assert not film.exists()
     assert [each["number"] for each in sessions(trial)] == [1, 1]

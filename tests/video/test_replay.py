@@ -76,8 +76,8 @@ def test_the_video_lies_in_the_current_folder_under_the_name_of_the_cell(
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
     monkeypatch.chdir(tmp_path)
     done = replayed(results, LABEL, "--episode", "1", "--every", "12")
-    assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_e1.gif: 3 frames\n"), done.output
-    video: Any = Image.open("race1_wasp_noisy-0.4_e1.gif")
+    assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_s0_e1.gif: 3 frames\n"), done.output
+    video: Any = Image.open("race1_wasp_noisy-0.4_s0_e1.gif")
     assert video.n_frames == 3
     assert threads == [1, before] * 2, "matrix products have those of evaluations, not those of the simulator"
 
@@ -111,7 +111,7 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     assert found.name == "executed action, then commands"
     made.config = {"search_rollouts": 1}  # of a method that imagines the expert behind every command
     assert correction(made.read(tmp_path)).name == "executed action, then the expert"
-    assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
+    assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_s0_e0.gif")
 
 
 def test_the_first_episode_of_a_cell_published_in_part_plays_alone(published: Path, tmp_path: Path) -> None:

@@ -110,7 +110,14 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
         assert run_here("view", results, "--bundle", pages, "--cell", STEPLESS, columns=200).exit_code == 0, "its own is written again"
         written.append({path.name for path in pages.iterdir()})
     assert written[0] == written[1] != set()
-    assert run_here("view", results, "--bundle", tmp_path / "new", "--episodes", "x", columns=200).exit_code == 2
+    for more in (("--episodes", "x"), ("--port", "5"), ("--open", "/cells")):
+        assert run_here("view", results, "--bundle", tmp_path / "new", *more, columns=200).exit_code == 2
+    (rows,) = (results / "store" / "evaluate").glob("*/episodes.parquet")
+    rows.write_bytes(rows.read_bytes()[:500])
+    assert run_here("view", results, "--bundle", pages, columns=200).exit_code == 0
+    texts = [path.read_text(encoding="utf-8") for path in pages.glob("*.html")]
+    assert any("episodes.parquet is damaged" in text for text in texts)
+    assert not any(str(tmp_path) in text for text in texts), "a bundle is for others"
 
 
 def test_every_cell_has_a_page_with_the_return_of_its_rows(made: tuple[Path, Path]) -> None:

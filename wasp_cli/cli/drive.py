@@ -57,9 +57,13 @@ def drive(
 
     hidden, settings = tuple(hide or ()), tuple(set_ or ())
     wanted = Wanted(what, method, participant, episodes, number, speed, hidden, preset, settings, results, jobs, simulate)
+    if json and (orders or withdraw):
+        raise UsageError("--json goes with neither --orders nor --withdraw", "leave it out")
     if orders:  # before all that changes something: it only shows
         out().print(wanted.orders())
     elif withdraw:
+        if method is not None or number is not None:
+            raise UsageError("--withdraw deletes all that the participant drove there", "leave out --method and --session")
         withdrawn(wanted)
     elif check:
         _check(wanted.prepared(recorded=False), json)

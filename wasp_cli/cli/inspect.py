@@ -220,6 +220,8 @@ def view(
     from wasp_cli.view.site import site_of
 
     if bundle is not None:
+        if port or place != "/":
+            raise UsageError("--port and --open are for a server, and --bundle starts none", "leave them out")
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")
         return
     if cell or episodes:

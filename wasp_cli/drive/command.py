@@ -20,7 +20,7 @@ from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session, cells_of, driven, driven_by, drivers, free_session, ordered, participants, prepared, shipped
-from wasp_cli.errors import Interrupted, UnknownName, UsageError
+from wasp_cli.errors import Interrupted, StoreError, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import together
 from wasp_cli.plan.node import Cell, Node, with_upstream
@@ -33,6 +33,7 @@ from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.lock import is_held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.reached import reached
 from wasp_cli.tasks.registry import TASKS, is_foreign
@@ -118,6 +119,8 @@ class Wanted:
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
+        if any(setting.partition("=")[0].strip() == "seeds" for setting in self.settings):
+            raise UsageError("a session's number is its seed", "leave out --set seeds=..., and choose with --session N")
         episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
         return shipped(self.what, [method], number, seeds, self.preset, [*episodes, *self.settings])
 
@@ -207,6 +210,12 @@ def withdrawn(wanted: Wanted) -> int:
     if number is None:
         raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
     layout.require_own_folders()
+    if not layout.store.is_dir() and not layout.works.is_dir():
+        raise StoreError(f"no results in '{wanted.results}'", "name the folder with --results DIR")
+    sessions = [(folder, read_record(folder / SESSION_FILE) or {}) for folder in layout.works.glob("*/")]
+    unfinished = [folder for folder, told in sessions if told.get("number") == number and told.get("task") in spec.tasks]
+    if any(is_held(layout.lock(folder.name)) for folder in unfinished):
+        raise UsageError(f"participant {number} is driving now", "end that session, then withdraw")
     stored = [
         (kind.name, key, read_manifest(layout, kind.name, key))
         for kind in sorted(layout.store.glob("*/"))
@@ -223,13 +232,13 @@ def withdrawn(wanted: Wanted) -> int:
             shutil.rmtree(film, ignore_errors=True)
         gone += 1
         say(f"{label}: deleted ({key})")
-    for folder in layout.works.glob("*/"):
-        session = read_record(folder / SESSION_FILE) or {}
-        if session.get("number") == number and session.get("task") in spec.tasks:
-            shutil.rmtree(folder)
-            gone += 1
-            say(f"{folder.name}: an unfinished session, deleted")
-    say(
-        f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
-    )
+    for folder in unfinished:
+        shutil.rmtree(folder)
+        gone += 1
+        say(f"{folder.name}: an unfinished session, deleted")
+    if gone:
+        results = f"{gone} result{'' if gone == 1 else 's'} deleted"
+        say(f"participant {number} has withdrawn: {results}; reports made before still hold their numbers")
+    else:
+        say(f"nothing was deleted: participant {number} drove nothing of this in '{wanted.results}'")
     return gone

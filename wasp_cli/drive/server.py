@@ -104,10 +104,13 @@ class Server(LocalServer):
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
-        if not (local(host) and own_origin(host, origin) and self.known(ws.query_params.get("token"))):
+        if not (local(host) and own_origin(host, origin)):
             await ws.close(REFUSED)
             return
         await ws.accept()
+        if not self.known(ws.query_params.get("token")):
+            await ws.close(REFUSED)  # only now: before, a browser's page would see a broken connection
+            return
         if not self.desk.come():
             await ws.close(BUSY, "somebody drives already, in another window")
             return

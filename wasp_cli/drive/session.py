@@ -198,7 +198,8 @@ def prepared(
     if participant is None and len(numbers) == 1:
         (participant,) = numbers
     if participant not in numbers:
-        raise UsageError(f"'{spec.name}' has no participant {participant}", f"--participant takes {', '.join(map(str, numbers))}")
+        wrong = "who drives?" if participant is None else f"'{spec.name}' has no participant {participant}"
+        raise UsageError(wrong, f"--participant takes {', '.join(map(str, numbers))}")
     if spec.side_by_side != 1:
         raise UsageError("a person drives one episode at a time", "set side_by_side: 1 in the spec")
     layout = Layout(results.absolute())

@@ -67,7 +67,8 @@ def _who(value: Any) -> Who:
     method, slash, variant = value.partition("/")
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    ablations = [name for name in METHODS[method].variants if name != FULL]  # the whole method has one spelling: two rows of it would be one
+    # The whole method has one spelling: two rows of it would be one.
+    ablations = [name for name in METHODS[method].variants if name != FULL]
     if slash and variant not in ablations:
         raise unknown("ablation", variant, ablations)
     return Who(method, variant or FULL)

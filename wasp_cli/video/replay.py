@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
 from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
@@ -76,7 +77,7 @@ def default_name(stored: Episode, ending: str) -> Path:
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
-    return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_e{row['episode']}") + ending)
+    return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_s{row['seed']}_e{row['episode']}") + ending)
 
 
 def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
@@ -209,14 +210,21 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
             f"{printable(cell.label or str(cell.path))} is published in part, so that its branches cannot be played again",
             "without --step its first episodes can; wasp run SPEC --reuse none computes another cell: it trains anew",
         )
+    if not plays_on(cell):
+        raise UsageError("what a person commands in another branch is not on record", "without --step the episode can be replayed")
     stored.require(step)
-    path = checked(default_name(stored, f"_s{step}.gif") if out is None else out, STILL)
+    path = checked(default_name(stored, f"_t{step}.gif") if out is None else out, STILL)
     criterion = criterion_of(layout, cell)
     source = source_of(layout, cell, episode)
     pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
     verdict = judge(stored, step, criterion, {name: trace._asdict() for name, trace in pair.traces.items()})
     pair.film(f"{stored.title}, decision {step}", verdict.lines(), path)
     return path, verdict
+
+
+def plays_on(cell: FoundCell) -> bool:
+    """Return whether the operator of a cell can go on from a decision in two ways; of a person there is only what was driven."""
+    return bool(cell.setting("axes", "operator") != PERSON)
 
 
 def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, dict[str, list[Any]]]) -> Verdict:

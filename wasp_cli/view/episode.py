@@ -26,7 +26,7 @@ from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
-from wasp_cli.video.replay import Criterion, Verdict, judge
+from wasp_cli.video.replay import Criterion, Verdict, judge, plays_on
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
 from wasp_cli.view.site import Site
 
@@ -88,7 +88,7 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Marku
     verdict = None
     with suppress(StoreError):  # the page has said it
         verdict = verdict_of(stored, branches_of(site.layout, cell), step)
-    drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
+    drawn = verdict is not None and site.links.live and plays_on(stored.cell) and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
     return Markup(site.render("step.html", "", words=as_html(decision_lines(stored, step, WIDTH)), verdict=verdict, film=film))
 

@@ -31,7 +31,7 @@ FOLDER = ".wasp-view"
 FILM, REPLAY, BRANCHES = "film", "replay", "branches"
 """From the physics alone; with cameras and imagined futures; both branches of one decision."""
 KINDS = (FILM, REPLAY, BRANCHES)
-ROOM = 400 * 2**20  # bytes of all films together, beyond which the ones that were asked for longest ago go
+ROOM = 400 * 2**20  # bytes of all films together, beyond which the ones that were drawn longest ago go
 AT_ONCE = 2  # films that are drawn side by side
 LARGEST = 32 * 2**20  # bytes of a frame
 DRAWS = "import sys; from wasp_cli.view.films import main; main(*sys.argv[1:])"  # the process that draws one film

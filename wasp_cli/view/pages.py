@@ -62,10 +62,10 @@ def cells_page(site: Site) -> str:
     )
 
 
-def numbers(site: Site, after: int = 0) -> dict[str, Any]:
-    """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
+def numbers(site: Site) -> dict[str, Any]:
+    """Return the numbers of the cells that are read by now, and how many are not."""
     known, left = site.cells.numbers()
-    return {"left": left, "known": len(known), "numbers": {key: shown.row for key, shown in islice(known.items(), after, None)}}
+    return {"left": left, "numbers": {key: shown.row for key, shown in known.items()}}
 
 
 def cell_page(site: Site, text: str) -> str:

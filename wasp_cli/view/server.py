@@ -23,6 +23,7 @@ from subprocess import run
 from typing import Any
 from urllib.parse import quote
 
+from markupsafe import escape
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
@@ -67,7 +68,7 @@ class ViewServer(LocalServer):
             "/": lambda _: pages.home_page(site),
             "/static/{name}": self._file,
             "/cells": lambda _: pages.cells_page(site),
-            "/cells/numbers": lambda request: _json(pages.numbers(site, _number(request, "after") or 0)),
+            "/cells/numbers": lambda request: _json(pages.numbers(site)),
             "/cell/{cell:path}/episode/{number:int}/explain": self._explain,
             "/cell/{cell:path}/episode/{number:int}": lambda request: episode_page(
                 site, request.path_params["cell"], request.path_params["number"], _number(request, "step")
@@ -292,7 +293,10 @@ def _prepare(folder: Path) -> None:
 
 
 def _write(site: Site, folder: Path, listed: Mapping[str, ListedCell], episodes: Mapping[str, Collection[int]], problems: list[str]) -> int:
+    way = escape(f"{site.layout.root.absolute()}/")  # messages name files, and a bundle is for others
+
     def write(name: str, text: str) -> None:
+        text = text.replace(way, escape(f"{site.name}/"))
         (folder / name).write_text(text, encoding="utf-8", errors="replace")
 
     for name, (package, place, _) in FILES.items():

@@ -53,7 +53,7 @@ function unpacked(buffer) {
 function take(message) {
   if (message.type === "block") begin(message);
   else if (message.type === "imagined") lines = message;
-  else if (message.type === "review") review = message.driven[0].robot ? message : null;
+  else if (message.type === "review") review = message;
   else if (message.type === "state") enter(message);
 }
 
@@ -131,8 +131,8 @@ function card(html, paragraphs, actions, heading) {
   box.innerHTML = html; // fixed texts of this file only
   if (heading) box.querySelector("h2").textContent = heading;
   for (const text of paragraphs) { const p = document.createElement("p"); p.className = "text"; p.textContent = text; box.append(p); }
+  byId("veil").hidden = false; // before its button gets the focus, which a hidden one does not take
   buttons(box, actions);
-  byId("veil").hidden = false;
 }
 
 function buttons(box, actions) {
@@ -189,14 +189,14 @@ const SPEED = 3; // simulated seconds of a replay in a second
 
 // The last episode in words: as driven, and with the same commands alone.
 function compared() {
-  if (!review) return [];
+  if (!review || !["return", "cost"].some((key) => key in review.driven.at(-1))) return [];
   const said = (name, header) => `${name}: ` + ["return", "cost"].filter((key) => key in header).map((key) => `${key} ${Number(header[key].toFixed(1))}`).join(", ");
   const ends = [said(review.alone.length ? `You with ${block.assistant || "the assistant"}` : "You", review.driven.at(-1))];
   if (review.alone.length) ends.push(said("Your commands alone", review.alone.at(-1)) + ". A person would have reacted; the commands did not.");
   return ends;
 }
 
-function replays() { return review ? [["Watch it again", () => play(false)], ["Save as a film", () => play(true)]] : []; }
+function replays() { return review && review.driven[0].robot ? [["Watch it again", () => play(false)], ["Save as a film", () => play(true)]] : []; }
 
 function play(filmed) {
   byId("veil").hidden = true; byId("drive").hidden = false; byId("drive").classList.add("replay"); byId("player").hidden = false;
@@ -290,7 +290,10 @@ addEventListener("keydown", (event) => {
   if (KEYS.includes(event.code) && !event.ctrlKey && !event.metaKey && !event.altKey) {
     held.add(event.code); // before the world moves too: a key that is held while Go is pressed drives
     if (phase === "driving") { event.preventDefault(); hold(); }
-  } else if (phase === "driving" && (event.code === "Space" || event.code === "Escape")) { event.preventDefault(); ask("pause"); }
+  } else if (event.code === "Space" || event.code === "Escape") {
+    if (phase === "driving" || event.repeat) event.preventDefault(); // while it is held, it does not press the button that comes
+    if (phase === "driving") ask("pause");
+  }
 });
 addEventListener("keyup", (event) => { if (held.delete(event.code)) hold(); });
 
