@@ -34,6 +34,15 @@ def test_it_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
     assert "reports' is a link" in run_here("doctor", "--results", tmp_path, columns=200, code=1).stdout
 
 
+def test_a_library_that_cannot_begin_is_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(name: str) -> None:
+        if name == "mujoco":
+            raise RuntimeError("invalid value for environment variable MUJOCO_GL")
+
+    monkeypatch.setattr("wasp_cli.cli.doctor.import_module", fails)
+    assert "invalid value for environment variable MUJOCO_GL" in run_here("doctor", "--results", tmp_path, columns=200, code=1).stdout
+
+
 @pytest.mark.parametrize("files", [
     {"cpu.max": "150000 100000\n", "memory.max": "3000000000\n"},
     {"cpu/cpu.cfs_quota_us": "150000\n", "cpu/cpu.cfs_period_us": "100000\n", "memory/memory.limit_in_bytes": "3000000000\n"},

@@ -150,8 +150,10 @@ def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec
     film.mkdir(parents=True)
     assert withdrawn(wanted(trial, participant=3)) == 0, "somebody else's"
     assert "nothing was deleted: participant 3 drove nothing of this" in capsys.readouterr().out
-    for more, words in ((("--session", "1"), "deletes all that the participant drove"), (("--json",), "--json goes with neither")):
-        assert words in run_here("drive", "goal1", "--participant", "2", *more, "--withdraw", "--results", trial, columns=200, code=2).output
+    for more, words in ((("--session", "1"), "deletes all that the participant drove"), (("--json",), "goes with neither")):
+        assert (
+            words in run_here("drive", "goal1", "--participant", "2", *more, "--withdraw", "--results", trial, columns=200, code=2).output
+        )
     with held_if_free(layout.lock(unfinished.name)), pytest.raises(UsageError, match="participant 2 is driving now"):
         withdrawn(wanted(trial, participant=2))
     with pytest.raises(StoreError, match="no results in"):

@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import pytest
 from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
+from tests.run.harness import ROOT, group_is_gone, wait_until
 from tests.view.conftest import brought
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import training_device
@@ -127,7 +130,7 @@ def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(tmp
 
 
 def test_what_differs_with_avx512_is_computed_once_more_with_avx2(monkeypatch: pytest.MonkeyPatch) -> None:
-    def again(_: Path, key: str) -> verify.Answer:
+    def again(_: Path, key: str, within: Path) -> verify.Answer:
         with_avx2 = os.environ.get("ATEN_CPU_CAPABILITY") == "avx2"
         means = () if with_avx2 or key == "same" else (("cost", 1.0, 2.0),)
         return verify.Answer(key, key, ("cost",) if means else (), (), 0.0, "A" if key != "elsewhere" else "B", "A, AVX512", means)
@@ -138,6 +141,21 @@ def test_what_differs_with_avx512_is_computed_once_more_with_avx2(monkeypatch: p
     assert {key: (bool(answer.differing), answer.with_avx2) for key, answer in found.items()} == {
         "same": (False, False), "elsewhere": (True, False), "other": (False, True),
     }  # fmt: skip
+
+
+def test_workers_end_with_a_killed_one(tmp_path: Path) -> None:
+    code = f"""if True:
+        import pathlib, time
+        from wasp_cli.run import verify
+        from wasp_cli.store.layout import Layout
+        verify.again = lambda _, key, __: (pathlib.Path({str(tmp_path)!r}, key).touch(), time.sleep(600))
+        list(verify.verify(Layout(pathlib.Path("none")), ["a", "b"], 2))
+    """
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True)
+    wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+    process.kill()
+    process.wait(60)
+    wait_until(lambda: group_is_gone(process.pid), 60)
 
 
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,7 @@ from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import publish, reach
 from wasp_cli.run.publish import require_archive, write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
-from wasp_cli.run.record import new_run
+from wasp_cli.run.record import _new_folder, new_run
 from wasp_cli.run.session import RunOptions, run_sweep
 from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
@@ -225,6 +225,9 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, 
     plan.unlink()
     assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
     assert finished(results) == before
+    with pytest.raises(KeyboardInterrupt), _new_folder(layout, "small", False):
+        raise KeyboardInterrupt  # what it leaves does not block gc
+    assert run_ids(layout)[-1] == run_id
     os.utime(layout.run(run_id), (0, 0))  # killed while it began, long ago
     collect(results, "--yes")
     assert finished(results) == keys_of(other_spec, results)

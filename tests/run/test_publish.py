@@ -60,7 +60,9 @@ def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
 
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
+    shutil.rmtree(results / "locks")
     told = publish(small_spec, results, "--dry-run")
+    assert not (results / "locks").exists(), "it only shows"
     for name in ("mine.tgz", "...tar.gz", ".tar.gz", "missing/mine.tar.gz"):
         publish(small_spec, results, "--archive", results / name, code=2)
     assert not (results / "published").exists()
@@ -173,6 +175,11 @@ def test_what_names_this_machine_is_refused(private, place, results, small_spec)
     told = publish(small_spec, results, code=1)
     assert "it names " + {"host": "this machine"}.get(private, "the results folder") in told
     assert not (results / "published").exists()
+
+
+def test_a_machine_named_like_a_method_gives_nothing_away(results, small_spec, monkeypatch):
+    monkeypatch.setattr(platform, "node", lambda: "human")
+    publish(small_spec, results)
 
 
 def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path, monkeypatch):

@@ -25,11 +25,11 @@ from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
 from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult, forget
-from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied, _signals_wait
+from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied, signals_wait
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.run.worker import execute, execute_here
+from wasp_cli.run.worker import attempts, execute, execute_here
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
@@ -69,6 +69,16 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     assert repaired.done == 1 + len(summary.blocked)
     assert read_manifest(layout, "ida_q", summary.failed[0][0].key)["provenance"]["attempt"] == 2
     assert not list(layout.failures.iterdir())
+
+
+def test_a_node_whose_lock_cannot_be_taken_is_on_record_as_failed(fakes, small_spec, results):
+    _, layout, plan = prepared(small_spec, results)
+    node = plan.to_run()[0]
+    layout.lock(node.key).mkdir(parents=True)
+    assert not run(small_spec, results).complete
+    assert attempts(layout, node.key) == 1
+    layout.failure(node.key).write_text('{"attempt": null}')
+    assert attempts(layout, node.key) == 1, "how often is lost"
 
 
 def test_the_manifest_tells_what_where_and_how(fakes, small_spec, layout, monkeypatch):
@@ -257,11 +267,30 @@ def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
     assert sorted(tmp_path.iterdir()) == [other]
 
 
+def test_workers_begin_with_signals_held_back():
+    """In a process without the trackers that lift the mask when they start."""
+    code = """if True:
+        import signal
+        from joblib.externals.loky.backend import fork_exec
+        from wasp_cli.run.pool import SIGNALS, LokyPool, signals_wait
+        began, masks = fork_exec.fork_exec, []
+        fork_exec.fork_exec = lambda *a, **k: (masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]
+        from wasp_cli.run import pool
+        workers = pool._new_workers(2)
+        with signals_wait():
+            workers.submit(int).result
+        workers.shutdown(kill_workers=True)
+        print(len(masks), all(set(SIGNALS) <= mask for mask in masks[-2:]))
+    """
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
+    assert done.stdout.split()[1:] == ["True"], done.stdout
+
+
 MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
 
 
 def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
-    with _signals_wait():
+    with signals_wait():
         process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
     process.send_signal(signal.SIGINT)
@@ -272,7 +301,7 @@ def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
 
 def test_a_worker_that_is_ready_has_no_signals_waiting():
     code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
-    with _signals_wait():
+    with signals_wait():
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -24,6 +24,7 @@ from wasp_cli.run.runner import Runner
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.plain import read_json_lines
 
 NODES = [
@@ -94,6 +95,14 @@ def test_the_death_of_a_run_shows(facts, state, layout):
     assert (found.left_seconds is None) == (state == "died")
 
 
+def test_a_run_of_another_container_is_known_by_its_lock(layout):
+    write_run(layout, RUN, NODES, [started(pid=dead_pid(), locked=True)], {1: {"label": "b", **process(dead_pid())}})
+    with held_if_free(layout.journal(RUN)), held_if_free(layout.lock(key(1))):
+        state = only(layout)
+        assert (state.state, state.running) == ("running", 1)
+    assert only(layout).state == "died"
+
+
 def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
     over = [started(), (9, "run ended", {})]
     write_run(layout, "20260501-120000-a-0001", NODES, over, spec="a")
@@ -102,7 +111,7 @@ def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
     for number, spec in ((3, "a"), (4, "a"), (5, "b")):
         write_run(layout, f"20260501-14000{number}-{spec}-000{number}", NODES, [started()], spec=spec)
     write_run(layout, "20260501-150000-c-0006", NODES, over, spec="c")
-    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004"]
+    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004", "0003"], "also two of one spec"
 
 
 def test_a_sweep_is_one_run(layout):

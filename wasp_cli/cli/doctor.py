@@ -40,9 +40,12 @@ def doctor(results: ResultsOption = RESULTS) -> None:
     require(findings)
 
 
+State = Literal["ok", "missing", "broken", "low", "optional"]
+
+
 class Finding(NamedTuple):
     what: str
-    state: Literal["ok", "missing", "broken", "low", "optional"]
+    state: State
     found: str
     meaning: str = ""
 
@@ -54,8 +57,9 @@ def examine(results: Path) -> Iterator[Finding]:
     for name in NEEDED:
         try:
             import_module(name.replace("-", "_"))
-        except (ImportError, OSError) as error:  # OSError: a library that the module loads is not there
-            yield Finding(name, "missing", str(error).partition("\n")[0], f"required: pip install {name}")
+        except Exception as error:  # OSError: a library that it loads is not there; others: it is there, and cannot begin
+            state: State = "missing" if isinstance(error, ImportError | OSError) else "broken"
+            yield Finding(name, state, str(error).partition("\n")[0], f"required: pip install {name}")
         else:
             yield Finding(name, "ok", installed(name) or "found")
     yield from _plugins()

@@ -217,11 +217,14 @@ def parse_folder(value: str | Path) -> Path:
     return Path(value)
 
 
+LONGEST = 1e8  # seconds of a duration: three years, which every clock can add
+
+
 def parse_duration(text: str | float) -> float:
     """Return the seconds of a duration as it is typed: `90`, `90s`, `30m`, `2h`."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
     seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
-    if not seconds:
+    if not 0 < seconds < LONGEST:
         raise typer.BadParameter(f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)")
     return seconds
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
-from wasp_cli.operators.registry import PERSON
+from wasp_cli.operators.registry import PERSON, UNIMPAIRED
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, look_at, measured
@@ -226,7 +226,7 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
     console.print(table)
     cells, branched = (len({node.key for _, node in pairs}) for pairs in (plan.grid.cells, plan.grid.branched))
     size = f"{plan.grid.points} grid points, {cells} cells to evaluate"
-    if cells < plan.grid.points:
+    if cells < plan.grid.points and any(cell.operator == UNIMPAIRED for cell, _ in plan.grid.cells):
         size += " (the unimpaired reference is one cell for all operators)"
     if branched:
         size += f"; the interventions of {branched} of them are judged by counterfactual branches"

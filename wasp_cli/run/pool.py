@@ -149,7 +149,7 @@ class LokyPool(Pool):
                 self._workers = None  # the next node starts new ones
             return WorkersDied(str(error))
 
-        with _signals_wait():
+        with signals_wait():
             running: Future[NodeResult] = workers.submit(execute, job)
         return _passed_on(running, translated)
 
@@ -167,11 +167,14 @@ def _new_workers(count: int) -> Any:
 
 
 @contextmanager
-def _signals_wait() -> Iterator[None]:
+def signals_wait() -> Iterator[None]:
     """Hold back signals while processes start. They begin with this thread's mask; one that is not ready would end with a traceback."""
+    from multiprocessing import resource_tracker as of_python
+
     from joblib.externals.loky.backend import resource_tracker
 
-    resource_tracker.ensure_running()  # it lifts the mask when it starts
+    for tracker in (resource_tracker, of_python):  # a worker needs both, and each lifts the mask when it starts
+        tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield

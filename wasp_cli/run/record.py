@@ -80,8 +80,10 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
         if reports:
             write_record(layout.reporting(folder.name), this_process())
         yield folder
-    except OSError as error:
+    except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)  # or `wasp gc`, which makes room, would wait for its plan
+        if not isinstance(error, OSError):
+            raise
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
 
 

@@ -37,6 +37,7 @@ class Flight:
     job: NodeJob
     alone: bool = False
     memory: float | None = None  # what it held when its worker was killed before, in MB
+    since: float = field(default_factory=time.monotonic)
 
 
 @dataclass
@@ -124,7 +125,7 @@ class Runner:
                 return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
-                self._flying[self._pool.alone(flight.job)] = replace(flight, alone=True)
+                self._flying[self._pool.alone(flight.job)] = replace(flight, alone=True, since=time.monotonic())
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
@@ -165,7 +166,7 @@ class Runner:
         if result.state == "unseen":
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
-            result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
+            result = self._killed(flight, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
         if result.state == "busy":
             self._elsewhere.append(replace(flight, alone=False))
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
@@ -208,10 +209,10 @@ class Runner:
             return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"])
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
-            return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)
+            return self._killed(flight, "it exceeded its time limit and did not stop, so its process was ended", HINT)
         if flight.alone:
             memory, message = memory or flight.memory, KILLED if local else f"its process ended twice: {reason}"
-            return self._killed(job, message + (f"; it last held {memory:.0f} MB" if memory else ""), None)
+            return self._killed(flight, message + (f"; it last held {memory:.0f} MB" if memory else ""), None)
         self._unexplained += not was_running
         # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
         if suspected := was_running or not local or self._unexplained > UNEXPLAINED * self._pool.jobs:
@@ -222,9 +223,10 @@ class Runner:
         self._deaths.append((replace(flight, memory=memory), suspected, "" if local else reason))
         return None
 
-    def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
+    def _killed(self, flight: Flight, message: str, hint: str | None) -> NodeResult:
+        job, seconds = flight.job, time.monotonic() - flight.since
         log = self._layout.log(job.run_id, job.label, job.key)
-        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=str(log))
+        result = NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log))
         record_failure(self._layout, job, result)
         self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result

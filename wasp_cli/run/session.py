@@ -156,13 +156,15 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
+        if runner.stop.asked:  # after the last node
+            raise KeyboardInterrupt
     except BaseException as error:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # one more Ctrl-C must not leave workers behind
         pool.close(kill=True)
         if not isinstance(error, KeyboardInterrupt):
             raise
-        kept = f"{runner.summary.done} of {nodes} nodes were finished and are kept"
+        kept = f"{runner.summary.done + runner.summary.shared} of {nodes} nodes were finished and are kept"
         raise Interrupted(f"interrupted: {kept}", "run the same command again to continue") from None
     pool.close()
     return summary

@@ -95,25 +95,40 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
-    from joblib import Parallel, delayed
-    from joblib.externals.loky import ProcessPoolExecutor
-
     rounded: list[str] = []
     try:
-        for answer in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys):
+        for answer in _answers(layout, keys, jobs, {}):
             if answer.means and kind(answer.then) == kind(answer.here) and "AVX512" in answer.here and CAPABILITY not in os.environ:
                 rounded.append(answer.key)
             else:
                 yield answer
-        if rounded:
-            with ProcessPoolExecutor(jobs, env={CAPABILITY: AVX2}) as workers:
-                for done in as_completed([workers.submit(again, layout.root, key) for key in rounded]):
-                    yield replace(done.result(), with_avx2=True)
+        for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}) if rounded else ():
+            yield replace(answer, with_avx2=True)
     except BrokenExecutor as error:
         raise WaspError("a worker process was killed (out of memory, or by a signal)", "-j N computes fewer cells at once") from error
 
 
-def again(root: Path, key: str) -> Answer:
+def _answers(layout: Layout, keys: Sequence[str], jobs: int, environment: dict[str, str]) -> Iterator[Answer]:
+    """Compute cells in processes that end with this one, or as soon as nobody asks for more; a single one is this process."""
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    from wasp_cli.run.pool import signals_wait, start_worker
+
+    with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
+        if jobs == 1 and not environment:
+            yield from (again(layout.root, key, Path(folder)) for key in keys)
+            return
+        workers = ProcessPoolExecutor(jobs, env=environment, initializer=start_worker, initargs=(os.getpid(),))
+        try:
+            with signals_wait():
+                running = [workers.submit(again, layout.root, key, Path(folder)) for key in keys]
+            for done in as_completed(running):
+                yield done.result()
+        finally:
+            workers.shutdown(kill_workers=True)
+
+
+def again(root: Path, key: str, within: Path) -> Answer:
     from wasp_cli.registry import load_target
     from wasp_cli.run.worker import set_threads, settings_of
     from wasp_cli.stages.base import Job, Stage
@@ -127,7 +142,7 @@ def again(root: Path, key: str) -> Answer:
     inputs = {name: layout.artifact(manifest["upstream_kinds"][name], upstream) for name, upstream in manifest["upstream"].items()}
     stage: Stage = load_target(STAGES[EVALUATE].target)()
     set_threads(getattr(stage, "torch_threads", 1))
-    with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
+    with tempfile.TemporaryDirectory(dir=within) as folder:
         out = Path(folder)
         try:
             # A GPU rounds differently: what a CPU computed, one computes again. No text is as good as no variable.

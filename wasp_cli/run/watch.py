@@ -89,7 +89,10 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     (start, *_) = by_event.get("run started", ({},))
-    state, ended = _life(run, events, is_gone(start))
+    # A process is not seen from another container of the same host name; its lock is.
+    locked = start.get("locked") is True
+    held = locked and is_held(layout.journal(run.run_id))
+    state, ended = _life(run, events, is_gone(start) and not held)
     # A node that died with its worker and runs again ends twice; the last time counts.
     ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
     failed = {}
@@ -100,7 +103,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     active = _active(layout, run.run_id, ends) if events else ()
     # Where locks do not reach this machine, nodes that run still tell. The end is written before the lock is let go.
     silent = all((now - node.seen).total_seconds() > STALE_SECONDS for node in active if node.seen)
-    if state == "running" and start.get("locked") is True and silent and not is_held(layout.journal(run.run_id)):
+    if state == "running" and locked and silent and not held:
         state, ended = _life(run, events_of(layout, run.run_id), gone=True)
     going = state == "running"
     started = moment(start.get("at"))
@@ -123,12 +126,8 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
 
 
 def shown_runs(layout: Layout, runs: Sequence[PlannedRun]) -> list[RunState]:
-    """Return the newest run of each spec that goes on; where none does, the last run of all. `runs` come newest first."""
-    going: dict[str, RunState] = {}
-    for run in runs:
-        if run.spec not in going and (state := state_of(layout, run)).state == "running":
-            going[run.spec] = state
-    return list(going.values()) or [state_of(layout, run) for run in runs[:1]]
+    """Return the runs that go on; where none does, the last one. `runs` come newest first."""
+    return [state for run in runs if (state := state_of(layout, run)).state == "running"] or [state_of(layout, run) for run in runs[:1]]
 
 
 def is_gone(record: Mapping[str, Any]) -> bool:
@@ -186,7 +185,7 @@ def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Activ
                 key=path.stem, label=_line(record.get("label"), path.stem), kind=_line(record.get("kind"), ""),
                 share=min(max(_number(record, "share") or 0.0, 0.0), 1.0), text=_line(record.get("text"), ""),
                 started=moment(record.get("started")), seen=moment(record.get("at")), memory_mb=_number(record, "memory_mb"),
-                gone=is_gone(record),
+                gone=is_gone(record) and not is_held(layout.lock(path.stem)),
             ))  # fmt: skip
     return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 

@@ -81,7 +81,7 @@ class Envelope:
                     stack.enter_context(_logged(stream, self.own_process))
                     result = self._locked()
             except Exception as error:  # an OSError where the results folder itself is in the way: full, read-only
-                result = self._result("failed", message=f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
+                result = self._failed(f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
         if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
             why = unseen(job.root, job.run_id)
             return self._result("unseen", message=why.message, hint=why.hint)
@@ -242,9 +242,9 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
 def attempts(layout: Layout, key: str) -> int:
     try:
         record = artifact.read_record(layout.failure(key))
-    except ArtifactError:  # it failed; how often is lost
+        return 0 if record is None else int(record.get("attempt", 1))
+    except (ArtifactError, TypeError, ValueError):  # it failed; how often is lost
         return 1
-    return 0 if record is None else int(record.get("attempt", 1))
 
 
 def finite(value: Any, name: str = "summary") -> Any:
