@@ -57,7 +57,7 @@ ROWS: Mapping[str, Callable[[Parts], str]] = {
     "V_c": lambda p: f"{part(p['critics']['predicted_over_real_c'])}, {part(p['critics']['rank_c'])}",
     "Q of IDA": lambda p: f"{part(p['ida_q']['predicted_over_real'])}, {part(p['ida_q']['rank'])}",
     "Q of reachability: AUC on the expert's decisions": lambda p: part(p["reachability"]["auc_expert"]),
-    "Diffusion: commands' distance to the expert's, before and after": lambda p: (
+    "Diffusion at ratio .4: commands' distance to the expert's, before and after": lambda p: (
         f"{part(p['denoiser']['off_expert'])}, {part(p['denoiser']['off_expert_denoised'])}"
     ),
     "CSA: the same": lambda p: f"{part(p['consistency']['off_expert'])}, {part(p['consistency']['off_expert_assisted'])}",

@@ -49,14 +49,18 @@ def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
 
 
 def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
-    side = write_results(tmp_path / "results", provenance={"git": {"sha": "a" * 40, "dirty": False}, "python": "3.11.7"})
+    side = write_results(
+        tmp_path / "results", provenance={"git": {"sha": "a" * 40, "dirty": False}, "python": "3.11.7", "processor": "One"}
+    )
     assert "same versions" not in run_here("report", side.layout.root, *REPORT, columns=300).output
     for _, key in side.cells[:3]:
         path = side.layout.manifest("evaluate", key)
         record = json.loads(path.read_text(encoding="utf-8"))
-        record["provenance"] |= {"versions": {"torch": "1.0.0"}, "git": {"sha": "b" * 40, "dirty": False}}
+        record["provenance"] |= {"versions": {"torch": "1.0.0"}, "git": {"sha": "b" * 40, "dirty": False}, "processor": "Another, AVX2"}
         path.write_text(json.dumps(record), encoding="utf-8")
-    said = "commit aaaaaaa (5 cells), bbbbbbb (3 cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
+    said = (
+        "commit aaaaaaa (5 cells), bbbbbbb (3 cells); processor One (5 cells), Another (3 cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
+    )
     told = run_here("report", side.layout.root, *REPORT, columns=300).output
     assert f"The cells were not computed with the same versions: {said}" in told
 

@@ -86,10 +86,11 @@ def test_what_is_no_sweep_is_refused(vary, message):
 def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     spec.write_text(SPEC.replace("goal1", "gaol1"), encoding="utf-8")
     with pytest.raises(InvalidSpec) as caught:
-        read_sweep(spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9"])
+        read_sweep(spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9", "ida-guarded.tau_c=calibrated"])
     assert [(problem.source, problem.message.partition(",")[0]) for problem in caught.value.problems] == [
         (str(spec), "unknown task 'gaol1'"),
         ("--set ida.vote=9", "ida.vote: should be less than or equal to 1"),
+        ("--set ida-guarded.tau_c=calibrated", "ida-guarded.tau_c: should be a number"),
         ("--vary wasp.tau_c=-1", "wasp.tau_c: should be greater than 0 or 'calibrated'"),
         ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number or 'calibrated'"),
     ]

@@ -107,6 +107,20 @@ def test_a_reached_goal_pays_and_moves_to_a_free_place():
     assert not step.ended.any()
 
 
+def test_where_a_later_goal_lies_depends_on_when_the_last_one_was_reached():
+    """As in the original, and as docs/tasks.md says: every env step draws from the stream of the world."""
+    places = []
+    for waited in (0, 1):
+        task = Goal(2, observe=())
+        task.reset([7, 8])
+        for _ in range(waited):
+            task.step(np.zeros((2, 2)))
+        before_the_goal(task)
+        assert task.step(np.tile([1.0, 0.0], (2, 1))).goals.tolist() == [1, 1]
+        places.append(task.snapshot()["goal"])
+    assert (np.abs(places[0] - places[1]).max(axis=1) > 0.01).all()
+
+
 def test_a_snapshot_carries_goals_to_come():
     task = Goal(3, observe=VECTORS)
     task.reset([3, 4, 5])

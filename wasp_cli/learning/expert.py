@@ -42,7 +42,7 @@ def train_expert(
     """Train and store a skill per checkpoint fraction (`skill-F.safetensors`); goes on from its own state in `work`.
 
     Where the policy is not accepted, training goes on for `config.extension` interactions, at most `config.extensions` times. The learning
-    rate falls anew in each.
+    rate then begins at the share of all interactions that is left.
 
     Args:
         task: config.envs episodes with privileged observations.

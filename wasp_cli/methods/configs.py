@@ -20,7 +20,7 @@ class IDAConfig(Config):
         "expert", "section 5.1: an expert action; `diffusion` is the original's copilot, the command partly diffused and denoised"
     )
     ratio: float = assumed(
-        0.4, "forward diffusion ratio of the copilot `diffusion`: sigma .49, as the original's .2 in its schedule", ge=0.0, le=1.0
+        0.4, "forward diffusion ratio of the copilot `diffusion`: sigma .45, as the original's .2 in its schedule", ge=0.0, le=1.0
     )
     vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
     quantile: float = assumed(0.95, "tau_Q: quantile of the least advantage over the members under the expert with noise", gt=0.0, lt=1.0)
@@ -30,7 +30,7 @@ class IDAConfig(Config):
 class DiffusionConfig(Config):
     """Diffusion: partial forward and reverse diffusion of the operator's command."""
 
-    ratio: float = assumed(0.4, "forward diffusion ratio gamma_fwd of the original's main experiments", ge=0.0, le=1.0)
+    ratio: float = assumed(0.4, "forward diffusion ratio gamma_fwd; .4 in the original's main experiments", ge=0.0, le=1.0)
     last_noise: bool = assumed(False, "noise at the last reverse step too, as in the original's code: then every command is changed")
 
 
@@ -39,8 +39,8 @@ class CSAConfig(Config):
 
     ratio: float = assumed(
         0.69,
-        "level at which the command is denoised, as a share of the ladder: 9 of 30 from the top (sigma 11.5), as for the Lunar Lander in "
-        "the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which hardly a command is changed",
+        "level at which the command is denoised, as a share of the ladder; .69 is 9 of 30 from the top (sigma 11.5), as for the Lunar "
+        "Lander in the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which hardly a command is changed",
         ge=0.0,
         le=1.0,
     )
@@ -71,7 +71,7 @@ class MPMIConfig(Config):
     quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
-    horizon: int = assumed(5, "H: .4 s; the original has 25 steps at 60 Hz and 30 at 100 Hz", ge=1)
+    horizon: int = assumed(5, "H: .4 s on Goal1, .8 s on the cars; the original has 25 steps at 60 Hz and 30 at 100 Hz", ge=1)
     candidates: int = assumed(64, "inputs imagined where the command is unsafe; the original has 10,000 on a GPU", ge=1)
     rollouts: int = assumed(8, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
 
@@ -167,6 +167,10 @@ class PrintedConfig(Config):
 
 class GuardedIDAConfig(IDAConfig, WASPConfig):
     """IDA with the least correction, and WASP's safety gate behind it: the settings of both."""
+
+    tau_c: Annotated[float, Field(gt=0.0)] = assumed(
+        1.0, "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; nothing calibrates it"
+    )
 
 
 class PlannerConfig(WASPConfig):

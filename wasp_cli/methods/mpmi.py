@@ -8,8 +8,8 @@ learned value: what it does not reach is what these add. As in the authors' code
 - where no input is safe, the command stands: they call it a failure of the system, and leave it to the operator;
 - an input is executed as it was imagined. A motor that saturates makes others of them the same force, of which nothing is made.
 
-The horizon is as long as theirs, .3 and .4 s: five decisions of the tasks here. Over the fifteen of WASP an expert's held input leaves the
-road, tau_c says little, and commands are replaced too late.
+The horizon is five decisions, .4 s on Goal1 and .8 s on the cars; theirs is .3 and .4 s. Over the fifteen of WASP an expert's held input
+leaves the road, tau_c says little, and commands are replaced too late.
 
 What differs: the model is the latent world model in place of a Koopman operator; safe is what the safety gate of WASP means by it (costly
 decisions within H, discounted, a mean over rollouts on common draws), where theirs is a distance to the edge on one trajectory; the

@@ -102,12 +102,14 @@ class Origins:
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     provenance = manifest["provenance"]
-    git, python, libraries = (provenance.get(name) for name in ("git", "python", "versions"))
+    git, python, libraries, processor = (provenance.get(name) for name in ("git", "python", "versions", "processor"))
     if isinstance(git, Mapping) and isinstance(git.get("sha"), str):
         changes = f" with changes {str(git.get('changes') or '')[:SHA_LENGTH]}".rstrip() if git.get("dirty") else ""
         yield "commit", printable(f"{git['sha'][:SHA_LENGTH]}{changes}")
     if isinstance(python, str):
         yield "Python", printable(python)
+    if isinstance(processor, str):
+        yield "processor", printable(processor.partition(",")[0])
     for name, version in (libraries if isinstance(libraries, Mapping) else {}).items():
         yield printable(str(name)), printable(str(version))
 
@@ -167,8 +169,8 @@ POSTERIOR = (  # an assumption that cannot be a choice: operators, filter and ta
     "the same latent",
 )
 READINGS = (
-    ("wasp, as printed: discounts", "gamma_r", f"{DIFFERS}: no setting: Eq. 7-8 use the rewards' discount for costs too, and V_c "
-     "behind the horizon was trained with `returns.gamma_c`"),
+    ("wasp: an ended episode", "gamma p", "no setting: Eq. 8 has no ends; gamma is multiplied by the probability that the imagined "
+     "episode goes on"),
     ("wasp: step k", "k + 1", "no setting: reward and cost of an imagined step are read at the state that it arrives in"),
     ("wasp: residuals", "[-2, 2]", "no setting: samples are cut where a residual to a command within ±1 stops making a difference"),
 )  # fmt: skip
@@ -198,7 +200,7 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
             in_force.append((name, value, why))
     if "world_model" in kinds:
         in_force.append(POSTERIOR)
-    if "wasp" in spec.methods:
+    if {"wasp", "printed"} & {*spec.methods}:
         in_force += READINGS
     return sorted(in_force, key=lambda one: not one[2].startswith(DIFFERS))
 

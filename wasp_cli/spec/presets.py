@@ -97,7 +97,7 @@ _GPU: Document = {
     "residual": {"interactions": 1_000_000, "envs": 32},
 }  # fmt: skip
 
-# The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
+# The paper's planner (M = 8; 5 in WASP's search), over models that have seen more than `cpu` gives them.
 # Budgets of training are not in the paper; these are about four times `cpu`.
 _PAPER: Document = {
     "expert": {"interactions": 1_600_000},
