@@ -251,6 +251,32 @@ def test_assistants_are_varied_over_the_published_models_without_training(tmp_pa
     assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}
 
 
+FIRING = ("122d45bf", "65504b38", "57463201", "9f489a32")  # calibrations of training 1: whole and without rollouts, FormulaOne1 and Goal1
+
+
+def test_cells_of_two_processors_and_thresholds_of_two_are_told():
+    """A key is of the code, the settings and the inputs: what a processor rounds is in none."""
+    processors: dict[tuple[str, int], set[str]] = {}
+    thresholds: dict[tuple[str, int], set[float]] = {}
+    for cell, node in reproduction.grid().cells:
+        if not (STORE / "evaluate" / node.key).is_dir():  # an ablation of WASP as printed that is to come
+            continue
+        manifest = json.loads((STORE / "evaluate" / node.key / "_manifest.json").read_text())
+        kind = manifest["provenance"]["processor"].partition("(R)")[0].partition(" ")[0]
+        processors.setdefault((cell.task, cell.seed), set()).add(kind)
+        if cell.method == "wasp" and cell.assistant != "no-rollout":
+            rows = read_episodes([STORE / "evaluate" / node.key / "episodes.parquet"])
+            thresholds.setdefault((cell.task, cell.seed), set()).update(round(value, 4) for value in rows["tau_r"].to_pylist())
+    assert {place for place, kinds in processors.items() if kinds == {"AMD"}} == {(task, 3) for task in ("race1", "formula1", "goal1")}
+    assert {place for place, kinds in processors.items() if len(kinds) > 1} == {("race1", 1), ("formula1", 2)}
+    assert {place: found for place, found in thresholds.items() if len(found) > 1} == {("formula1", 2): {0.0315, 0.0329}}
+    found = [json.loads(path.read_text()) for path in sorted(STORE.glob("calibration/*/calibration.json")) if path.parent.name[:8] in FIRING]
+    assert sorted(f"{100 * each['safety_rate']:.1f}" for each in found) == ["0.3", "1.8", "4.6", "5.1"]
+    words = " ".join(section("Table 2").split())
+    assert "tau_r .0329, its ablations on an AMD EPYC with .0315" in words
+    assert "fires at 1.8 instead of .3 %, and at 4.6 instead of 5.1 % of the expert's decisions" in words
+
+
 def test_in_each_training_wasp_costs_less_than_what_the_page_names():
     less = {name: Counter[bool]() for name in ("ida", "saferl", "diffusion")}
     for training in reproduction.TRAININGS:
