@@ -274,7 +274,9 @@ def test_cells_of_two_processors_and_thresholds_of_two_are_told():
     assert {place for place, kinds in processors.items() if kinds == {"AMD"}} == {(task, 3) for task in ("race1", "formula1", "goal1")}
     assert {place for place, kinds in processors.items() if len(kinds) > 1} == {("race1", 1), ("formula1", 2)}
     assert {place: found for place, found in thresholds.items() if len(found) > 1} == {("formula1", 2): {0.0315, 0.0329}}
-    found = [json.loads(path.read_text()) for path in sorted(STORE.glob("calibration/*/calibration.json")) if path.parent.name[:8] in FIRING]
+    found = [
+        json.loads(path.read_text()) for path in sorted(STORE.glob("calibration/*/calibration.json")) if path.parent.name[:8] in FIRING
+    ]
     assert sorted(f"{100 * each['safety_rate']:.1f}" for each in found) == ["0.3", "1.8", "4.6", "5.1"]
     words = " ".join(section("Table 2").split())
     assert "tau_r .0329, its ablations on an AMD EPYC with .0315" in words
