@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -10,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import as_undisturbed, finished, goes_on, group_is_gone, prepared, start, wait_until
+from tests.run.harness import ROOT, as_undisturbed, finished, goes_on, group_is_gone, prepared, start, wait_until
 from wasp_cli.errors import TimeLimitExceeded
 from wasp_cli.run.job import interruptible, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
@@ -90,6 +92,19 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
         return Runner(layout, new_run(layout, loaded, plan), pool, limit=limit, retries=retries).run(plan)
     finally:
         pool.close(kill=True)
+
+
+def test_workers_begin_with_signals_held_back():
+    """In a process of its own: in this one the trackers run already, which lift the mask when they start."""
+    code = (
+        "import signal; from joblib.externals.loky.backend import fork_exec as f; from wasp_cli.run import pool\n"
+        "began, masks = f.fork_exec, []\n"
+        "f.fork_exec = lambda *a, **k: (masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]\n"
+        "with pool.signals_wait(): workers = pool._new_workers(2); workers.submit(int)\n"
+        "workers.shutdown(kill_workers=True); print([set(pool.SIGNALS) <= mask for mask in masks[-2:]])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
+    assert done.stdout == "[True, True]\n"
 
 
 @pytest.mark.slow

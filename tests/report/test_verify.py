@@ -160,6 +160,7 @@ def test_workers_end_with_a_killed_one(tmp_path: Path) -> None:
     process.kill()
     process.wait(60)
     wait_until(lambda: group_is_gone(process.pid), 60)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"], "its workers had begun, and are gone"
 
 
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -179,7 +179,8 @@ def test_what_names_this_machine_is_refused(private, place, results, small_spec)
 
 def test_a_machine_named_like_a_method_gives_nothing_away(results, small_spec, monkeypatch):
     monkeypatch.setattr(platform, "node", lambda: "human")
-    publish(small_spec, results)
+    assert "published in" in publish(small_spec, results)
+    assert keys(results / "published") == keys(results)
 
 
 def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path, monkeypatch):

@@ -267,25 +267,6 @@ def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
     assert sorted(tmp_path.iterdir()) == [other]
 
 
-def test_workers_begin_with_signals_held_back():
-    """In a process without the trackers that lift the mask when they start."""
-    code = """if True:
-        import signal
-        from joblib.externals.loky.backend import fork_exec
-        from wasp_cli.run.pool import SIGNALS, LokyPool, signals_wait
-        began, masks = fork_exec.fork_exec, []
-        fork_exec.fork_exec = lambda *a, **k: (masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]
-        from wasp_cli.run import pool
-        workers = pool._new_workers(2)
-        with signals_wait():
-            workers.submit(int).result
-        workers.shutdown(kill_workers=True)
-        print(len(masks), all(set(SIGNALS) <= mask for mask in masks[-2:]))
-    """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
-    assert done.stdout.split()[1:] == ["True"], done.stdout
-
-
 MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
 
 

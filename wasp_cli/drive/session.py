@@ -179,7 +179,7 @@ class Session:
         # As in evaluations: one thread, and memory that is kept. More threads would wait for each other while the page is drawn.
         torch.set_num_threads(1)
         keep_memory()
-        require_whole(self.layout, node_inputs(node))
+        require_whole(self.layout, [(needed.kind, needed.key) for needed in node.needs.values()])
         inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
         parts = load_parts(inputs, self.loaded.spec.returns, training_device(), motors=TASKS[cell.task].motors)
         block = Block(cell, method_config, self.loaded.spec.action_repeat, self.how, parts, desk)
@@ -240,7 +240,7 @@ def prepared(
                 )
         if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
             own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
-            require_whole(layout, [*((each.kind, each.key) for each in own), *node_inputs(node)])
+            require_whole(layout, [(each.kind, each.key) for each in (*own, *node.needs.values())])
             begun.update((node.key, folder) for folder in folders[1:])  # the longest comes last
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study, begun=begun)
@@ -269,10 +269,6 @@ def drivers(spec: Spec) -> dict[int, str]:
 
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
     return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
-
-
-def node_inputs(node: Node) -> list[tuple[str, str]]:
-    return [(needed.kind, needed.key) for needed in node.needs.values()]
 
 
 def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell, Node]]:
