@@ -4,14 +4,19 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
+
+from wasp_cli.store.packs import unpack
 
 # Before anything imports torch: two OpenMP pools on two cores slow a test down by an order of magnitude.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A shell starts what runs in its background with Ctrl-C ignored, and so would the commands be that the tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+unpack(Path(__file__).parents[1] / "results" / "published")  # in a fresh clone its cells lie in packs alone
 
 with suppress(ImportError):  # the sessions `peers` and `external` of nox have no hypothesis
     from hypothesis import HealthCheck, settings

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import io
 import json
 import math
 import os
 import platform
 import re
 import shutil
-import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -42,6 +40,7 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
+from wasp_cli.store.packs import FOLDER, tar_of, write_pack
 from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
 from wasp_cli.store.slim import SLIM, Slimming, slim, steps_kept
 from wasp_cli.tasks.registry import TASKS
@@ -182,6 +181,8 @@ def carry_publication(publication: Publication, spec: Spec, layout: Layout, targ
             staged.mkdir(parents=True)
             for item in publication.new:
                 _copy(item, layout, target, staged, slimming)
+            if (target.root / FOLDER).is_dir():
+                write_pack(target.root, spec.name)
             reports = target.reports(spec.name)
             for path in publication.reports:
                 reports.mkdir(parents=True, exist_ok=True)
@@ -290,13 +291,9 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     members |= {"README.md": card.encode(), "LICENSE": Path(str(path)).read_bytes()}
     sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
     members["SHA256SUMS"] = sums.encode()
-    raw, folder = io.BytesIO(), file.name.removesuffix(".tar.gz")
-    with gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
-        for member, data in sorted(members.items()):
-            entry = tarfile.TarInfo(f"{folder}/{member}")
-            entry.size, entry.mode = len(data), 0o644
-            archive.addfile(entry, io.BytesIO(data))
-    artifact.replace_file(file, raw.getvalue())
+    folder = file.name.removesuffix(".tar.gz")
+    archive = tar_of({f"{folder}/{member}": data for member, data in sorted(members.items())})
+    artifact.replace_file(file, gzip.compress(archive, mtime=0))
     return len(members)
 
 

@@ -12,6 +12,7 @@ import shutil
 from pathlib import Path
 
 from wasp_cli.errors import UsageError
+from wasp_cli.store.packs import writable
 
 _PACKAGE = Path(__file__).parents[1]
 SUFFIX, FOLDER = ".yaml", "specs"
@@ -25,9 +26,13 @@ def specs_folder() -> Path:
 
 
 def published_folder() -> Path | None:
-    """Return where the published parts are, laid out as a results folder; None where the package came without them."""
+    """Return where the published parts are, laid out as a results folder; None where the package came without them.
+
+    Where nobody may write to the package they are copied, once.
+    """
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
-    return next((folder for folder in folders if (folder / "store").is_dir()), None)
+    folder = next((folder for folder in folders if (folder / "store").is_dir()), None)
+    return folder and writable(folder, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "wasp"))
 
 
 def shipped_names() -> list[str]:

@@ -8,7 +8,7 @@ results/
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
   runs/<run>/              spec.yaml spec.json plan.json order journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
-  published/               results that lie in git: store/ and reports/ as above, and nothing else
+  published/               results that lie in git: store/ and reports/ as above, packs/ that are unpacked to store/, and nothing else
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.errors import StoreError
+from wasp_cli.store.packs import unpack
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
@@ -29,9 +30,12 @@ SESSION_FILE = "_session.json"  # what only the cell of a person has, finished o
 
 @dataclass(frozen=True)
 class Layout:
-    """The paths below one results folder."""
+    """The paths below one results folder, of which what lies there in packs is unpacked now."""
 
     root: Path
+
+    def __post_init__(self) -> None:
+        unpack(self.root)
 
     @property
     def store(self) -> Path:

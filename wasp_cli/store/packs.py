@@ -1,0 +1,128 @@
+"""Packs: small artifacts of a published layer that lie in git as few compressed files, each written once.
+
+published/packs/<name>.tar.xz     <kind>/<key>/... of what was published together
+published/packs/.<name>.tar.xz    empty, and not in git: that pack was unpacked
+published/store/<kind>/<key>/     where it is unpacked to, and not in git
+
+Rows of 30 episodes are mostly descriptions of columns, the same in each file: together they take a sixth of the room. A pack is unpacked
+when a `Layout` of its folder is made; from then on the folder is like any other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import lzma
+import os
+import shutil
+import tarfile
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from wasp_cli.errors import ArtifactError, StoreError, described
+
+FOLDER, SUFFIX = "packs", ".tar.xz"
+KINDS = ("calibration", "counterfactual", "diagnostics", "evaluate")  # that go into packs: the others have weights, which nothing shrinks
+
+
+def unpack(root: Path) -> None:
+    """Unpack what a published folder has in packs and was not unpacked yet; what is there already stays.
+
+    Several processes may do so at once. Raises ArtifactError where a pack is damaged, StoreError where the folder cannot be written.
+    """
+    for pack in _waiting(root):
+        try:
+            with tempfile.TemporaryDirectory(dir=root / FOLDER, prefix=".unpacking-") as folder:
+                _extract(pack, Path(folder))
+                for unpacked in sorted(Path(folder).glob("*/*")):
+                    place = root / "store" / unpacked.relative_to(folder)
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    try:
+                        unpacked.rename(place)
+                    except OSError:
+                        if not place.is_dir():  # else it is there already, or another process was faster
+                            raise
+            _stamp(pack).touch()
+        except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
+            raise ArtifactError(f"'{pack}' is damaged: {described(error)}", "restore it, or remove it") from error
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise StoreError(f"cannot unpack '{pack}': {reason}", "copy its folder to where you can write") from error
+
+
+def _waiting(root: Path) -> list[Path]:
+    packs = sorted((root / FOLDER).glob(f"[!.]*{SUFFIX}"))
+    return [pack for pack in packs if not _stamp(pack).exists()]
+
+
+def _stamp(pack: Path) -> Path:
+    return pack.with_name(f".{pack.name}")
+
+
+def _extract(pack: Path, folder: Path) -> None:
+    with _archive(pack) as archive:
+        for member in archive:
+            parts, file = member.name.split("/"), archive.extractfile(member) if member.isfile() else None
+            if file is None or len(parts) < 3 or parts[0] not in KINDS or {"", ".", ".."} & set(parts):
+                raise ValueError(f"'{member.name}' is no file of an artifact")
+            path = folder.joinpath(*parts)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(file.read())
+
+
+def writable(root: Path, cache: Path) -> Path:
+    """Return a published folder whose packs can be unpacked: itself, or a copy in `cache` where it cannot be written."""
+    waiting = _waiting(root)
+    if not waiting or (os.access(root / FOLDER, os.W_OK) and os.access(root / "store", os.W_OK)):
+        return root
+    copy = cache / hashlib.sha256("".join(pack.name for pack in waiting).encode()).hexdigest()[:12]
+    if not copy.is_dir():
+        cache.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cache) as folder:
+            shutil.copytree(root, Path(folder, "copy"))
+            with suppress(OSError):  # another process was faster
+                Path(folder, "copy").rename(copy)
+    return copy
+
+
+def write_pack(root: Path, name: str) -> Path | None:
+    """Write what lies in the store of a published folder and in none of its packs to a new pack; None where there is nothing.
+
+    Its name ends with a digest of its bytes, so that no other pack ever has it.
+    """
+    store = root / "store"
+    packed = {store.joinpath(*member.split("/")[:2]) for pack in (root / FOLDER).glob(f"[!.]*{SUFFIX}") for member in _names(pack)}
+    new = [artifact for kind in KINDS for artifact in store.glob(f"{kind}/*") if artifact not in packed]
+    files = [path for artifact in new for path in artifact.rglob("*") if path.is_file() and not path.is_symlink()]
+    if not files:
+        return None
+    # Files of one name lie side by side: they have most bytes in common.
+    members = {path.relative_to(store).as_posix(): path.read_bytes() for path in sorted(files, key=lambda path: (path.name, path))}
+    data = lzma.compress(tar_of(members), preset=9 | lzma.PRESET_EXTREME)
+    pack = root / FOLDER / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}{SUFFIX}"
+    partial = pack.with_name(f"{_stamp(pack).name}-partial")
+    partial.write_bytes(data)
+    _stamp(pack).touch()
+    return partial.rename(pack)
+
+
+def _names(pack: Path) -> list[str]:
+    with _archive(pack) as archive:
+        return archive.getnames()
+
+
+def _archive(pack: Path) -> tarfile.TarFile:
+    return tarfile.open(fileobj=io.BytesIO(lzma.decompress(pack.read_bytes())))  # whole: its check sum is at the end
+
+
+def tar_of(members: Mapping[str, bytes]) -> bytes:
+    """Return an archive of files by name; the same files give the same bytes."""
+    raw = io.BytesIO()
+    with tarfile.open(fileobj=raw, mode="w") as archive:
+        for member, data in members.items():
+            entry = tarfile.TarInfo(member)
+            entry.size, entry.mode = len(data), 0o644
+            archive.addfile(entry, io.BytesIO(data))
+    return raw.getvalue()
