@@ -53,8 +53,14 @@ def unpack(root: Path) -> None:
 
 
 def _waiting(root: Path) -> list[Path]:
-    packs = sorted((root / FOLDER).glob(f"[!.]*{SUFFIX}"))
-    return [pack for pack in packs if not _stamp(pack).exists()]
+    return [pack for pack in _packs(root) if not _stamp(pack).exists()]
+
+
+def _packs(root: Path) -> list[Path]:
+    with suppress(OSError, ValueError):  # no folder, or no name of one: who reads it says so
+        names = sorted(name for name in os.listdir(root / FOLDER) if name.endswith(SUFFIX) and not name.startswith("."))
+        return [root / FOLDER / name for name in names]
+    return []
 
 
 def _stamp(pack: Path) -> Path:
@@ -93,7 +99,7 @@ def write_pack(root: Path, name: str) -> Path | None:
     Its name ends with a digest of its bytes, so that no other pack ever has it.
     """
     store = root / "store"
-    packed = {store.joinpath(*member.split("/")[:2]) for pack in (root / FOLDER).glob(f"[!.]*{SUFFIX}") for member in _names(pack)}
+    packed = {store.joinpath(*member.split("/")[:2]) for pack in _packs(root) for member in _names(pack)}
     new = [artifact for kind in KINDS for artifact in store.glob(f"{kind}/*") if artifact not in packed]
     files = [path for artifact in new for path in artifact.rglob("*") if path.is_file() and not path.is_symlink()]
     if not files:
