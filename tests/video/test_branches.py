@@ -10,7 +10,7 @@ from PIL import Image
 
 from tests.cells import Evaluated, evaluated
 from tests.video.test_video import source_of
-from wasp_cli.errors import TaskError, UsageError
+from wasp_cli.errors import TaskError
 from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
@@ -36,11 +36,8 @@ def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
     t = intervened(cell)
     found = pair(cell, t)
     for branch in branches(cell.rerun(), [[], [t], []], WINDOW, no_progress):
-        trace = found.traces[branch.name]
-        assert trace.cost == branch.cost.tolist()
-        assert trace.cost_env == branch.cost_env.tolist()
-        assert trace.reward == branch.reward.tolist()
-    assert found.traces[ASSISTED].reward != found.traces[ALONE].reward
+        np.testing.assert_equal(found.branches[branch.name]._asdict(), branch._asdict())
+    assert (found.branches[ASSISTED].reward != found.branches[ALONE].reward).any()
 
 
 def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> None:
@@ -58,8 +55,8 @@ def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> Non
 
 
 def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> None:
-    traces = pair(cell, intervened(cell, wanted=False)).traces
-    assert traces[ASSISTED] == traces[ALONE]
+    found = pair(cell, intervened(cell, wanted=False)).branches
+    np.testing.assert_equal(found[ASSISTED]._replace(name=ALONE)._asdict(), found[ALONE]._asdict())
 
 
 def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
@@ -74,8 +71,6 @@ def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
     assert np.abs(last - np.asarray(still.convert("RGB"))).mean() < 4
     video.seek(0)
     assert (np.asarray(video.convert("RGB")) != last).any()
-    with pytest.raises(UsageError, match="unsupported video format"):
-        found.film("title", [], tmp_path / "a.txt")
 
 
 def test_a_task_without_snapshots_says_so(inputs: Mapping[str, Path], tmp_path: Path) -> None:

@@ -19,13 +19,14 @@ from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain import LOOKS, Constants, Episode, read_episode
 from wasp_cli.report.figures import PALETTE
+from wasp_cli.stages.base import no_progress
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import film as video_file
 from wasp_cli.video.film import MEANT, film, palette_of, write
-from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, Timeline, film_episode
-from wasp_cli.video.map import COST, Pose, things_of
+from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, Painter, Timeline
+from wasp_cli.video.map import COST, poses_of, things_of
 from wasp_cli.video.trace import PARTS, PlayedEpisode, Source, displacements, fit, fit_within, integrated, play_episode
 
 EPISODE, HORIZON = 1, 4
@@ -42,7 +43,7 @@ def source_of(cell: Evaluated, **changes: Any) -> Source:
 
 def played(cell: Evaluated, shown: set[int], **changes: Any) -> PlayedEpisode:
     source = source_of(cell, **changes)
-    return play_episode(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, lambda share, text: None)
+    return play_episode(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, no_progress)
 
 
 def stored_of(cell: Evaluated, episode: int = EPISODE) -> Episode:
@@ -78,8 +79,7 @@ def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
     world.reset(recorded.layouts)
     poses = []
     for t in range(25):
-        made = [Pose(world.appearance(), world.scene(np.arange(3)), row) for row in range(3)]
-        poses.append([[*pose.at, np.arctan2(*pose.forward[::-1])] for pose in made])
+        poses.append(poses_of(world.appearance(), world.scene(np.arange(3))))
         world.step(np.stack([actions[t] for actions in recorded.a]))
     others = np.concatenate([displacements(np.array(poses)[:, row]) for row in (0, 2)])
     np.testing.assert_allclose(found.readout.offset, others.mean(0), rtol=1e-9)
@@ -91,9 +91,8 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
     assert any(each is not None for each in changed)
     path = tmp_path / "a.gif"
     shares: list[float] = []
-    made = film_episode(
-        source_of(cell), stored, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
-    )
+    painter = Painter(source_of(cell), stored, EPISODE, Correction(changed, "executed", False), HORIZON, 9, no_progress)
+    made = painter.film(path, lambda share, text: shares.append(share))
     video: Any = Image.open(path)
     assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
     assert video.size == (WIDTH, HEIGHT)
@@ -124,12 +123,10 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     cell = evaluated(inputs, tmp_path / "cell", task="FilmMeter-v0", episodes=2)
     stored = stored_of(cell, 1)
     source = source_of(cell)
-    found = play_episode(source, 1, [None] * stored.decisions, {0}, HORIZON, lambda share, text: None)
-    assert found.decisions[0].scene is None
-    assert (found.readout, found.appearance) == (None, None)
-    nothing = Correction([None] * stored.decisions, "", False)
-    made = film_episode(source, stored, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
-    assert made.frames == stored.decisions
+    painter = Painter(source, stored, 1, Correction([None] * stored.decisions, "", False), HORIZON, 1, no_progress)
+    assert painter.played.decisions[0].scene is None
+    assert (painter.played.readout, painter.played.appearance) == (None, None)
+    assert painter.film(tmp_path / "a.gif", no_progress).frames == stored.decisions
 
 
 def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:

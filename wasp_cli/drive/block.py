@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Clock, Decider, Desk, Frame, action_of
-from wasp_cli.drive.view import Futures, WorldView, camera_bytes
+from wasp_cli.drive.view import Futures, WorldView, camera_bytes, short
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
@@ -29,11 +29,11 @@ from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.plan.node import Cell
+from wasp_cli.report.explain import GATES
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import stick
 
-GATES = {0: "none", 1: "safety", 2: "task", 3: "method", GATE_LATE: "late"}
 ALONE = "human"  # the method without an assistant: nobody can be late
 PATIENCE = 1.0
 """Seconds after which an assistant is late. The world slows down meanwhile: an answer that was waited for and thrown away helps nobody."""
@@ -109,13 +109,10 @@ class Block:
         self._decider.close()
 
     @property
-    def answer_seconds(self) -> list[float]:
-        return [seconds for seconds, _, _ in self._decider.answers]
-
-    @property
-    def fired(self) -> list[tuple[float, bool]]:
+    def answers(self) -> list[tuple[float, bool, bool]]:
+        """Every answer: how many seconds it took, whether it was late, and whether a gate fired."""
         made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
-        return [(seconds, late) for seconds, late, record in made if record is not None and bool((record.gate != GATE_NONE).any())]
+        return [(seconds, late, record is not None and bool((record.gate != GATE_NONE).any())) for seconds, late, record in made]
 
     def hello(self) -> dict[str, Any]:
         return {
@@ -234,20 +231,12 @@ class _Running:
         self._filter.executed(decision.action)
         step = block.task.step(decision.action.cpu().numpy())
         self._keep(step, a_h, decision)
-        self.beats.append(
-            Beat(
-                at=begun - block._begun,
-                decision_ms=1000 * seconds,
-                late=late,
-                behind_ms=1000 * behind,
-                rest_ms=float("nan"),
-                input=held.number,
-                input_age_ms=1000 * (executed_at - held.at) if held.number else float("nan"),
-                round_trip_ms=1000 * block.desk.round_trip,
-                keys=" ".join(sorted(held.keys)),
-                focused=block.desk.focused,
-            )
-        )
+        age = executed_at - held.at if held.number else float("nan")
+        self.beats.append(Beat(
+            at=begun - block._begun, decision_ms=1000 * seconds, late=late, behind_ms=1000 * behind, rest_ms=float("nan"),
+            input=held.number, input_age_ms=1000 * age, round_trip_ms=1000 * block.desk.round_trip,
+            keys=" ".join(sorted(held.keys)), focused=block.desk.focused,
+        ))  # fmt: skip
         self._seen, before = step.observation, self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
         self.ended = bool(step.ended[0])
@@ -280,16 +269,13 @@ class _Running:
         header |= block._numbers(block.view, self.score, step)
         if a_h is not None and decision is not None:
             pushed = stick(block.task, a_h[0].cpu().numpy())
-            header["command"] = None if pushed is None else [round(float(x), 3) for x in pushed]
+            header["command"] = None if pushed is None else short(pushed)
             if "gate" in shown:
                 done = stick(block.task, decision.action[0].cpu().numpy())
                 gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
                 fired = "alone" if block.cell.method == ALONE else GATES.get(gate, "method")
-                header |= {
-                    "executed": None if done is None else [round(float(x), 3) for x in done],
-                    "gate": fired,
-                    "corrected": bool((decision.action != a_h).any()),
-                }
+                header |= {"executed": None if done is None else short(done), "gate": fired}
+                header["corrected"] = bool((decision.action != a_h).any())
         self.frames.append(header)
         block.desk.show(Frame(header, camera_bytes(self._seen) if "cameras" in shown else b""))
 

@@ -229,15 +229,16 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     assert isinstance(driven, Driven)
     beats, speed = driven.beats, session.how.speed
     fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
-    fired = [seconds for seconds, _ in block.fired]
+    seconds = [taken for taken, _, _ in block.answers]
+    fired, fired_late = [taken for taken, _, gate in block.answers if gate], [late for _, late, gate in block.answers if gate]
     between = [b.at - a.at for a, b in pairwise(beats)] or [block.period]
     return Timing(
         label=node.label, period_ms=1000 * block.period, decisions=len(beats), late_share=float(np.mean([beat.late for beat in beats])),
-        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]), input_ms=percentiles(fresh),
+        decision_ms=percentiles([1000 * taken for taken in seconds]), input_ms=percentiles(fresh),
         round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]), speed=speed,
-        recommended=recommended(block.answer_seconds, fired, driven, block.period, speed, between),
+        recommended=recommended(seconds, fired, driven, block.period, speed, between),
         pace=float(np.mean(between)) / block.period, fired=len(fired),
-        fired_late_share=float(np.mean([late for _, late in block.fired])) if fired else 0.0,
+        fired_late_share=float(np.mean(fired_late)) if fired else 0.0,
         fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
     )  # fmt: skip
 

@@ -27,9 +27,9 @@ from wasp_cli.tasks.base import Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.map import WIDEST, things_of
+from wasp_cli.video.map import WIDEST, cameras_of, poses_of, things_of
 from wasp_cli.video.replay import HORIZON
-from wasp_cli.video.trace import Readout, displacements, fit, following, imagine, integrated, poses_of, rollout_start
+from wasp_cli.video.trace import Readout, displacements, fit, following, imagine, integrated, rollout_start
 
 GROUND = 2048  # px of a side of the picture of the ground at most
 FINE = 0.02  # m of a pixel of it, where that is not too many
@@ -51,26 +51,20 @@ class WorldView:
         colours = dict(things_of(appearance))
         kinds = [
             {
-                "name": kind.name,
-                "colour": colours[kind.name],
-                "flat": kind.painted is not None,
+                "name": kind.name, "colour": colours[kind.name], "flat": kind.painted is not None,
                 "shapes": [_outline(s) for s in ((disc(kind.column[0]),) if kind.column is not None else shapes_of(kind.geoms))],
             }
             for kind in appearance.kinds
-        ]
-        robot = [outline for part in appearance.robot for outline in map(_outline, shapes_of(part.geom))]
+        ]  # fmt: skip
+        robot = {
+            "colour": colours.get("robot", "#c03030"), "front": round(float(np.arctan2(*appearance.forward[::-1])), 3),
+            "shapes": [outline for part in appearance.robot for outline in map(_outline, shapes_of(part.geom))],
+        }  # fmt: skip
         whole = appearance.map_half_side <= WIDEST
         return {
-            "half": min(appearance.map_half_side, WIDEST),
-            "centre": list(appearance.map_centre or (0.0, 0.0)) if whole else None,
-            "kinds": kinds,
-            "robot": {
-                "colour": colours.get("robot", "#c03030"),
-                "shapes": robot,
-                "front": round(float(np.arctan2(*appearance.forward[::-1])), 3),
-            },
-            "ground": self._ground(),
-        }
+            "half": min(appearance.map_half_side, WIDEST), "centre": list(appearance.map_centre or (0.0, 0.0)) if whole else None,
+            "kinds": kinds, "robot": robot, "ground": self._ground(),
+        }  # fmt: skip
 
     def _ground(self) -> dict[str, Any]:
         assert self._task is not None
@@ -90,35 +84,33 @@ class WorldView:
         if self._task is None:
             return {}
         appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
-        front = scene.rotation[0, :2, :2] @ np.array(appearance.forward)
-        at = scene.position[0, :2]
+        robot = poses_of(appearance, scene)[0]
         things: dict[str, list[list[float]]] = {}
         for name, of in scene.things.items():
             position, rotation = of.position[0, :, :2], of.rotation[0]
-            near = of.shown[0] & (np.abs(position - at).max(axis=1, initial=0.0) < 4 * WIDEST)  # enough for a map around the robot
+            near = of.shown[0] & (np.abs(position - robot[:2]).max(axis=1, initial=0.0) < 4 * WIDEST)  # enough for a map around the robot
             yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-            things[name] = [_short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
-        return {"robot": _short([*at, np.arctan2(front[1], front[0])]), "things": things}
+            things[name] = [short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
+        return {"robot": short(robot), "things": things}
 
 
 def _outline(shape: Shape) -> dict[str, Any]:
     return {
         "round": shape.round,
-        "centre": _short(shape.centre),
-        "half": _short(np.sqrt(shape.half.prod()) * np.ones(2) if shape.round else shape.half),
+        "centre": short(shape.centre),
+        "half": short(np.sqrt(shape.half.prod()) * np.ones(2) if shape.round else shape.half),
         "angle": round(float(np.arctan2(shape.axes[0, 1], shape.axes[0, 0])), 3),
     }
 
 
-def _short(values: Any) -> list[float]:
+def short(values: Any) -> list[float]:
     return [round(float(value), 3) for value in values]
 
 
 def camera_bytes(observation: Observation) -> bytes:
     """Return the cameras of the first row as RGB, one below the other: [cameras * 64, 64, 3] uint8."""
     assert observation.pixels is not None
-    images = observation.pixels[0].reshape(-1, 3, *observation.pixels.shape[-2:])
-    return np.ascontiguousarray(np.moveaxis(images, 1, -1)).tobytes()
+    return cameras_of(observation.pixels[0]).tobytes()
 
 
 WORLDS, DECISIONS = 6, 50  # of the expert's drive from which displacements are read out of latents

@@ -8,20 +8,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wasp_cli.learning.counterfactual import branches
+from wasp_cli.learning.counterfactual import Branch, branches
 from wasp_cli.learning.rerun import Rerun
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
-from wasp_cli.video.film import STILL, checked, write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions, font
+from wasp_cli.video.film import STILL, write
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, along, cameras_of, draw_actions, font, poses_of
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
@@ -31,14 +31,6 @@ MS, LAST_MS = 320, 2500  # how long a frame is shown, and the last one
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
 _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
 _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
-
-
-class BranchTrace(NamedTuple):
-    """What a branch was; w decisions."""
-
-    cost: list[bool]  # [w] c_t
-    cost_env: list[int]  # [w]
-    reward: list[float]  # [w]
 
 
 @dataclass
@@ -87,14 +79,11 @@ class BranchPair:
             played = branches(rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress)
         self.world, self.t, self.window = world, t, window
         self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
-        self.traces: Mapping[str, BranchTrace] = {
-            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in played
-        }
+        self.branches: Mapping[str, Branch] = {branch.name: branch for branch in played}
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
-        checked(out, STILL)
-        last = max(len(trace.cost) for trace in self.traces.values())
+        last = max(len(branch.cost) for branch in self.branches.values())
         if out.suffix.lower() in STILL:
             self._frame(last, title, verdict).save(out, format="PNG")
             return
@@ -113,7 +102,7 @@ class BranchPair:
             draw.rectangle((x, HEADER + 4, x + 10, HEADER + 14), _COLOURS[name])
             draw.text((x + 16, HEADER + 1), f"{_NAMES[name]}: ({action}), then the operator", _INK, font(12))
             image.paste(self._state(name, step), (x, HEADER + TITLE))
-            self._bars(draw, x, HEADER + TITLE + MAP + 6, self.traces[name], step)
+            self._bars(draw, x, HEADER + TITLE + MAP + 6, self.branches[name], step)
         for row, line in enumerate(verdict):
             draw.text((GAP, HEADER + TITLE + MAP + BARS + 20 * row), line, _INK, font(13))
         return image
@@ -122,32 +111,30 @@ class BranchPair:
         states = self._states[name]
         now = min(step, len(states.actions))
         if self.appearance is None:
-            front = np.ascontiguousarray(np.moveaxis(states.pixels[now][:3], 0, -1))
-            return Image.fromarray(front).resize((MAP, MAP), Image.Resampling.BICUBIC)
+            return Image.fromarray(cameras_of(states.pixels[now])[0]).resize((MAP, MAP), Image.Resampling.BICUBIC)
         paths = {branch: along([scene.position[0, :2] for scene in passed.scenes]) for branch, passed in self._states.items()}
         picture = MapPicture.of(self.appearance, states.scenes[now], MAP, *_window(list(paths.values())))
         other = ALONE if name == ASSISTED else ASSISTED
         picture.line(paths[other][: step + 1], _COLOURS[other] + "60", 2.0)
         picture.line(paths[name][: now + 1], "#FFFFFFB0", 5.0)
         picture.line(paths[name][: now + 1], _COLOURS[name], 2.6)
-        paid = np.flatnonzero(self.traces[name].cost[:now])
+        paid = np.flatnonzero(self.branches[name].cost[:now])
         picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
         if now < len(states.actions):
-            action, pose = states.actions[now], Pose(self.appearance, states.scenes[now])
+            action, pose = states.actions[now], poses_of(self.appearance, states.scenes[now])[0]
             draw_actions(picture, self.world, pose, action if name == ALONE or now else self._states[ALONE].actions[0], action, 4)
         return picture.finished()
 
-    def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, trace: BranchTrace, step: int) -> None:
+    def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, branch: Branch, step: int) -> None:
         """A box per decision, filled where cost was paid, and the sums so far."""
         side = MAP / self.window
         for w in range(self.window):
-            paid = w < min(step, len(trace.cost)) and trace.cost[w]
-            past = _PAPER if w < len(trace.cost) else _GREY
+            paid = w < min(step, len(branch.cost)) and branch.cost[w]
+            past = _PAPER if w < len(branch.cost) else _GREY
             fill = COST if paid else past if w < step else _NOTHING
             draw.rectangle((x + w * side, y, x + (w + 1) * side - 3, y + 14), fill, _GREY)
-        so_far = min(step, len(trace.cost))
-        ended = "   (the episode has ended)" if len(trace.cost) <= step and len(trace.cost) < self.window else ""
-        costs, rewards = sum(trace.cost[:so_far]), sum(trace.reward[:so_far])
+        ended = "   (the episode has ended)" if len(branch.cost) <= step and len(branch.cost) < self.window else ""
+        costs, rewards = branch.cost[:step].sum(), branch.reward[:step].sum()
         draw.text((x, y + 22), f"costly decisions {costs}    reward {rewards:+.3f}{ended}", _INK, font(13))
 
 

@@ -21,7 +21,7 @@ from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapView, Pose, along, draw_actions, things_of
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapView, along, cameras_of, draw_actions, poses_of, things_of
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
 STILL = (".png",)  # endings of a still picture, where there may be one: an animated PNG is then called .apng
@@ -137,7 +137,7 @@ def film(
             picture.trail(along(positions), size / 160)
             picture.dots(along(paid), COST, size / 90)
             if played.t < len(a):
-                draw_actions(picture, made, Pose(made.appearance(), scene), a_h[played.t], a[played.t], size / 70)
+                draw_actions(picture, made, poses_of(made.appearance(), scene)[0], a_h[played.t], a[played.t], size / 70)
             if costly:
                 picture.edge(COST, size / 50)
             frame = np.asarray(picture.finished())
@@ -151,10 +151,8 @@ def film(
 
 
 def _seen(played: Played) -> Pixels:
-    """Images of three channels each, [cameras, side, side, 3]: they lie behind one another in the channels of the observation."""
-    pixels = played.observation.pixels
-    assert pixels is not None
-    return np.ascontiguousarray(np.moveaxis(pixels[0].reshape(-1, 3, *pixels.shape[2:]), 1, -1))
+    assert played.observation.pixels is not None
+    return cameras_of(played.observation.pixels[0])
 
 
 def sprite_of(

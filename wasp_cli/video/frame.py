@@ -20,9 +20,9 @@ from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, s
 from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
-from wasp_cli.video.film import checked, write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
-from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, PlayedEpisode, Progress, Source
+from wasp_cli.video.film import write
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, cameras_of, draw_actions, font, things_of
+from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
@@ -37,7 +37,6 @@ SLOWER = 2.0  # how much slower than real time a video is: there is much to see 
 LAST_MS = 2000  # how long the last frame stays
 ROWS_APART = 6  # in px: between the rows of the timeline
 _SIDES = (88, 14)  # in px: left and right of it
-_PLAYED = 0.3  # share of the time that playing the cell takes
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
 MOVES = ("forward", "left", "turn")  # what a readout explains
@@ -55,14 +54,36 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
-        self.played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
+    def __init__(
+        self, source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, progress: Progress
+    ) -> None:
+        """Play a cell again; a frame shows a decision of one of its rows, every `every`-th one and the last."""
+        shown = {*range(0, stored.decisions, every), stored.decisions - 1}
+        self.played = trace.play_episode(source, episode, correction.residuals, shown, horizon, progress)
+        self._stored, self._horizon, self._correction = stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
         self._view, self._next = self._fresh_view(), 0
 
     def _fresh_view(self) -> MapView | None:
         return None if self.played.appearance is None else MapView(self.played.appearance, MAP)
+
+    def film(self, out: Path, progress: Progress) -> WrittenVideo:
+        """Write all frames as a video."""
+        decisions = [decision.start.t for decision in self.played.decisions]
+        times = [round(1000 * SLOWER * seconds_of(self._stored) * (after - t)) for t, after in pairwise(decisions)]
+        count = len(decisions)
+        with trace.threads_of_evaluations():
+            write(out, count, self.frame, [*times, LAST_MS], lambda index: progress(index / count, f"frame {index + 1} of {count}"))
+        explained = dict(zip(MOVES, self.played.explained.tolist(), strict=True))
+        return WrittenVideo(count, None if self.played.readout is None else explained)
+
+    def frames(self) -> Iterator[Pixels]:
+        """Draw all frames, uint8 [HEIGHT, WIDTH, 3] each."""
+        for index in range(len(self.played.decisions)):
+            with trace.threads_of_evaluations():
+                frame = np.asarray(self.frame(index))
+            yield frame
 
     def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
@@ -102,8 +123,7 @@ class Painter:
         picture = self._view.picture(decision.scene)
         picture.trail(self.played.places[: t + 1], 1.2)
         picture.dots(self.played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
-        pose = Pose(self.played.appearance, decision.scene)
-        draw_actions(picture, self.played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
+        draw_actions(picture, self.played.world, decision.pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
         self._futures(picture, decision.pose, imagined)
         if self._stored.costly[t]:
             picture.edge(COST, 4)
@@ -176,50 +196,16 @@ def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colo
 
 
 def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
-    shown = Image.fromarray(np.ascontiguousarray(np.moveaxis(images[3 * camera : 3 * camera + 3], 0, -1)))
-    return shown.resize((side, side), Image.Resampling.BICUBIC)
+    return Image.fromarray(cameras_of(images)[camera]).resize((side, side), Image.Resampling.BICUBIC)
 
 
 def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
     return (image * 255).round().clip(0, 255).astype(np.uint8)
 
 
-def film_episode(
-    source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
-) -> WrittenVideo:
-    """Play a cell again and write the video of one of its rows: a frame at every `every`-th decision, and at the last."""
-    checked(out)
-    shown = decisions_shown(stored, every)
-    played = trace.play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
-    painter = Painter(played, stored, horizon, correction)
-
-    def painted(index: int) -> None:
-        progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
-
-    times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
-    with trace.threads_of_evaluations():
-        write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
-    return WrittenVideo(len(shown), None if played.readout is None else dict(zip(MOVES, played.explained.tolist(), strict=True)))
-
-
 def seconds_of(stored: Episode) -> float:
     """Return the simulated time of a decision; where nothing says it, something that can be watched."""
     return stored.constants.decision_seconds or 0.1
-
-
-def decisions_shown(stored: Episode, every: int) -> list[int]:
-    return sorted({*range(0, stored.decisions, every), stored.decisions - 1})
-
-
-def frames_of(source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
-    """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
-    shown = decisions_shown(stored, every)
-    played = trace.play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
-    painter = Painter(played, stored, horizon, correction)
-    for index in range(len(shown)):
-        with trace.threads_of_evaluations():
-            frame = np.asarray(painter.frame(index))
-        yield frame
 
 
 class Timeline:

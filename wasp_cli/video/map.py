@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.make import require_mujoco
 
@@ -64,14 +64,10 @@ def legend_of(things: Sequence[tuple[str, str]]) -> tuple[tuple[str, str, str], 
 SEEN = "The map is drawn for people. The assistant never sees it: it gets what the robot's own cameras see, here at the right."
 
 
-class Pose:
-    """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
-
-    def __init__(self, appearance: Appearance, scene: Scene, row: int = 0) -> None:
-        forward = (scene.rotation[row] @ np.array([*appearance.forward, 0.0]))[:2]
-        self.at = scene.position[row, :2].copy()
-        self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
-        self.left = np.array([-self.forward[1], self.forward[0]])
+def poses_of(appearance: Appearance, scene: Scene) -> Floats:
+    """Return x, y and yaw of the robots' fronts, [B, 3]."""
+    front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
+    return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 
 
 class MapView:
@@ -130,11 +126,12 @@ class MapPicture:
         for x, y in self._pixels(places):
             self._draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, edge, _SMOOTH)
 
-    def arrow(self, pose: Pose, push: Floats, colour: str, width: float, reach: float = REACH) -> None:
-        """Draw an action as (forward, left) [2] at a robot: along its nose what drives, to the side what turns."""
-        pushed = reach * (push[0] * pose.forward + push[1] * pose.left)
+    def arrow(self, pose: Floats, push: Floats, colour: str, width: float, reach: float = REACH) -> None:
+        """Draw an action as (forward, left) [2] at a robot, (x, y, yaw) [3]: along its nose what drives, to the side what turns."""
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        pushed = reach * np.array([push[0] * cos - push[1] * sin, push[0] * sin + push[1] * cos])
         # It begins beside the robot, which would else lie under it.
-        start = pose.at + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
+        start = pose[:2] + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
         (x0, y0), (x1, y1) = self._pixels(np.stack([start, start + self._half * pushed]))
         length = float(np.hypot(x1 - x0, y1 - y0))
         if length < _SMOOTH:
@@ -157,17 +154,19 @@ class MapPicture:
         return self._image.reduce(_SMOOTH)
 
 
-def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: Floats, width: float, reach: float = REACH) -> None:
-    """Draw the command [A] and, where it was changed, what was executed [A], as arrows.
-
-    Draws nothing of a task that does not say how it is driven.
-    """
+def draw_actions(picture: MapPicture, task: object, pose: Floats, a_h: Floats, a: Floats, width: float, reach: float = REACH) -> None:
+    """Draw the command [A] and, where it was changed, what was executed [A], as arrows; nothing where `stick` is None."""
     command, executed = stick(task, a_h), stick(task, a)
     if command is None or executed is None:
         return
     picture.arrow(pose, command, COMMAND, width, reach)
     if not np.array_equal(a_h, a):
         picture.arrow(pose, executed, EXECUTED, width, reach)
+
+
+def cameras_of(pixels: Pixels) -> Pixels:
+    """Turn what cameras see, one behind the other in the channels [3 * cameras, side, side], into images [cameras, side, side, 3]."""
+    return np.ascontiguousarray(np.moveaxis(pixels.reshape(-1, 3, *pixels.shape[1:]), 1, -1))
 
 
 def along(places: Sequence[Floats]) -> Floats:

@@ -27,17 +27,18 @@ from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout, is_key, slug
+from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
 
 if TYPE_CHECKING:
     from wasp_cli.learning.rerun import Recorded
-    from wasp_cli.video.frame import Correction, WrittenVideo
+    from wasp_cli.video.frame import Correction, Painter, WrittenVideo
     from wasp_cli.video.trace import Progress, Source
 
 HORIZON = 15  # imagined steps of a method that has no horizon of its own: the paper's H
+PLAYED = 0.3  # share of the time that playing the cell takes
 FRAMES = 125  # of a video for which nothing else is said: some megabytes
 MODELS = ("world_model", "policies")  # kinds of the artifacts that a cell is played again with
 EXPERT = "expert"  # is read by cells of tasks whose operators know more than assistants perceive
@@ -52,25 +53,25 @@ def replay(
     An ArtifactError where a model is missing or damaged, or where the cell that is played again is not the recorded one.
     """
     from wasp_cli.video.film import checked
-    from wasp_cli.video.frame import film_episode
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    return path, film_episode(*_drawn(layout, cell, stored, every), path, progress)
+    painter = _painter(layout, cell, stored, every, lambda share, text: progress(PLAYED * share, text))
+    return path, painter.film(path, lambda share, text: progress(PLAYED + (1 - PLAYED) * share, text))
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
     """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
-    from wasp_cli.video.frame import frames_of
-
-    yield from frames_of(*_drawn(layout, cell, read_episode(cell, episode), every))
+    yield from _painter(layout, cell, read_episode(cell, episode), every, lambda share, text: None).frames()
 
 
-def _drawn(layout: Layout, cell: FoundCell, stored: Episode, every: int | None) -> tuple[Source, Episode, int, Correction, int, int]:
+def _painter(layout: Layout, cell: FoundCell, stored: Episode, every: int | None, progress: Progress) -> Painter:
+    from wasp_cli.video.frame import Painter
+
     episode = int(stored.row["episode"])
     source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
-    return source, stored, episode - source.first, correction(stored), horizon, every
+    return Painter(source, stored, episode - source.first, correction(stored), horizon, every, progress)
 
 
 def default_name(stored: Episode, ending: str) -> Path:
@@ -106,14 +107,10 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     threads = cell.setting("provenance", "threads")
     clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
-        **known, recorded=recorded if alone else recorded.of(range(first, first + size)), first=first,
-        world_model=world_model,
-        policies=policies,
-        expert=expert,
-        threads=threads if isinstance(threads, int) and threads > 0 else 1,
+        **known, recorded=recorded if alone else recorded.of(range(first, first + size)), first=first, alone=alone,
+        world_model=world_model, policies=policies, expert=expert, expert_goes_on=imagines_expert(cell),
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
-        alone=alone,
-        expert_goes_on=imagines_expert(cell),
+        threads=threads if isinstance(threads, int) and threads > 0 else 1,
     )  # fmt: skip
 
 
@@ -217,7 +214,9 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     criterion = criterion_of(layout, cell)
     source = source_of(layout, cell, episode)
     pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
-    verdict = judge(stored, step, criterion, {name: trace._asdict() for name, trace in pair.traces.items()})
+    parts = ("cost", "cost_env", "reward")
+    traces = {name: {part: getattr(branch, part).tolist() for part in parts} for name, branch in pair.branches.items()}
+    verdict = judge(stored, step, criterion, traces)
     pair.film(f"{stored.title}, decision {step}", verdict.lines(), path)
     return path, verdict
 
@@ -228,7 +227,7 @@ def plays_on(cell: FoundCell) -> bool:
 
 
 def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, dict[str, list[Any]]]) -> Verdict:
-    """Judge one decision by Eq. 19-21; `traces` are by branch lists of at most W values by name, as `branches.BranchTrace`."""
+    """Judge one decision by Eq. 19-21; `traces` are by branch lists of at most W values by name, as in `learning.counterfactual.Branch`."""
 
     def row(branch: str, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
         # As rows of branches store it: float32; what comes after the end of an episode counts as 0.
@@ -251,7 +250,7 @@ def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, di
 
 def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
     """Take W and tau_R of a cell's own branches; else of its calibration; else the paper's W and no tau_R."""
-    for key in sorted(filter(is_key, stored_keys(layout, COUNTERFACTUAL))) if cell.key else ():
+    for key in sorted(stored_keys(layout, COUNTERFACTUAL)) if cell.key else ():
         with suppress(WaspError):
             if cell.key in mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream")).values():
                 path = layout.within(layout.artifact(COUNTERFACTUAL, key) / BRANCHES_FILE)

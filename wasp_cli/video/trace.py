@@ -38,6 +38,7 @@ from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.frames import wrapped
 from wasp_cli.tasks.make import make_task
+from wasp_cli.video.map import poses_of
 
 ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
 STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)  # of the penalty; the best one on episodes that were left out is taken
@@ -326,12 +327,6 @@ def play_episode(
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
     return PlayedEpisode(model, world, appearance, decisions, places, readout, explained)
-
-
-def poses_of(appearance: Appearance, scene: Scene) -> Floats:
-    """Return x, y and yaw of the robots' fronts, [B, 3]."""
-    front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
-    return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 
 
 def _read_out(
