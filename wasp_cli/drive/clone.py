@@ -40,7 +40,7 @@ from wasp_cli.seeds import derive
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store import lock
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys
-from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file
@@ -143,7 +143,7 @@ def _require_unused(layout: Layout, node: Node) -> None:
     using = [
         str(manifest.get("label"))
         for kind in ("evaluate", "counterfactual", CLONE)
-        for key in sorted(filter(is_key, stored_keys(layout, kind)))
+        for key in sorted(stored_keys(layout, kind))
         if node.key in (manifest := read_manifest(layout, kind, key)).get("upstream", {}).values()
     ]
     if using:

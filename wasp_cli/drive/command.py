@@ -6,15 +6,13 @@ import asyncio
 import shutil
 import threading
 import time
-import webbrowser
 from collections import defaultdict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wasp_cli.console import count_table, plain, say
+from wasp_cli.console import count_table, say
 from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
@@ -31,8 +29,8 @@ from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
-from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
-from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys, stored_kinds
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.reached import reached
@@ -163,16 +161,12 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
 
     clock = threading.Thread(target=lead, daemon=True, name="clock")
     clock.start()
-    say(f"drive here: {server.address}")
-    if scripted is None:
-        plain(f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there")
     interrupted = False
     try:
-        if scripted is not None:
+        if scripted is None:
+            server.announce("drive", server.address, opened=open_browser)
+        else:
             asyncio.run(drive(server.address, scripted.keys, scripted.answers))
-        elif open_browser:
-            with suppress(webbrowser.Error):
-                webbrowser.open(server.address)
         while clock.is_alive():
             clock.join(0.2)
     except KeyboardInterrupt:
@@ -216,27 +210,20 @@ def withdrawn(wanted: Wanted) -> int:
     unfinished = [folder for folder, told in sessions if told.get("number") == number and told.get("task") in spec.tasks]
     if any(is_held(layout.lock(folder.name)) for folder in unfinished):
         raise UsageError(f"participant {number} is driving now", "end that session, then withdraw")
-    stored = [
-        (kind.name, key, read_manifest(layout, kind.name, key))
-        for kind in sorted(layout.store.glob("*/"))
-        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
-    ]
+    stored = [(kind, key, read_manifest(layout, kind, key)) for kind in stored_kinds(layout) for key in sorted(stored_keys(layout, kind))]
     own = [key for _, key, manifest in stored if driven_by(manifest, number) and manifest.get("task") in spec.tasks]
     of_them = reached(own, lambda read: [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()])
-    left = [(kind, key, str(manifest.get("label"))) for kind, key, manifest in stored if key in of_them]
-    gone = 0
+    left = [(kind, key, manifest.get("label")) for kind, key, manifest in stored if key in of_them]
     for kind, key, label in sorted(left, key=lambda artifact: artifact[1] not in own):
         discard(layout.artifact(kind, key))
         # Films that `wasp view` has drawn of it.
         for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
             shutil.rmtree(film, ignore_errors=True)
-        gone += 1
         say(f"{label}: deleted ({key})")
     for folder in unfinished:
         shutil.rmtree(folder)
-        gone += 1
         say(f"{folder.name}: an unfinished session, deleted")
-    if gone:
+    if gone := len(left) + len(unfinished):
         results = f"{gone} result{'' if gone == 1 else 's'} deleted"
         say(f"participant {number} has withdrawn: {results}; reports made before still hold their numbers")
     else:

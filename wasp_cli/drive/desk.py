@@ -63,8 +63,7 @@ class Desk:
         self._latest: Frame | None = None
         self._messages: deque[Mapping[str, Any]] = deque(maxlen=200)
         self._state: Mapping[str, Any] = {"phase": "starting"}
-        self._drivers = 0
-        self.focused = False
+        self.present = self.focused = False
         self.lost, self.blurred = 0, 0  # how often the connection broke, and the window lost the focus, while someone drove
         self._sent: dict[int, float] = {}
         self._free = True
@@ -118,18 +117,14 @@ class Desk:
             self._lock.wait_for(lambda: self._answers is not None or self._request == END)
             return self._answers
 
-    @property
-    def present(self) -> bool:
-        return self._drivers > 0
-
     # The socket's side.
 
     def come(self) -> bool:
         """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
         with self._lock:
-            if self._drivers:
+            if self.present:
                 return False
-            self._drivers, self._free, self.focused = 1, True, True
+            self.present = self._free = self.focused = True
             self._sent.clear()
             self._messages.clear()
             self._messages.extend(([] if self._world is None else [self._world]) + [{"type": "state", **self._state}])
@@ -138,7 +133,7 @@ class Desk:
 
     def leave(self) -> None:
         with self._lock:
-            self._drivers, self.focused = 0, False
+            self.present = self.focused = False
             self.lost += self._state.get("phase") == "driving"
         self._release()
 

@@ -151,15 +151,11 @@ class Server(LocalServer):
             if count > MOST:
                 await ws.close(TOO_MUCH, "too many messages")
                 return
-            text = received.get("text")
             try:
-                if text is None or len(text) > LONGEST:
-                    raise ValueError("not a text")
-                message = MESSAGE.validate_json(text)
-            except (ValidationError, ValueError):
+                self._take(MESSAGE.validate_json(received.get("text") or ""))  # no longer than LONGEST: see above
+            except ValidationError:
                 await ws.close(TOO_MUCH, "a message that the page does not send")
                 return
-            self._take(message)
 
     def _take(self, message: Any) -> None:
         desk = self.desk

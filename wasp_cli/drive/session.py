@@ -45,7 +45,7 @@ from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys, write_record
-from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
@@ -286,7 +286,7 @@ def driven_by(manifest: Mapping[str, Any], participant: int | None) -> bool:
 
 def driven(layout: Layout, participant: int | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield key and manifest of what a participant, or anybody, drove."""
-    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
+    for key in sorted(stored_keys(layout, "evaluate")):
         manifest = read_manifest(layout, "evaluate", key)
         if driven_by(manifest, participant):
             yield key, manifest
@@ -327,8 +327,7 @@ class CellRecord:
                 shutil.copyfile(begun / name, self._folder / name)
         earlier = self._earlier()
         self.finished = 0 if earlier is None else len(earlier.episodes)
-        self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
-        self._session |= facts
+        self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []}), **facts}
         how = {name: facts[name] for name in ("speed", "shown") if name in facts}  # a later sitting may have another speed
         self._session["sittings"].append({"begun": _now(), "first_episode": self.finished, **how})
         self.note()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from rich.console import Console
 from rich.style import Style
 from rich.text import Text
@@ -29,9 +29,6 @@ from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import Criterion, Verdict, judge, plays_on
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
 from wasp_cli.view.site import Site
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 WIDTH = 74  # columns of an explanation
 KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
@@ -63,31 +60,25 @@ def episode_view(
 ) -> dict[str, Any]:
     from wasp_cli.video.map import SEEN
 
-    number, branches, problem, live, film = int(stored.row["episode"]), None, "", site.links.live, film or {}
-    try:
-        branches = branches_of(site.layout, cell)
-    except StoreError as error:
-        problem = error.message
+    number, live, film = int(stored.row["episode"]), site.links.live, film or {}
+    branches, problem = branches_of(site.layout, cell)
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
     return {
         "label": cell.label, "number": number, "decisions": stored.decisions, "step": first, "lanes": timeline(stored),
         "stops": stops(stored), "branched": [] if branches is None else branches.t[branches.episode == number].tolist(),
-        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN, "part": step_part(site, cell, stored, first),
+        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN,
+        "part": step_part(site, cell, stored, first, branches),
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
-        "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
+        "every": [] if live else [step_part(site, cell, stored, t, branches) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
         "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)},
         "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "legend")},
     }  # fmt: skip
 
 
-def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Markup:
-    from markupsafe import Markup
-
+def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None) -> Markup:
     stored.require(step)
-    verdict = None
-    with suppress(StoreError):  # the page has said it
-        verdict = verdict_of(stored, branches_of(site.layout, cell), step)
+    verdict = verdict_of(stored, branches, step)
     drawn = verdict is not None and site.links.live and plays_on(stored.cell) and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
     return Markup(site.render("step.html", "", words=as_html(decision_lines(stored, step, WIDTH)), verdict=verdict, film=film))
@@ -95,14 +86,10 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int) -> Marku
 
 def load(cell: FoundCell, number: int) -> Episode:
     try:
-        return _load(cell.path, cell.key, number, _stamp(cell.path))
+        state = cell.path.stat()
+        return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
     except FileNotFoundError as error:
         raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    state = path.stat()
-    return state.st_mtime_ns, state.st_size
 
 
 @lru_cache(KEPT)
@@ -115,17 +102,16 @@ def stops(stored: Episode) -> list[int]:
     return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
-def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
-    if cell.branches is None:
-        return None
-    path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
-    return _branches(path, _stamp(path)) if path.is_file() else None
-
-
-@lru_cache(KEPT)
-def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
-    with odd_tables_refused(path):
-        return read_branches(path)
+def branches_of(layout: Layout, cell: ListedCell) -> tuple[Branches | None, str]:
+    """Return the branches of a cell where it has some, and what is wrong with them."""
+    try:
+        path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE) if cell.branches else None
+        if path is None or not path.is_file():
+            return None, ""
+        with odd_tables_refused(path):
+            return read_branches(path), ""
+    except StoreError as error:
+        return None, error.message
 
 
 def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict | None:
@@ -143,8 +129,6 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
-    from markupsafe import Markup
-
     console, span = Console(), Markup('<span class="{}">{}</span>')
 
     def piece(text: str, style: Style | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import math
 import os
 import shutil
@@ -19,15 +18,16 @@ from typing import Any
 
 from PIL import Image
 
-from wasp_cli.errors import StoreError, UsageError, WaspError, described
+from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError, described
 from wasp_cli.report.explain import Episode, read_episode
+from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held, is_held
-from wasp_cli.store.plain import open_plain, parse, read_plain
+from wasp_cli.store.plain import open_plain, read_plain
 from wasp_cli.tasks.registry import TASKS
 
-FOLDER = ".wasp-view"
+FOLDER, STATE = ".wasp-view", "film.json"
 FILM, REPLAY, BRANCHES = "film", "replay", "branches"
 """From the physics alone; with cameras and imagined futures; both branches of one decision."""
 KINDS = (FILM, REPLAY, BRANCHES)
@@ -110,10 +110,9 @@ class Films:
             return record or {**NOTHING, "state": "drawing"}
         if process is None:
             return {**NOTHING, "state": "absent"}  # also of a server that was killed
-        try:
+        lines: list[str] = []
+        with suppress(OSError, ValueError):
             lines = [line for line in read_plain(folder / "log").splitlines() if line.strip()]
-        except (OSError, ValueError):
-            lines = []
         return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({process.poll()})"}
 
     def _make_room(self) -> None:
@@ -139,17 +138,10 @@ def frame_name(number: int) -> str:
 
 def read_state(folder: Path) -> dict[str, Any] | None:
     """Return what the drawing process says; None before it has said anything, or where that does not read."""
-    try:
-        record = parse(read_plain(folder / "film.json"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) and isinstance(record.get("state"), str) else None
-
-
-def _write_state(folder: Path, record: dict[str, Any]) -> None:
-    part = folder / "film.json.part"
-    part.write_text(json.dumps(record), encoding="utf-8")
-    part.replace(folder / "film.json")  # readers see the old words or the new ones
+    with suppress(ArtifactError):
+        record = read_record(folder / STATE)
+        return record if record is not None and isinstance(record.get("state"), str) else None
+    return None
 
 
 def _name(key: str, episode: int, kind: str, step: int) -> str:
@@ -201,7 +193,7 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
         from wasp_cli.video.replay import replay_step
 
         def tell(share: float, text: str) -> None:
-            _write_state(folder, {**state, "share": round(share, 3), "text": text})
+            write_record(folder / STATE, {**state, "share": round(share, 3), "text": text})
 
         replay_step(layout, cell, episode, step, folder / frame_name(0), tell)
         return {**state, "state": "done", "ready": 1, "frames": 1}
@@ -210,17 +202,16 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
         from wasp_cli.video.replay import replay_frames
 
         state["every"] = every or math.ceil(stored.decisions / REPLAYED)
-        state["frames"] = math.ceil(stored.decisions / state["every"])
         images = ((Image.fromarray(frame), ()) for frame in replay_frames(layout, cell, episode, state["every"]))
     else:
-        state["frames"] = math.ceil(stored.decisions / state["every"]) + 1
         images = _film_frames(stored, state["every"])
+    state["frames"] = math.ceil(stored.decisions / state["every"]) + (kind == FILM)  # which also shows where the last decision led
     for number, (image, legend) in enumerate(images):
         part = folder / "frame.part"
         image.save(part, format="WEBP", quality=QUALITY, method=2)
         part.replace(folder / frame_name(number))
         state |= {"ready": number + 1, "legend": legend}
-        _write_state(folder, state)
+        write_record(folder / STATE, state)
     return {**state, "state": "done", "frames": state["ready"]}
 
 
@@ -234,4 +225,4 @@ def main(results: str, key: str, episode: str, kind: str, step: str, target: str
     except Exception as error:
         print(traceback.format_exc())
         state = {**NOTHING, "state": "failed", "problem": described(error)[:300]}
-    _write_state(folder, state)
+    write_record(folder / STATE, state)

@@ -12,6 +12,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
@@ -263,9 +265,7 @@ def run_page(site: Site, run_id: str) -> str:
     return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id))
 
 
-def run_now(site: Site, run_id: str) -> Any:
-    from markupsafe import Markup
-
+def run_now(site: Site, run_id: str) -> Markup:
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
     counts = {"done": state.done + state.shared, "running": state.running, "failed": len(state.failed)}
@@ -292,8 +292,8 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
     return stages
 
 
-def log_text(site: Site, run_id: str, key: str) -> str:
-    log = find_log(site.layout, [named_run(runs_of(site), run_id)], key)
+def log_text(site: Site, run: str, key: str) -> str:
+    log = find_log(site.layout, [named_run(runs_of(site), run)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:
             file.seek(max(file.seek(0, 2) - TAIL, 0))

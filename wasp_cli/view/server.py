@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 import traceback
-import webbrowser
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -36,15 +35,11 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.tables import cell_file
 from wasp_cli.view import pages
-from wasp_cli.view.episode import episode_page, load, step_part
+from wasp_cli.view.episode import branches_of, episode_page, load, step_part
 from wasp_cli.view.films import FILM, KINDS, Films, drawing, problem_of, read_state
 from wasp_cli.view.site import REPORT, Links, Site
-from wasp_cli.web import LocalServer, local, own_origin, page
+from wasp_cli.web import REFERRER, LocalServer, local, own_origin, page
 
-POLICY = (  # what a page may load: nothing but from this server. It has no form to send.
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'"
-)
 STRANGER = (  # a report: no origin of its own, so no cookie, and nothing to load
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "frame-ancestors 'none'"
@@ -55,7 +50,6 @@ FILES = {
     "view.css": ("wasp_cli.view", "page/view.css", "text/css"),
     "style.css": ("wasp_cli.report", "page/style.css", "text/css"),
 }
-REFERRER = "same-origin"
 
 Answer = Callable[[Request], str | Response]  # a page, or what else is sent back
 
@@ -80,9 +74,7 @@ class ViewServer(LocalServer):
             "/report/{spec}": self._report,
             "/run/{run}": lambda request: pages.run_page(site, request.path_params["run"]),
             "/run/{run}/now": lambda request: str(pages.run_now(site, request.path_params["run"])),
-            "/run/{run}/log/{key}": lambda request: page(
-                pages.log_text(site, request.path_params["run"], request.path_params["key"]).encode(), "text/plain", POLICY
-            ),
+            "/run/{run}/log/{key}": lambda request: page(pages.log_text(site, **request.path_params).encode(), "text/plain"),
         }
         drawn = Route(film, self._guard(lambda request: _json(self._films(request).ask(*_film(request))), draws=True), methods=["POST"])
         routes = [Route(place, self._guard(answer), methods=["GET"]) for place, answer in answers.items()]
@@ -144,21 +136,22 @@ class ViewServer(LocalServer):
         if known is None:
             return PlainTextResponse("not found", 404)
         package, name, kind = known
-        return page((files(package) / name).read_bytes(), kind, POLICY, referrer=REFERRER)
+        return page((files(package) / name).read_bytes(), kind)
 
     def _report(self, request: Request) -> Response:
         """Return the report of a spec, which is one file. It may come from elsewhere: it runs as a stranger to these pages."""
         path = self.site.layout.within(self.site.layout.reports(request.path_params["spec"]) / REPORT)
         try:
             with open_plain(path) as file:
-                return page(file.read(), "text/html", STRANGER, referrer=REFERRER)
+                return page(file.read(), "text/html", STRANGER)
         except OSError as error:
             raise UsageError(f"this report cannot be read: {error.strerror or error}", "wasp report DIR writes it") from error
 
     def _explain(self, request: Request) -> str:
         cell, artifact = self.site.one(request.path_params["cell"])
         stored = load(artifact, request.path_params["number"])
-        return str(step_part(self.site, cell, stored, _number(request, "step") or 0))
+        branches, _ = branches_of(self.site.layout, cell)  # the page has said what is wrong with them
+        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, branches))
 
     def _beside(self, request: Request) -> str:
         a, b = (request.query_params.get(name, "") for name in ("a", "b"))
@@ -174,7 +167,7 @@ class ViewServer(LocalServer):
     def _frame(self, request: Request) -> Response:
         key, number, kind, step = _film(request)
         frame = self._films(request).frame(key, number, kind, request.path_params["frame"], step)
-        return PlainTextResponse("not found", 404) if frame is None else page(frame, "image/webp", POLICY)
+        return PlainTextResponse("not found", 404) if frame is None else page(frame, "image/webp")
 
 
 def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
@@ -184,14 +177,7 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
     server = ViewServer(site, port)
     server.start()
     site.cells.numbers()  # read while the browser starts
-    address = server.opening(place)
-    say(f"view here: {address}")
-    plain(
-        f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there; Ctrl-C ends it"
-    )
-    if open_browser:
-        with suppress(webbrowser.Error):
-            webbrowser.open(address)
+    server.announce("view", server.opening(place), opened=open_browser, more="; Ctrl-C ends it")
     try:
         with suppress(KeyboardInterrupt):  # how it ends
             while True:
@@ -213,7 +199,7 @@ def _number(request: Request, name: str) -> int | None:
 
 
 def _html(text: str, status: int = 200) -> Response:
-    return page(text.encode("utf-8", "replace"), "text/html", POLICY, status, REFERRER)
+    return page(text.encode("utf-8", "replace"), "text/html", status=status)
 
 
 def _json(value: Any) -> Response:
@@ -330,6 +316,6 @@ def _drawn(site: Site, cell: ListedCell, number: int, folder: Path) -> tuple[dic
     with tempfile.TemporaryFile() as log:
         run(drawing(site.layout, cell.key, number, FILM, 0, target, every), stdout=log, stderr=log, check=False)
     state = read_state(target) or {"state": "failed", "ready": 0, "problem": "its process ended"}
-    for name in ("film.json", "film.json.part", "frame.part"):
-        (target / name).unlink(missing_ok=True)
+    for path in target.glob("*[!p]"):  # all but .webp: what the process says, and what it had begun
+        path.unlink()
     return state, "" if state["state"] == "done" else str(state.get("problem", "it is not whole"))

@@ -168,7 +168,7 @@ class Cells:
         typed = " ".join(text.split())
         if typed and not is_key(typed):
             raise UnknownName("cell", typed, [cell.label for cell in self.listed()])
-        return [], find_cell(self.layout, typed, set(filter(is_key, stored_keys(self.layout, KIND))))
+        return [], find_cell(self.layout, typed, stored_keys(self.layout, KIND))
 
 
 def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
@@ -183,7 +183,7 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
     except StoreError as error:
         problems.append(error.message)
     with suppress(StoreError):
-        others = {key for key in stored_keys(layout, KIND) if is_key(key)} - cells.keys()
+        others = stored_keys(layout, KIND) - cells.keys()
         stored = {cell.key: cell for cell in stored_cells(layout)} if others else {}
         cells |= {key: stored[key] for key in sorted(others & stored.keys(), key=lambda key: (stored[key].label, key))}
         problems += [f"the manifest of evaluate/{key} is damaged, or of another version" for key in sorted(others - stored.keys())]

@@ -10,7 +10,9 @@ import secrets
 import socket
 import threading
 import time
+import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import uvicorn
@@ -18,13 +20,18 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute
 
+from wasp_cli.console import plain, say
 from wasp_cli.errors import UsageError
 
 HOST = "127.0.0.1"
 NAMES = ("127.0.0.1", "localhost", "[::1]")
 """Names of this machine in Host and Origin: what a browser says here, or at the other end of an SSH tunnel."""
-POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'"
-"""What a page may load and where it may send something: nothing but this server."""
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
+)
+"""What a page may load and where it may send something: nothing but this server. It has no form to send."""
+REFERRER = "same-origin"  # a POST names its origin only where the server itself may be told it
 
 
 class LocalServer:
@@ -47,6 +54,15 @@ class LocalServer:
     def address(self) -> str:
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
+    def announce(self, what: str, address: str, *, opened: bool, more: str = "") -> None:
+        """Say where to `what` here and from another machine, and open it in a browser where that is wanted."""
+        say(f"{what} here: {address}")
+        way = f"ssh -L {self.port}:{HOST}:{self.port} THIS-MACHINE"
+        plain(f"from another machine: {way}, then open the same address there{more}")
+        if opened:
+            with suppress(webbrowser.Error):
+                webbrowser.open(address)
+
     def start(self) -> None:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._server.serve(sockets=[self._socket])), daemon=True, name="server")
         self._thread.start()
@@ -66,13 +82,10 @@ class LocalServer:
         return PlainTextResponse(f"not allowed: open the address that wasp {self._command} printed, with its token", 403)
 
 
-def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200, referrer: str = "no-referrer") -> Response:
-    """Return an answer that no other page can show and no cache keeps.
-
-    A form is only sent with its origin where the Referrer-Policy allows to tell it to the server itself (`same-origin`).
-    """
+def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> Response:
+    """Return an answer that no other page can show and no cache keeps."""
     headers = {
-        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": referrer,
+        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": REFERRER,
         "Cache-Control": "no-store", "X-Frame-Options": "DENY",
     }  # fmt: skip
     kind = f"{kind}; charset=utf-8" if kind.startswith("text/") else kind
