@@ -121,7 +121,7 @@ def test_the_first_episode_of_a_cell_published_in_part_plays_alone(published: Pa
 
 
 def test_of_an_episode_that_is_played_alone_only_the_commands_are_taken_as_recorded(published: Path) -> None:
-    source = source_of(Layout(published), find_cell(Layout(published), CELL), 0)
+    source = source_of(Layout(published), read_episode(find_cell(Layout(published), CELL), 0))
     assert source.alone
     said = source.recorded._replace(a_h=[-source.recorded.a_h[0]])
     play_episode(replace(source, recorded=said), 0, [None] * 999, [], 3, lambda share, doing: None)
@@ -145,12 +145,12 @@ def test_models_are_looked_for_where_they_are_published(published: Path, tmp_pat
     rows = Path(shutil.copytree(published, tmp_path / "rows"))
     for kind in KEYS:
         shutil.rmtree(rows / "store" / kind)
-    cell = find_cell(Layout(rows), CELL)
+    stored = read_episode(find_cell(Layout(rows), CELL), 0)
     monkeypatch.setattr("wasp_cli.video.replay.published_folder", lambda: published)
-    assert source_of(Layout(rows), cell, 0).world_model.is_relative_to(published)
+    assert source_of(Layout(rows), stored).world_model.is_relative_to(published)
     monkeypatch.setattr("wasp_cli.video.replay.published_folder", lambda: None)
     with pytest.raises(ArtifactError, match="world model of this cell cannot be used"):
-        source_of(Layout(rows), cell, 0)
+        source_of(Layout(rows), stored)
 
 
 # -- one decision ---------------------------------------------------------------------------------------------------------------

@@ -91,7 +91,7 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
     assert any(each is not None for each in changed)
     path = tmp_path / "a.gif"
     shares: list[float] = []
-    painter = Painter(source_of(cell), stored, EPISODE, Correction(changed, "executed", False), HORIZON, 9, no_progress)
+    painter = Painter(source_of(cell), stored, Correction(changed, "executed", False), HORIZON, 9, no_progress)
     made = painter.film(path, lambda share, text: shares.append(share))
     video: Any = Image.open(path)
     assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
@@ -123,7 +123,7 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     cell = evaluated(inputs, tmp_path / "cell", task="FilmMeter-v0", episodes=2)
     stored = stored_of(cell, 1)
     source = source_of(cell)
-    painter = Painter(source, stored, 1, Correction([None] * stored.decisions, "", False), HORIZON, 1, no_progress)
+    painter = Painter(source, stored, Correction([None] * stored.decisions, "", False), HORIZON, 1, no_progress)
     assert painter.played.decisions[0].scene is None
     assert (painter.played.readout, painter.played.appearance) == (None, None)
     assert painter.film(tmp_path / "a.gif", no_progress).frames == stored.decisions

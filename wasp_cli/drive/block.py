@@ -105,7 +105,6 @@ class Block:
         self._begun = time.monotonic()
 
     def close(self) -> None:
-        self._decider.finish()
         self._decider.close()
 
     @property

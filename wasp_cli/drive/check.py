@@ -126,9 +126,8 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                 elif state["phase"] == "over":
                     return frames
         except ConnectionClosed as error:
-            raise WaspError(
-                f"the scripted driver lost its connection after {frames} frames", "the machine may be too busy: try again with --speed 0.5"
-            ) from error
+            hint = "the machine may be too busy: try again with --speed 0.5"
+            raise WaspError(f"the scripted driver lost its connection after {frames} frames", hint) from error
         finally:
             beating.cancel()
     return frames

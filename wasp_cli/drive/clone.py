@@ -72,10 +72,8 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     with threads_of_evaluations():
         episodes = [episode for key in keys for episode in _episodes(layout, key, node, model)]
         if len(episodes) < FEWEST:
-            raise UsageError(
-                f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models, and {FEWEST} are needed",
-                f"wasp drive {node.task} --participant {participant}",
-            )
+            drove = f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models"
+            raise UsageError(f"{drove}, and {FEWEST} are needed", f"wasp drive {node.task} --participant {participant}")
         held = episodes[HELD_OUT - 1 :: HELD_OUT]
         learnt = [episode for number, episode in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1]
         config = CloneConfig.model_validate(node.config)
@@ -129,10 +127,8 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
             others += not same
     if not whole:
         more = f"; {others} cells of theirs were driven with other models: --preset or --set" if others else ""
-        raise UsageError(
-            f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}",
-            f"wasp drive {node.task} --participant {participant}",
-        )
+        drove = f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}"
+        raise UsageError(drove, f"wasp drive {node.task} --participant {participant}")
     return sorted(key for _, key in whole.values())
 
 
@@ -148,9 +144,8 @@ def _require_unused(layout: Layout, node: Node) -> None:
     ]
     if using:
         more = f" and {len(using) - 1} more" if len(using) > 1 else ""
-        raise UsageError(
-            f"{using[0]}{more} was computed from the clone that is there", "use another results folder, or delete these results first"
-        )
+        hint = "use another results folder, or delete these results first"
+        raise UsageError(f"{using[0]}{more} was computed from the clone that is there", hint)
 
 
 def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
@@ -182,25 +177,15 @@ def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[s
 
     learnt, held = later(learnt), later(held)
     right = expert(held.features)
-    scores = {
-        "clone": {
-            "log_density": float(clone.log_density(held.command, held.features, held.last, right).mean()),
-            "squared_error": _error(clone.mean(held.features, held.last, right), held),
-        }
+    foretold = {"clone": (clone.log_density(held.command, held.features, held.last, right), clone.mean(held.features, held.last, right))}
+    for name, before, now in (("repeat", learnt.last, held.last), ("expert", expert(learnt.features), right)):
+        foretold[name] = mixture_density(held.command - now, *fitted_mixture(learnt.command - before)), now
+    uniform = torch.full((len(held.command),), -held.command.shape[1] * math.log(2.0))
+    foretold["uniform"] = uniform, torch.zeros_like(held.command)
+    return {
+        name: {"log_density": float(density.mean()), "squared_error": float((mean - held.command).square().sum(-1).mean())}
+        for name, (density, mean) in foretold.items()
     }
-    foretold: Mapping[str, tuple[Tensor, Tensor]] = {"repeat": (learnt.last, held.last), "expert": (expert(learnt.features), right)}
-    for name, (before, now) in foretold.items():
-        spread, share = fitted_mixture(learnt.command - before)
-        scores[name] = {
-            "log_density": float(mixture_density(held.command - now, spread, share).mean()), "squared_error": _error(now, held),
-        }  # fmt: skip
-    actions = held.command.shape[1]
-    scores["uniform"] = {"log_density": -actions * math.log(2.0), "squared_error": _error(torch.zeros_like(held.command), held)}
-    return scores
-
-
-def _error(mean: Tensor, seen: Issued) -> float:
-    return float((mean - seen.command).square().sum(-1).mean())
 
 
 def fitted_mixture(residual: Tensor) -> tuple[Tensor, float]:

@@ -10,24 +10,25 @@ import asyncio
 import json
 import struct
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.web import LocalServer, local, own_origin, page
+from wasp_cli.web import LocalServer, local, own_origin, page, static
 
 LONGEST = 8192  # bytes of a message
 MOST = 2000
 """Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
 SILENT = 10.0  # seconds without any message after which a connection counts as lost; a page says something every second
 PAGE = Path(__file__).parent / "page"
-FILES = {"drive.js": "text/javascript", "drive.css": "text/css"}
+FILES = {name: PAGE / name for name in ("drive.js", "drive.css")}
 
 REFUSED, BUSY, TOO_MUCH = 4403, 4409, 4429
 """Codes with which the socket closes: not allowed, somebody drives already, too many or too large messages."""
@@ -81,14 +82,6 @@ class Server(LocalServer):
         self.desk = desk
         routes = [Route("/", self._index), Route("/{name}", self._file), WebSocketRoute("/socket", self._drive)]
         super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._wake: asyncio.Event | None = None
-        desk.changed = self._changed
-
-    def _changed(self) -> None:
-        loop, wake = self._loop, self._wake
-        if loop is not None and wake is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(wake.set)
 
     async def _index(self, request: Request) -> Response:
         if not (local(request.headers.get("host")) and self.known(request.query_params.get("token"))):
@@ -96,11 +89,7 @@ class Server(LocalServer):
         return page((PAGE / "index.html").read_bytes(), "text/html")
 
     async def _file(self, request: Request) -> Response:
-        # By name among FILES: what was asked for never becomes a path.
-        kind = FILES.get(request.path_params["name"])
-        if not local(request.headers.get("host")):
-            return self.forbidden()
-        return PlainTextResponse("not found", 404) if kind is None else page((PAGE / request.path_params["name"]).read_bytes(), kind)
+        return static(FILES, request.path_params["name"]) if local(request.headers.get("host")) else self.forbidden()
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
@@ -114,8 +103,14 @@ class Server(LocalServer):
         if not self.desk.come():
             await ws.close(BUSY, "somebody drives already, in another window")
             return
-        self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
-        sender = asyncio.create_task(self._send(ws))
+        loop, wake = asyncio.get_running_loop(), asyncio.Event()
+
+        def changed() -> None:
+            with suppress(RuntimeError):  # the loop is closed: the server was stopped
+                loop.call_soon_threadsafe(wake.set)
+
+        self.desk.changed = changed
+        sender = asyncio.create_task(self._send(ws, wake))
         try:
             await self._receive(ws)
         except (WebSocketDisconnect, RuntimeError, TimeoutError):
@@ -123,11 +118,8 @@ class Server(LocalServer):
         finally:
             self.desk.leave()
             sender.cancel()
-            self._wake = None
 
-    async def _send(self, ws: WebSocket) -> None:
-        assert self._wake is not None
-        wake = self._wake
+    async def _send(self, ws: WebSocket, wake: asyncio.Event) -> None:
         while True:
             wake.clear()
             messages, frame = self.desk.outgoing()

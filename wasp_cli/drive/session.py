@@ -211,10 +211,9 @@ def prepared(
         same = [
             part for each in loaded.overrides if each.path[0] not in ("seeds", "operators", "episodes") for part in ("--set", each.text)
         ]
-        raise UsageError(
-            f"driving trains nothing, and these are not there: {', '.join(node.label for node in missing)}",
-            f"train them first: {shlex.join(['wasp', 'run', str(SHIPPED), *same, '--select', *chosen, '--results', str(results)])}",
-        )
+        command = shlex.join(["wasp", "run", str(SHIPPED), *same, "--select", *chosen, "--results", str(results)])
+        wrong = f"driving trains nothing, and these are not there: {', '.join(node.label for node in missing)}"
+        raise UsageError(wrong, f"train them first: {command}")
     # A check that is killed must not pass for the last run of its spec either.
     asked = loaded if recorded else replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
     made = run_spec(asked, results, options, chosen)
@@ -234,10 +233,8 @@ def prepared(
             elsewhere = (spec.study is not None or before.get("study", False)) and before.get("spec") != spec.name
             if elsewhere or before.get("simulated", False) != how.simulated:
                 by = f"for '{before.get('spec')}'" if elsewhere else "by a person" if how.simulated else "by a script"
-                raise UsageError(
-                    f"{node.label} was driven {by} in '{layout.root}'",
-                    "use another folder with --results, or delete it: --participant N --withdraw",
-                )
+                hint = "use another folder with --results, or delete it: --participant N --withdraw"
+                raise UsageError(f"{node.label} was driven {by} in '{layout.root}'", hint)
         if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
             own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
             require_whole(layout, [(each.kind, each.key) for each in (*own, *node.needs.values())])

@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import io
 import time
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,7 @@ class WorldView:
     def __init__(self, task: VectorTask) -> None:
         self._task = task if isinstance(task, HasScene) else None
 
-    @cached_property
+    @property
     def still(self) -> dict[str, Any] | None:
         """What stays as it is: how large the map is, what is on it with colours and outlines, and the ground as a picture."""
         if self._task is None:
@@ -95,12 +94,9 @@ class WorldView:
 
 
 def _outline(shape: Shape) -> dict[str, Any]:
-    return {
-        "round": shape.round,
-        "centre": short(shape.centre),
-        "half": short(np.sqrt(shape.half.prod()) * np.ones(2) if shape.round else shape.half),
-        "angle": round(float(np.arctan2(shape.axes[0, 1], shape.axes[0, 0])), 3),
-    }
+    half = np.sqrt(shape.half.prod()) * np.ones(2) if shape.round else shape.half
+    angle = round(float(np.arctan2(shape.axes[0, 1], shape.axes[0, 0])), 3)
+    return {"round": shape.round, "centre": short(shape.centre), "half": short(half), "angle": angle}
 
 
 def short(values: Any) -> list[float]:

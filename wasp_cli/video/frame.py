@@ -54,12 +54,10 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    def __init__(
-        self, source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, progress: Progress
-    ) -> None:
-        """Play a cell again; a frame shows a decision of one of its rows, every `every`-th one and the last."""
-        shown = {*range(0, stored.decisions, every), stored.decisions - 1}
-        self.played = trace.play_episode(source, episode, correction.residuals, shown, horizon, progress)
+    def __init__(self, source: Source, stored: Episode, correction: Correction, horizon: int, every: int, progress: Progress) -> None:
+        """Play a cell again; a frame shows a decision of the stored episode, every `every`-th one and the last."""
+        shown, row = {*range(0, stored.decisions, every), stored.decisions - 1}, int(stored.row["episode"]) - source.recorded.first
+        self.played = trace.play_episode(source, row, correction.residuals, shown, horizon, progress)
         self._stored, self._horizon, self._correction = stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
@@ -100,9 +98,8 @@ class Painter:
         draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
         self._overview(image, draw, decision, imagined)
         self._images(image, draw, decision, imagined)
-        draw.multiline_text(
-            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._stored, t)), _INK, font(12), spacing=5
-        )
+        below = _RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22
+        draw.multiline_text(below, "\n".join(numbers(self._stored, t)), _INK, font(12), spacing=5)
         top = HEIGHT - TIMELINE
         image.paste(self._timeline.image, (0, top))
         x = self._timeline.x(t + 0.5)

@@ -28,12 +28,10 @@ from wasp_cli.store.artifact import corruption, exists, read_manifest, read_reco
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
-from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
 
 if TYPE_CHECKING:
-    from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.frame import Correction, Painter, WrittenVideo
     from wasp_cli.video.trace import Progress, Source
 
@@ -56,22 +54,20 @@ def replay(
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    painter = _painter(layout, cell, stored, every, lambda share, text: progress(PLAYED * share, text))
+    painter = _painter(layout, stored, every, lambda share, text: progress(PLAYED * share, text))
     return path, painter.film(path, lambda share, text: progress(PLAYED + (1 - PLAYED) * share, text))
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
     """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
-    yield from _painter(layout, cell, read_episode(cell, episode), every, lambda share, text: None).frames()
+    yield from _painter(layout, read_episode(cell, episode), every, lambda share, text: None).frames()
 
 
-def _painter(layout: Layout, cell: FoundCell, stored: Episode, every: int | None, progress: Progress) -> Painter:
+def _painter(layout: Layout, stored: Episode, every: int | None, progress: Progress) -> Painter:
     from wasp_cli.video.frame import Painter
 
-    episode = int(stored.row["episode"])
-    source = source_of(layout, cell, episode)
     horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
-    return Painter(source, stored, episode - source.first, correction(stored), horizon, every, progress)
+    return Painter(source_of(layout, stored), stored, correction(stored), horizon, every, progress)
 
 
 def default_name(stored: Episode, ending: str) -> Path:
@@ -81,33 +77,36 @@ def default_name(stored: Episode, ending: str) -> Path:
     return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_s{row['seed']}_e{row['episode']}") + ending)
 
 
-def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
-    """Find the rows of a cell and the models that it was evaluated with; a UsageError where its manifest does not name them."""
+def source_of(layout: Layout, stored: Episode) -> Source:
+    """Find what an episode is played again with: rows and models of its cell; a UsageError where its manifest does not name them."""
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
+    cell, episode = stored.cell, int(stored.row["episode"])
     axes, upstream = cell.setting("axes"), dict(upstream_of(cell.manifest).values())
     known: dict[str, Any] = {"action_repeat": cell.setting("settings", "action_repeat")}
     known |= {"task": cell.setting("task"), "seed": cell.setting("seed")}
     known |= {name: axes.get(name) for name in ("operator", "value")} if isinstance(axes, dict) else {}
     said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
     if not said or not all(kind in upstream for kind in MODELS):
-        raise UsageError(
-            f"{cell.path} does not say how it was evaluated, and with which models",
-            "name the cell by its key or its label, and its results folder with --results",
-        )
+        hint = "name the cell by its key or its label, and its results folder with --results"
+        raise UsageError(f"{cell.path} does not say how it was evaluated, and with which models", hint)
     # Of a cell that is published in part, the episode is played alone.
     alone = without_steps(cell.manifest)
     world_model, policies = (_model(layout, kind, upstream[kind], alone=alone) for kind in MODELS)
     expert = _model(layout, EXPERT, upstream[EXPERT], alone=alone) if EXPERT in upstream else None
-    recorded = _alone(cell, episode) if alone else Recorded(**read_recorded(cell.path))
-    size = cell.setting("settings", "side_by_side")
-    size = size if isinstance(size, int) and size > 0 else len(recorded.a)
-    first = episode if alone else episode // size * size
+    if alone:
+        a_h, a, reward = (np.asarray(values, np.float32) for values in (stored.a_h, stored.a, stored.numbers["reward"]))
+        recorded = Recorded([int(stored.row["episode_seed"])], [a_h], [a], [reward], episode)
+    else:
+        whole = Recorded(**read_recorded(cell.path))
+        size = cell.setting("settings", "side_by_side")
+        size = size if isinstance(size, int) and size > 0 else len(whole.a)
+        recorded = whole.of(range(episode // size * size, (episode // size + 1) * size))
     threads = cell.setting("provenance", "threads")
     clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
-        **known, recorded=recorded if alone else recorded.of(range(first, first + size)), first=first, alone=alone,
+        **known, recorded=recorded, alone=alone,
         world_model=world_model, policies=policies, expert=expert, expert_goes_on=imagines_expert(cell),
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
@@ -119,19 +118,10 @@ def _model(layout: Layout, kind: str, key: str, *, alone: bool) -> Path:
     place = layout if published is None else Layout(published)
     if (wrong := corruption(place, kind, key)) is None:
         return place.artifact(kind, key)
-    raise ArtifactError(
-        f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}",
-        "models of one training are published; wasp run SPEC --reuse none computes them all" if alone else
-        "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
-    )  # fmt: skip
-
-
-def _alone(cell: FoundCell, episode: int) -> Recorded:
-    from wasp_cli.learning.rerun import Recorded
-
-    stored = read_episode(cell, episode)
-    a_h, a, reward = (np.asarray(values, np.float32) for values in (stored.a_h, stored.a, stored.numbers["reward"]))
-    return Recorded([int(stored.row["episode_seed"])], [a_h], [a], [reward], episode)
+    hint = "run the spec of the cell again on this results folder: what is missing or damaged is computed again"
+    if alone:
+        hint = "models of one training are published; wasp run SPEC --reuse none computes them all"
+    raise ArtifactError(f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}", hint)
 
 
 def correction(stored: Episode) -> Correction:
@@ -186,14 +176,12 @@ class Verdict:
         if not self.intervened:
             return [numbers, "the command was executed as it was: both branches are the same"]
         if self.unnecessary is None:
-            return [
-                f"{numbers}   {tau}",
-                f"no cost was avoided, and {self.tau_R_from}: whether the gain was worth it is undefined (Eq. 21)",
-            ]
-        if self.unnecessary:
-            return [f"{numbers}   {tau}", "counts as unnecessary: it avoided no cost and gained no more than τ_R (Eq. 21)"]
-        why = "it avoided cost" if self.delta_c > 0 else "it gained more than τ_R"
-        return [f"{numbers}   {tau}", f"does not count as unnecessary: {why} (Eq. 21)"]
+            words = f"no cost was avoided, and {self.tau_R_from}: whether the gain was worth it is undefined"
+        elif self.unnecessary:
+            words = "counts as unnecessary: it avoided no cost and gained no more than τ_R"
+        else:
+            words = f"does not count as unnecessary: {'it avoided cost' if self.delta_c > 0 else 'it gained more than τ_R'}"
+        return [f"{numbers}   {tau}", f"{words} (Eq. 21)"]
 
 
 def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: Path | None, progress: Progress) -> tuple[Path, Verdict]:
@@ -203,17 +191,15 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
 
     stored = read_episode(cell, episode)
     if without_steps(cell.manifest):
-        raise UsageError(
-            f"{printable(cell.label or str(cell.path))} is published in part, so that its branches cannot be played again",
-            "without --step its first episodes can; wasp run SPEC --reuse none computes another cell: it trains anew",
-        )
+        hint = "without --step its first episodes can; wasp run SPEC --reuse none computes another cell: it trains anew"
+        raise UsageError(f"{stored.label} is published in part, so that its branches cannot be played again", hint)
     if not plays_on(cell):
         raise UsageError("what a person commands in another branch is not on record", "without --step the episode can be replayed")
     stored.require(step)
     path = checked(default_name(stored, f"_t{step}.gif") if out is None else out, STILL)
     criterion = criterion_of(layout, cell)
-    source = source_of(layout, cell, episode)
-    pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
+    source = source_of(layout, stored)
+    pair = BranchPair(source, episode - source.recorded.first, step, criterion.window, progress)
     parts = ("cost", "cost_env", "reward")
     traces = {name: {part: getattr(branch, part).tolist() for part in parts} for name, branch in pair.branches.items()}
     verdict = judge(stored, step, criterion, traces)

@@ -198,7 +198,6 @@ class Source:
     world_model: Path
     policies: Path
     threads: int = 1  # of the simulator; they change nothing
-    first: int = 0  # number of the first of the episodes within their cell
     expert: Path | None = None  # whose privileged policies operators follow who know more than assistants perceive; None: they do not
     clone: Path | None = None  # of the person in whose place an operator drove
     alone: bool = False
@@ -214,7 +213,7 @@ class Source:
         batch = len(self.recorded.a)
         if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
-        mistakes = [seeds.operator_seed(self.task, self.operator, self.seed, self.first + row) for row in range(batch)]
+        mistakes = [seeds.operator_seed(self.task, self.operator, self.seed, self.recorded.first + row) for row in range(batch)]
         informed = None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds, informed)
         with placed(None if self.clone is None else PlacedClone(self.clone)):

@@ -37,7 +37,7 @@ from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.tasks.registry import TASKS
 from wasp_cli.view import episode
 from wasp_cli.view.films import problem_of
-from wasp_cli.view.site import COLUMNS, Site, words
+from wasp_cli.view.site import COLUMNS, Shown, Site, words
 
 FIRST = 400  # rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls.
 MOST = 1500  # cells whose numbers are read for the first page: seconds
@@ -49,14 +49,10 @@ def cells_page(site: Site) -> str:
     """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
-    unread = [""] * (len(COLUMNS) + 2)
     rows: list[dict[str, Any]] = [
-        {
-            "key": cell.key, "href": site.links.cell(cell), "words": words(cell),
-            "numbers": known[cell.key].row if cell.key in known else unread,
-        }
+        {"key": cell.key, "href": site.links.cell(cell), "words": words(cell), "numbers": known.get(cell.key, Shown(None)).row}
         for cell in site.cells.listed()
-    ]  # fmt: skip
+    ]
     choices = {name: sorted({row["words"][place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
     problems = site.cells.problems
     return site.render(
@@ -194,7 +190,6 @@ def first_difference(a: Episode, b: Episode) -> int | None:
 
 LISTED = 30  # runs on the first page; the newest ones
 TAIL = 200_000  # bytes of a log that are shown: its end
-STATE_OF = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked"}
 UNNEEDED = "not needed"  # said of a node that is not in the store, since everything that needs it was there
 STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
@@ -281,9 +276,8 @@ def run_now(site: Site, run_id: str) -> Markup:
 
 
 def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter[str]]:
-    ends = {
-        str(event.get("key")): STATE_OF[str(event["event"])] for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS
-    }
+    ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
+    ends = {str(event.get("key")): "done" if event["event"] == "shared" else event["event"] for event in ended}
     active = {node.key for node in state.active if not node.gone} if state.state == "running" else set()
     stages: dict[str, Counter[str]] = {}
     for node in run.nodes.values():

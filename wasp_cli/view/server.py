@@ -16,7 +16,6 @@ import traceback
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from importlib.resources import files
 from pathlib import Path
 from subprocess import run
 from typing import Any
@@ -38,17 +37,16 @@ from wasp_cli.view import pages
 from wasp_cli.view.episode import branches_of, episode_page, load, step_part
 from wasp_cli.view.films import FILM, KINDS, Films, drawing, problem_of, read_state
 from wasp_cli.view.site import REPORT, Links, Site
-from wasp_cli.web import REFERRER, LocalServer, local, own_origin, page
+from wasp_cli.web import REFERRER, LocalServer, local, own_origin, page, static
 
 STRANGER = (  # a report: no origin of its own, so no cookie, and nothing to load
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "frame-ancestors 'none'"
 )
+ROOM = Path(__file__).parents[1]
 FILES = {
-    "view.js": ("wasp_cli.view", "page/view.js", "text/javascript"),
-    "sort.js": ("wasp_cli.report", "page/sort.js", "text/javascript"),
-    "view.css": ("wasp_cli.view", "page/view.css", "text/css"),
-    "style.css": ("wasp_cli.report", "page/style.css", "text/css"),
+    **{name: ROOM / "view" / "page" / name for name in ("view.js", "view.css")},
+    **{name: ROOM / "report" / "page" / name for name in ("sort.js", "style.css")},  # tables and timelines are the report's own
 }
 
 Answer = Callable[[Request], str | Response]  # a page, or what else is sent back
@@ -60,7 +58,7 @@ class ViewServer(LocalServer):
         film = "/film/{key}/{number:int}/{kind}"
         answers: dict[str, Answer] = {
             "/": lambda _: pages.home_page(site),
-            "/static/{name}": self._file,
+            "/static/{name}": lambda request: static(FILES, request.path_params["name"]),
             "/cells": lambda _: pages.cells_page(site),
             "/cells/numbers": lambda request: _json(pages.numbers(site)),
             "/cell/{cell:path}/episode/{number:int}/explain": self._explain,
@@ -129,14 +127,6 @@ class ViewServer(LocalServer):
 
     def _problem(self, message: str, hint: str | None, status: int) -> Response:
         return _html(self.site.render("problem.html", "This cannot be shown", message=message, hint=hint), status)
-
-    def _file(self, request: Request) -> Response:
-        # By name among FILES: what was asked for never becomes a path.
-        known = FILES.get(request.path_params["name"])
-        if known is None:
-            return PlainTextResponse("not found", 404)
-        package, name, kind = known
-        return page((files(package) / name).read_bytes(), kind)
 
     def _report(self, request: Request) -> Response:
         """Return the report of a spec, which is one file. It may come from elsewhere: it runs as a stranger to these pages."""
@@ -285,8 +275,8 @@ def _write(site: Site, folder: Path, listed: Mapping[str, ListedCell], episodes:
         text = text.replace(way, escape(f"{site.name}/"))
         (folder / name).write_text(text, encoding="utf-8", errors="replace")
 
-    for name, (package, place, _) in FILES.items():
-        (folder / name).write_bytes((files(package) / place).read_bytes())
+    for name, path in FILES.items():
+        (folder / name).write_bytes(path.read_bytes())
     write("index.html", pages.home_page(site))
     write("cells.html", pages.cells_page(site))
     for key, cell in listed.items():

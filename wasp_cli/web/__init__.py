@@ -11,8 +11,9 @@ import socket
 import threading
 import time
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -31,6 +32,7 @@ POLICY = (
     "form-action 'none'; frame-ancestors 'none'"
 )
 """What a page may load and where it may send something: nothing but this server. It has no form to send."""
+KINDS = {".js": "text/javascript", ".css": "text/css"}  # of the files of a page
 REFERRER = "same-origin"  # a POST names its origin only where the server itself may be told it
 
 
@@ -90,6 +92,12 @@ def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> 
     }  # fmt: skip
     kind = f"{kind}; charset=utf-8" if kind.startswith("text/") else kind
     return Response(content, status, headers=headers, media_type=kind)
+
+
+def static(files: Mapping[str, Path], name: str) -> Response:
+    """Return a file by its name among those of a page: what was asked for never becomes a path."""
+    path = files.get(name)
+    return PlainTextResponse("not found", 404) if path is None else page(path.read_bytes(), KINDS[path.suffix])
 
 
 def local(host: str | None) -> bool:
