@@ -21,7 +21,7 @@ from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
 from wasp_cli.video.film import write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, cameras_of, draw_actions, font, things_of
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, cameras_of, draw_actions, font, poses_of, things_of
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 
 WIDTH, HEIGHT = 976, 704
@@ -61,10 +61,8 @@ class Painter:
         self._stored, self._horizon, self._correction = stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
-        self._view, self._next = self._fresh_view(), 0
-
-    def _fresh_view(self) -> MapView | None:
-        return None if self.played.appearance is None else MapView(self.played.appearance, MAP)
+        self._view: MapView | None = None
+        self._next = len(shown)
 
     def film(self, out: Path, progress: Progress) -> WrittenVideo:
         """Write all frames as a video."""
@@ -85,8 +83,8 @@ class Painter:
 
     def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
-        if index < self._next:
-            self._view = self._fresh_view()  # a map that follows its robot has to be painted from the first frame on
+        if index < self._next and self.played.appearance is not None:
+            self._view = MapView(self.played.appearance, MAP)  # one that follows its robot has to be painted from the first frame on
         self._next = index + 1
         decision = self.played.decisions[index]
         imagined = trace.imagine(self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
@@ -108,7 +106,7 @@ class Painter:
 
     def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         where = (GAP, HEADER + TITLE)
-        if self._view is None or decision.scene is None or self.played.appearance is None or decision.pose is None:
+        if self._view is None or decision.scene is None or self.played.appearance is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
             image.paste(_camera(decision.pixels, 0, MAP), where)
             return
@@ -120,8 +118,9 @@ class Painter:
         picture = self._view.picture(decision.scene)
         picture.trail(self.played.places[: t + 1], 1.2)
         picture.dots(self.played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
-        draw_actions(picture, self.played.world, decision.pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
-        self._futures(picture, decision.pose, imagined)
+        pose = poses_of(self.played.appearance, decision.scene)[0]
+        draw_actions(picture, self.played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
+        self._futures(picture, pose, imagined)
         if self._stored.costly[t]:
             picture.edge(COST, 4)
         image.paste(picture.finished(), where)

@@ -124,10 +124,6 @@ class Readout:
         """[..., F] to [..., 3]."""
         return np.asarray((np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset)
 
-    def explained(self, features: NDArray[Any], moves: Floats) -> Floats:
-        """Return R2 [3] on other decisions: features [N, F] with their displacements [N, 3]; NaN where these are all the same."""
-        return _explained(self(features), moves)
-
 
 def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
     """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each; its penalty is chosen by leaving episodes out."""
@@ -138,7 +134,7 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
         candidates = _ridges(np.concatenate([features[e] for e in rest]), np.concatenate([moves[e] for e in rest]))
         x, y = np.concatenate([features[e] for e in held]), np.concatenate([moves[e] for e in held])
         # Forward, left and turn weigh the same, whatever their units.
-        errors += [np.nansum(1.0 - candidate.explained(x, y)) for candidate in candidates]
+        errors += [np.nansum(1.0 - explained(candidate(x), y)) for candidate in candidates]
     best = int(np.argmin(errors)) if folds else len(STRENGTHS) // 2
     return _ridges(np.concatenate(features), np.concatenate(moves))[best]
 
@@ -149,7 +145,7 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
         return None, np.full(3, np.nan)
     xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
     predicted = [fit(xs[:i] + xs[i + 1 :], ys[:i] + ys[i + 1 :])(xs[i]) for i in range(PARTS)]
-    return fit(xs, ys), _explained(np.concatenate(predicted), moves)
+    return fit(xs, ys), explained(np.concatenate(predicted), moves)
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
@@ -162,7 +158,8 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     return [Readout(mean, np.linalg.solve(gram + strength * np.eye(len(gram)), right) / scale[:, None], offset) for strength in STRENGTHS]
 
 
-def _explained(predicted: Floats, true: Floats) -> Floats:
+def explained(predicted: Floats, true: Floats) -> Floats:
+    """Return R2 [3] of displacements [N, 3]; NaN where the true ones are all the same."""
     spread, error = ((true - true.mean(0)) ** 2).sum(0), ((predicted - true) ** 2).sum(0)
     return np.asarray(1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12))
 
@@ -282,7 +279,6 @@ class PlayedDecision(NamedTuple):
     pixels: Pixels  # [6, 64, 64] what the cameras saw
     decoded: NDArray[np.float32]  # [6, 64, 64] in [0, 1]: what the filtered latent remembers of it
     scene: Scene | None  # of one row; None of a task without a map
-    pose: Floats | None  # [3] x, y and yaw of the robot's front
 
 
 class PlayedEpisode(NamedTuple):
@@ -319,13 +315,11 @@ def play_episode(
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
-            pose = poses[-1][episode] if poses else None
-            decisions.append(PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene, pose))
+            decisions.append(PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene))
         if t % 25 == 0:
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
-    readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return PlayedEpisode(model, world, appearance, decisions, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, decisions, places, *_read_out(features, poses, rerun.lengths, episode))
 
 
 def _read_out(
@@ -342,4 +336,4 @@ def _read_out(
     if not others:
         return fit_within(arrived[episode], moved[episode])
     readout = fit([arrived[e] for e in others], [moved[e] for e in others])
-    return readout, readout.explained(arrived[episode], moved[episode])
+    return readout, explained(readout(arrived[episode]), moved[episode])

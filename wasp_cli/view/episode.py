@@ -26,6 +26,7 @@ from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
+from wasp_cli.video.map import SEEN
 from wasp_cli.video.replay import Criterion, Verdict, judge, plays_on
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
 from wasp_cli.view.site import Site
@@ -58,8 +59,6 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
 def episode_view(
     site: Site, cell: ListedCell, stored: Episode, step: int | None = None, film: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    from wasp_cli.video.map import SEEN
-
     number, live, film = int(stored.row["episode"]), site.links.live, film or {}
     branches, problem = branches_of(site.layout, cell)
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
