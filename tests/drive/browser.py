@@ -72,9 +72,8 @@ class Tab:
         self.until(f"Boolean({found})")
         self.value(f"{found}.click()")
 
-    def size(self, width: int, height: int, *, dark: bool = False) -> None:
+    def size(self, width: int, height: int) -> None:
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
-        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
 
     def picture(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))

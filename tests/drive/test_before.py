@@ -1,6 +1,8 @@
-"""What a session finds that was driven before, and what it needs, without driving."""
+"""What a session finds that was driven before, what it needs, and the order of its conditions, without driving."""
 
 import shutil
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +17,7 @@ from wasp_cli.drive.block import Cut
 from wasp_cli.drive.desk import END, NEXT
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.spec.model import balanced_order
 from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
@@ -75,3 +78,18 @@ def test_driving_a_task_trains_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     done = run_here("drive", "race0", "--results", "results", columns=400)
     assert (done.exit_code, Path("results").exists()) == (2, False), done.output
     assert "train them first: wasp run drive --set 'tasks=[race0]' --set 'methods=[wasp]' --select" in done.stderr
+
+
+@pytest.mark.parametrize("conditions", range(1, 10))
+def test_orders_are_balanced(conditions: int) -> None:
+    """Every condition stands in every place, and follows every other one, equally often."""
+    participants = conditions if conditions % 2 == 0 or conditions == 1 else 2 * conditions
+    orders = [balanced_order(conditions, participant) for participant in range(participants)]
+    assert all(sorted(order) == list(range(conditions)) for order in orders)
+    places = Counter((place, condition) for order in orders for place, condition in enumerate(order))
+    assert len(set(places.values())) == 1
+    assert len(places) == conditions**2
+    follows = Counter(pair for order in orders for pair in pairwise(order))
+    assert len(follows) == conditions * (conditions - 1)
+    assert len(set(follows.values())) <= 1
+    assert balanced_order(conditions, participants) == orders[0], "numbers beyond the square begin again"

@@ -16,13 +16,7 @@ UNIT = st.floats(-1.0, 1.0, width=32)
 
 @pytest.mark.parametrize(
     ("keys", "expected"),
-    [
-        ((), (0, 0)),
-        (("ArrowUp",), (1, 0)),
-        (("KeyW", "ArrowUp"), (1, 0)),
-        (("KeyS", "KeyD"), (-1, -1)),
-        (("ArrowUp", "ArrowDown", "KeyA"), (0, 1)),
-    ],
+    [((), (0, 0)), (("KeyW", "ArrowUp"), (1, 0)), (("KeyS", "KeyD"), (-1, -1)), (("ArrowUp", "ArrowDown", "KeyA"), (0, 1))],
 )
 def test_keys_are_a_stick(keys: tuple[str, ...], expected: tuple[float, float]) -> None:
     assert Held(frozenset(keys)).stick.tolist() == list(expected)

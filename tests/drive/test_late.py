@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from tests.drive.conftest import wanted
 from wasp_cli.drive import block
 from wasp_cli.drive.check import Habits, Timing, checked_blocks, warning
 from wasp_cli.drive.command import drive_session
-from wasp_cli.drive.desk import GO, Desk, Frame
+from wasp_cli.drive.desk import GO, Desk, Held
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.metrics.episode import GATE_LATE
@@ -54,9 +55,8 @@ def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
 
 
 def test_late_is_a_gate_of_its_own_in_the_rows(late: tuple[Path, str, str]) -> None:
-    folder = Layout(late[0]).artifact("evaluate", late[1])
-    marked = np.array(read_timing(folder / TIMING_FILE)["late"].to_pylist())
-    gates, a_h, a = (np.array(read_steps(cell_file(folder))[name].to_pylist()) for name in ("gate", "a_h", "a"))
+    marked, rows = _late(*late[:2]), cell_file(Layout(late[0]).artifact("evaluate", late[1]))
+    gates, a_h, a = (np.array(read_steps(rows)[name].to_pylist()) for name in ("gate", "a_h", "a"))
     assert (a_h[marked] == a[marked]).all(), "the command is executed as it is"
     assert marked.sum() > 80
     assert (gates[marked] == GATE_LATE).all()
@@ -67,8 +67,8 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
     results, key, said = late
     assert "nobody assisted" in said
     assert "--speed 20" in said
-    of = f"late in {len(_late(results, key)[_late(results, key)])} of 100 decisions"
-    assert f"WASP on Goal1: {of}" in " ".join(run_here("report", results, columns=None, code=0).output.split())
+    words = run_here("report", results, columns=None, code=0).output.split()
+    assert f"WASP on Goal1: late in {_late(results, key).sum()} of 100 decisions" in " ".join(words)
     explain = ("explain", key, "--episode", "0", "--results", results)
     assert "no answer in time" in run_here(*explain, columns=None).output
     step = str(int(np.flatnonzero(_late(results, key))[0]))
@@ -94,33 +94,42 @@ def _late(results: Path, key: str) -> Any:
     return np.array(read_timing(Layout(results).artifact("evaluate", key) / TIMING_FILE)["late"].to_pylist())
 
 
-def headers(imported: Path, method: str) -> list[Any]:
-    """What the page is told in the first decisions."""
+def driven(imported: Path, method: str, most: int, *keys: str) -> tuple[block.Block, block.Driven]:
+    """The first decisions of an episode in which keys are held."""
     session = wanted(imported, method, 40.0).prepared()
     desk = Desk()
     desk.come()
-    frames: list[Frame] = []
-    show = desk.show
-
-    def shown(frame: Frame) -> None:
-        frames.append(frame)
-        show(frame)
-
-    desk.show = shown  # type: ignore[method-assign]
+    desk.held = Held(frozenset(keys))
     ((cell, node),) = session.blocks
     made = session.built(desk, cell, node, node.axes["method_config"])
     threading.Timer(0.2, desk.ask, (GO,)).start()
     try:
-        made.episode(0, 0, 0, most=3)
+        found = made.episode(0, 0, 0, most=most)
     finally:
         made.close()
-    return [frame.header["gate"] for frame in frames[1:]]
+    assert isinstance(found, block.Driven)
+    return made, found
 
 
 def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
-    assert "late" in headers(imported, "wasp")
-    assert headers(imported, "none") == ["alone"] * 3
+    late, alone = ([frame["gate"] for frame in driven(imported, method, 3)[1].frames[1:]] for method in ("wasp", "none"))
+    assert "late" in late
+    assert alone == ["alone"] * 3
+
+
+def test_after_an_episode_the_second_drive_has_the_same_world_and_the_commands_alone(imported: Path) -> None:
+    made, found = driven(imported, "wasp", 60, "ArrowUp", "ArrowLeft")
+    review = made.review(found)
+    assert review["driven"][0]["things"] == review["alone"][0]["things"]
+    assert len(review["driven"]) == len(review["alone"]) == 61
+
+    # What was executed, as commands alone, is what was driven: to the last digit.
+    numbers = ("robot", "things", "cost", "costly", "goals", "return")
+    found.trajectory = replace(found.trajectory, a_h=found.trajectory.a)
+    again = made.review(found)["alone"]
+    assert [{name: header[name] for name in numbers} for header in review["driven"]] == again
+    assert not np.array_equal([h["robot"] for h in again], [h["robot"] for h in review["alone"]]), "the assistant corrected something"
 
 
 def timing(**changes: Any) -> Timing:

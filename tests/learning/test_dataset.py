@@ -24,6 +24,7 @@ from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
+from wasp_cli.seeds import layout_seed
 from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.store.branches import BRANCHES_FILE
@@ -212,10 +213,22 @@ def whole(inputs, tmp_path_factory) -> Evaluated:
     return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
 
 
-def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(whole, inputs, tmp_path, monkeypatch):
+@pytest.fixture
+def begun(monkeypatch) -> list[int]:
+    """Numbers of the episodes that begin."""
+    numbers: list[int] = []
+
+    def seed(task: str, number: int, episode: int) -> int:
+        numbers.append(episode)
+        return layout_seed(task, number, episode)
+
+    monkeypatch.setattr("wasp_cli.seeds.layout_seed", seed)
+    return numbers
+
+
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(whole, inputs, tmp_path, begun):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=3, side_by_side=2)
-    begun: list[int] = []
-    monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
+    begun.clear()
     resumed = evaluated(inputs, tmp_path / "resumed", "ida", EAGER, episodes=5, side_by_side=2, earlier=fewer.path.parent)
     assert set(begun) == {2, 3, 4}
     assert same_rows(whole.path, resumed.path)
@@ -225,13 +238,12 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(whole, 
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
 
-def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, monkeypatch):
+def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, begun):
     """They lack columns, which would then be means over the other episodes alone."""
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)
     table = pq.read_table(fewer.path).drop_columns([*ADDED])
     pq.write_table(table.replace_schema_metadata({VERSION_KEY: b"3"}), fewer.path, write_page_checksum=True)
-    begun: list[int] = []
-    monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
+    begun.clear()
     again = evaluated(inputs, tmp_path / "again", "ida", EAGER, episodes=3, side_by_side=2, earlier=fewer.path.parent)
     assert set(begun) == {0, 1, 2}
     assert read_episodes([again.path])["int_eff"].null_count == 0
@@ -244,16 +256,6 @@ def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(who
     assert same_rows(copy / "episodes.parquet", fewer.path)
     means = {name: np.mean(pq.read_table(fewer.path)[name]) for name in ("return", "cost", "int_rate")}
     assert summary == {"return": round(means["return"], 2), "cost": round(means["cost"], 1), "int": round(means["int_rate"], 3)}
-
-
-def counted(begun: list[int]) -> object:
-    from wasp_cli.seeds import layout_seed
-
-    def seed(task: str, number: int, episode: int) -> int:
-        begun.append(episode)
-        return layout_seed(task, number, episode)
-
-    return seed
 
 
 def test_the_branches_of_every_batch_come_back_in_it(whole, tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -171,14 +170,9 @@ def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them():
     assert float(clone.mean(*one)) == pytest.approx(float(drawn.mean()), abs=0.02)
 
 
-DOCUMENT: dict[str, Any] = {
-    "name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0],
-    "operators": {"laggy": {"low": 0.5, "high": 0.7}, "noisy": {"some": 0.4}},
-}  # fmt: skip
-
-
 def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key():
-    grid = lay_out(validate({**DOCUMENT, "methods": ["human"], "operators": {"cloned": {"p7": 7}}}))
+    clones = {"cloned": {"p7": 7}}
+    grid = lay_out(validate({"name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human"], "seeds": [0], "operators": clones}))
     ((_, evaluation),) = grid.cells
     node = evaluation.needs[OPERATOR_CLONE]
     assert (node.kind, node.axes["operator"], node.axes["value"]) == ("clone", "person", 7)

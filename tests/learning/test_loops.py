@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tests.learning.recordings import recording
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.closed_loop import Loop, run_episodes
+from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.configs.reachability import ReachabilityConfig
 from wasp_cli.learning.dataset import record
@@ -24,7 +24,7 @@ from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.reachability import foresight, train_safety_value
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
-from wasp_cli.methods.base import Assistant, Decision
+from wasp_cli.methods.base import Decision
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
@@ -178,7 +178,6 @@ def test_recorded_rows_arrive_with_what_led_to_them():
 
 
 ROWS = 6
-WORLD = StateWorld(1, 1)
 
 
 class Line:
@@ -218,13 +217,8 @@ def pilot() -> Operator:
     return Operator.build(1.0, towards, EpisodeNoise(range(ROWS)), ROWS)
 
 
-def flown(assistant: Assistant) -> Loop:
-    seeds = range(ROWS)
-    return run_episodes(Line(ROWS), WORLD, pilot(), assistant, seeds, seeds, keep_latents=True)
-
-
 def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have():
-    loop = flown(HumanOnly())
+    loop = run_episodes(Line(ROWS), StateWorld(1, 1), pilot(), HumanOnly(), range(ROWS), range(ROWS), keep_latents=True)
     assert loop.goals.sum(0).tolist() == [1] * ROWS
     assert loop.h.shape == (len(loop.reward), ROWS, 1)
     assert loop.z.shape[-1] == 0

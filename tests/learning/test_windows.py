@@ -144,22 +144,16 @@ def test_a_dataset_that_is_too_small_says_so():
 # What stages store: latents as they were inferred, and weights rounded once, as they ship.
 
 
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory) -> dict[str, Path]:
-    root = tmp_path_factory.mktemp("chain")
-    folders = {name: root / name for name in ("dataset", "world_model", "latents", "work")}
-    for folder in folders.values():
-        folder.mkdir()
-    write_shard(folders["dataset"] / "shard-0000.parquet", recording(), SOURCES)
-    return folders
-
-
 def job(kind: str, config: Config, inputs: dict[str, Path]) -> Job:
     needed = {name: inputs[name] for name in ("dataset", "world_model") if name != kind}
     return Job(kind, "goal1", 0, config, {"action_repeat": 4}, {}, needed, inputs[kind], inputs["work"])
 
 
-def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(inputs, monkeypatch):
+def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(tmp_path, monkeypatch):
+    inputs = {name: tmp_path / name for name in ("dataset", "world_model", "latents", "work")}
+    for folder in inputs.values():
+        folder.mkdir()
+    write_shard(inputs["dataset"] / "shard-0000.parquet", recording(), SOURCES)
     met: list[Any] = []
 
     def refit(model: Any, rows: Any, latents: Any, *rest: Any) -> None:

@@ -1,6 +1,5 @@
 """Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -147,30 +146,27 @@ def on_cpu(decision: Decision) -> Decision:
     )
 
 
-def blocks() -> Iterator[tuple[str, Callable[[Any], list[Tensor]]]]:
-    yield "uniform", lambda streams: streams.uniform((4, 3), (2,), purpose=2)
-    yield "normal", lambda streams: [streams.normal(3, 2, purpose=1)]
-
-
-def test_draws_made_ahead_are_those_of_each_decision(monkeypatch):
+@pytest.mark.parametrize(
+    "drawn", [lambda streams: streams.uniform((4, 3), (2,), purpose=2), lambda streams: [streams.normal(3, 2, purpose=1)]]
+)
+def test_draws_made_ahead_are_those_of_each_decision(drawn, monkeypatch):
     """On another device the draws of many decisions are made at once; which those are must not change them."""
     seeds, everyone = [3, 4, 5], torch.ones(3, dtype=torch.bool)
     monkeypatch.setattr("wasp_cli.methods.noise.AHEAD", 4)
-    for _, drawn in blocks():
-        each, ahead = DecisionNoise(), DecisionNoise()
-        ahead.device = torch.device("meta")
-        monkeypatch.setattr(Tensor, "to", lambda self, *_: self)
-        each.reset(everyone, seeds)
-        ahead.reset(everyone, seeds)
-        calls = []
-        make = ahead.made
-        monkeypatch.setattr(ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a))
-        for _ in range(9):
-            for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
-                assert torch.equal(mine, theirs)
-        assert len(calls) == 12  # three blocks of four decisions
-        some = torch.tensor([True, False, True])
-        ahead.reset(some, [7, 8, 9])
-        each.reset(some, [7, 8, 9])
+    each, ahead = DecisionNoise(), DecisionNoise()
+    ahead.device = torch.device("meta")
+    monkeypatch.setattr(Tensor, "to", lambda self, *_: self)
+    each.reset(everyone, seeds)
+    ahead.reset(everyone, seeds)
+    calls = []
+    make = ahead.made
+    monkeypatch.setattr(ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a))
+    for _ in range(9):
         for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
             assert torch.equal(mine, theirs)
+    assert len(calls) == 12  # three blocks of four decisions
+    some = torch.tensor([True, False, True])
+    ahead.reset(some, [7, 8, 9])
+    each.reset(some, [7, 8, 9])
+    for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
+        assert torch.equal(mine, theirs)

@@ -119,7 +119,6 @@ def test_a_command_may_change_where_a_gate_fired():
     ("decision", "message"),
     [
         (CHANGED, "'Mine' returned a Tensor, not a Decision"),
-        (None, "'Mine' returned a NoneType, not a Decision"),
         (Decision(CHANGED), "'Mine' changed a command without a record"),
         (Decision(CHANGED, blank_record(2)), "although its record says that no gate fired"),
         (Decision(CHANGED[0]), r"shape \[2\] for commands of shape \[2, 2\]"),

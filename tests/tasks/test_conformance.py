@@ -1,7 +1,5 @@
 """The tasks against recordings of the reference package."""
 
-from functools import cache
-
 import gymnasium
 import numpy as np
 import pytest
@@ -18,16 +16,10 @@ from wasp_cli.tasks.sheet import draw_sheet
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
 
 
-@cache
-def compared(name):
-    """What the tasks as they are make of a recording as it is."""
-    recording = load_recording(name)
-    return tuple(conformance.checks_of(recording)(recording))
-
-
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * ("Formula" in name)) for name in RECORDINGS])
 def test_every_quantity_of_a_recording_is_within_tolerance(name):
-    assert [each for each in compared(name) if not each.ok] == []
+    recording = load_recording(name)
+    assert [each for each in conformance.checks_of(recording)(recording) if not each.ok] == []
 
 
 def test_the_recordings_have_what_makes_the_checks_mean_something():

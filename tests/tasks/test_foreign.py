@@ -228,10 +228,6 @@ def informing(**told: Any) -> type[Lights]:
     return variant(info=lambda self: {"cost": 0.0, **told})
 
 
-def showing(seen: Any) -> type[Lights]:
-    return variant(seen=lambda self: seen)
-
-
 def failing(*_: Any) -> Any:
     raise RuntimeError("the wheel\nfell off")
 
@@ -251,7 +247,7 @@ FAILING: list[tuple[type[Lights], str]] = [
     (informing(cost_sources={"wet": "x"}), r"info\['cost_sources'\]\['wet'\] is 'x'"),
     (informing(goals=0.5), r"info\['goals'\] is 0.5"),
     (informing(success=np.zeros(2)), r"info\['success'\] = array"),
-    (showing(np.zeros((64, 64, 3))), r"its observation is float64 of shape \(64, 64, 3\), not uint8"),
+    (variant(seen=lambda self: np.zeros((64, 64, 3))), r"its observation is float64 of shape \(64, 64, 3\), not uint8"),
 ]
 SPACE = gymnasium.spaces.Dict(image=BOX(0, 255, (64, 64, 3), np.uint8), state=BOX(-1, 1, (2,)))
 IMAGE = np.zeros((64, 64, 3), np.uint8)

@@ -78,10 +78,10 @@ def future(x: float, first: float, noise: Tensor) -> tuple[float, float]:
     return reward, cost
 
 
-def drawn(seed: int) -> Tensor:
+def drawn(seed: int, steps: int = H) -> Tensor:
     source = DecisionNoise()
     source.reset(torch.ones(1, dtype=torch.bool), [seed])
-    return as_gumbel(source.streams().uniform((H, M, 2), (H, M, 0), purpose=GATES)[0])[0]
+    return as_gumbel(source.streams().uniform((steps, M, 2), (steps, M, 0), purpose=GATES)[0])[0]
 
 
 def decided(assistant: WASP, x: float, a_h: float, operator: Operator | None = None) -> Decision:
@@ -171,10 +171,7 @@ def test_without_rollouts_one_step_and_both_critics_decide():
     assistant = ready(variant="no-rollout")
     assistant.tau_c, assistant.tau_r = 9.0, 9.0
     record = decided(assistant, 0.1, 1.0).record
-    noise = DecisionNoise()
-    noise.reset(torch.ones(1, dtype=torch.bool), [SEED])
-    shifts = as_gumbel(noise.streams().uniform((1, M, 2), (1, M, 0), purpose=GATES)[0])[0, 0, :, 0].tolist()
-    places = [0.1 + 0.1 + JITTER * shift for shift in shifts]
+    places = [0.1 + 0.1 + JITTER * shift for shift in drawn(SEED, 1)[0, :, 0].tolist()]
     cost = np.mean([(1.0 if LOW < x < HIGH else 0.0) + GAMMA_C * GOES_ON * 0.25 * abs(x) for x in places])
     reward = np.mean([0.1 + GAMMA_R * GOES_ON * 0.5 * x for x in places])
     assert float(record.g_cost) == pytest.approx(cost, abs=1e-5)

@@ -26,13 +26,6 @@ def test_td_lambda_is_equation_8(horizon, gamma, lam):
             assert found[i, j].item() == pytest.approx(wanted, rel=1e-12)
 
 
-def test_every_intermediate_return_is_the_return_of_the_rest():
-    signal, value = torch.randn(6, 2, dtype=torch.float64), torch.randn(6, 2, dtype=torch.float64)
-    every = td_lambda_all(signal, value, 0.9, 0.8)
-    for k in range(6):
-        torch.testing.assert_close(every[k], td_lambda(signal[k:], value[k:], 0.9, 0.8))
-
-
 @pytest.mark.parametrize("lam", [0.95, 0.3, 1.0])
 def test_continuation_is_a_discount_of_its_own(lam):
     """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1) G_n + lam^(H-1) G_H."""
@@ -53,12 +46,6 @@ def test_continuation_is_a_discount_of_its_own(lam):
         assert weights == pytest.approx(1.0)
         torch.testing.assert_close(found[k], wanted)
     torch.testing.assert_close(td_lambda_all(signal, value, gamma, lam, torch.ones_like(keep)), td_lambda_all(signal, value, gamma, lam))
-
-
-def test_lambda_mixes_bootstrap_and_monte_carlo():
-    signal, value = torch.ones(3, 1), torch.full((3, 1), 10.0)
-    assert td_lambda(signal, value, 0.5, 1.0).item() == pytest.approx(1 + 0.5 + 0.25 + 0.125 * 10)
-    assert td_lambda(signal, value, 0.5, 1e-12).item() == pytest.approx(1 + 0.5 * 10)
 
 
 def test_the_plain_sum_counts_costly_steps():

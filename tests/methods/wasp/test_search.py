@@ -144,8 +144,6 @@ def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
     assert batches == [1] + [N] * made, "no finalists"
     assert (found.safe[0] == CUT_OFF).tolist() == [True] * (3 - made) + [False] * made
     assert float(found.cost) <= TAU_C < float(found.alone_cost)
-    patient = searched(config(), normals, time_is_up=lambda: False)
-    torch.testing.assert_close(patient.residuals, searched(config(), normals).residuals, rtol=0, atol=0)
 
 
 # Worlds with a known answer: the paper's Fig. 1 in closed loop under the printed WASP, and what is imagined on the way.
