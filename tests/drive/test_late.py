@@ -46,7 +46,7 @@ def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(block, "PATIENCE", 1e-6)
         said: list[str] = []
-        patch.setattr("wasp_cli.drive.command.say", said.append)
+        patch.setattr("wasp_cli.drive.command.plain", said.append)  # stdout is for --json
         asked = wanted(results, "wasp", 40.0, simulated=True)
         session = asked.prepared()
         summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))

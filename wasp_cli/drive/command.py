@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wasp_cli.console import count_table, say
+from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
@@ -144,9 +144,9 @@ class Wanted:
 
 
 def drive_session(session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None) -> dict[str, Any]:
-    """Serve the page until the session is over, and say what was recorded; `scripted` drives in the place of a person."""
+    """Serve the page until the session is over, and say on stderr what was recorded; `scripted` drives in the place of a person."""
     if scripted is None and (told := warning(session)) is not None:
-        say(f"warning: {told}")
+        plain(f"warning: {told}")
     desk = Desk()
     server = Server(desk, port)
     server.start()
@@ -180,11 +180,11 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     for block in session.done:
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
         late = f"{block['late']} of {block['decisions']} decisions late"
-        say(f"{block['label']}: {block['episodes']} episode{'' if block['episodes'] == 1 else 's'}{whole}; {late} ({block['key']})")
+        plain(f"{block['label']}: {block['episodes']} episode{'' if block['episodes'] == 1 else 's'}{whole}; {late} ({block['key']})")
         if block["late"] > TOLERATED * block["decisions"]:
-            say(f"warning: nobody assisted in the late ones, and the report says so; try --speed {session.how.speed / 2:g}")
+            plain(f"warning: nobody assisted in the late ones, and the report says so; try --speed {session.how.speed / 2:g}")
         if (waited := block["behind_p50_ms"] or 0.0) > WAITED:
-            say(f"warning: the world slowed down, half of the time by {waited:.0f} ms or more; try --speed {session.how.speed / 2:g}")
+            plain(f"warning: the world slowed down, half of the time by {waited:.0f} ms or more; try --speed {session.how.speed / 2:g}")
     if session.failure is not None:
         raise session.failure
     if interrupted:
