@@ -88,7 +88,7 @@ def test_damaged_files_leave_their_curve_out(content: str, layout: Layout, tmp_p
 
 def test_a_row_of_the_table_is_exported_under_the_name_of_its_task(tmp_path: Path) -> None:
     driven = write(tmp_path, CellIdentity("formula1", "human", "full", "laggy", 0.5, 0), [invent(0, 1, 0.0, 0.1)])
-    assert [series.name for series in series_of(Layout(tmp_path), [], read_frame([driven]))] == ["formula1/table/Human-only"]
+    assert list(series_of(Layout(tmp_path), [], read_frame([driven]))) == ["formula1/table/Human-only"]
 
 
 def test_figures_name_what_they_show(tmp_path: Path) -> None:

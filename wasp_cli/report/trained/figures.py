@@ -263,13 +263,11 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
         return figure
 
 
-class Series(NamedTuple):
-    name: str
-    points: Mapping[int, Mapping[str, float]]
+Runs = dict[str, dict[int, dict[str, float]]]  # by name of a run and by step, the numbers there
 
 
-def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Iterator[Series]:
-    runs: dict[str, dict[int, dict[str, float]]] = {}
+def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Runs:
+    runs: Runs = {}
     for curve in driving_curves(layout, trained):
         _add(runs.setdefault(f"{curve.task}/s{curve.seed}/{curve.name}", {}), curve.x, curve.y)
     for curve in loss_curves(layout, trained):  # a curve a term of the loss, over its first value
@@ -279,8 +277,7 @@ def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Itera
         pairs = zip(table.columns, row.values, strict=True)
         numbers = {column.key: value.mean * column.scale for column, value in pairs if value.mean is not None}
         runs[f"{group.task}/table/{row.labels[1]}"] = {0: numbers}
-    for name, points in runs.items():
-        yield Series(name, points)
+    return runs
 
 
 def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]) -> None:
@@ -290,7 +287,7 @@ def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]
                 points.setdefault(int(step), {})[name] = float(value)
 
 
-def to_tensorboard(name: str, runs: Iterable[Series], folder: Path) -> int:
+def to_tensorboard(name: str, runs: Runs, folder: Path) -> int:
     try:
         from tensorboard.compat.proto.event_pb2 import Event
         from tensorboard.compat.proto.summary_pb2 import Summary
@@ -298,33 +295,29 @@ def to_tensorboard(name: str, runs: Iterable[Series], folder: Path) -> int:
     except ImportError as error:
         raise UsageError("--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'") from error
     target = _new(folder / name)
-    count = 0
-    for series in runs:
-        writer = EventFileWriter(str(target / series.name))
-        for step, numbers in series.points.items():
+    for run, points in runs.items():
+        writer = EventFileWriter(str(target / run))
+        for step, numbers in points.items():
             values = [Summary.Value(tag=tag, simple_value=value) for tag, value in numbers.items()]
             writer.add_event(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
         writer.close()
-        count += 1
-    return count
+    return len(runs)
 
 
-def to_trackio(name: str, runs: Iterable[Series], folder: Path) -> int:
+def to_trackio(name: str, runs: Runs, folder: Path) -> int:
     _new(folder / f"{name}.db")
     os.environ["TRACKIO_DIR"] = str(folder.resolve())  # read when the package is imported
     try:
         import trackio
     except ImportError as error:
         raise UsageError("--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'") from error
-    count = 0
     with redirect_stdout(io.StringIO()):  # it tells three lines a run
-        for series in runs:
-            run = trackio.init(project=name, name=series.name, resume="never", embed=False, auto_log_gpu=False, auto_log_cpu=False)
-            for step, numbers in series.points.items():
-                run.log(dict(numbers), step=step)
-            run.finish()  # type: ignore[no-untyped-call]
-            count += 1
-    return count
+        for run, points in runs.items():
+            begun = trackio.init(project=name, name=run, resume="never", embed=False, auto_log_gpu=False, auto_log_cpu=False)
+            for step, numbers in points.items():
+                begun.log(numbers, step=step)
+            begun.finish()  # type: ignore[no-untyped-call]
+    return len(runs)
 
 
 def _new(path: Path) -> Path:
