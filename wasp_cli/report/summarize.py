@@ -25,17 +25,7 @@ from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, 
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
-from wasp_cli.report.tables.main import (
-    ablation_table,
-    autonomy_table,
-    detail_table,
-    in_words,
-    latency_table,
-    main_table,
-    operator_table,
-    severity_table,
-    threshold_table,
-)
+from wasp_cli.report.tables.main import FURTHER, ablation_table, in_words, main_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown, training_tables, with_warnings
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
@@ -244,11 +234,7 @@ def report_run(
     front += people_tables(sittings)
     front += [table for table in (ablation_table(frame), necessity_table(frame)) if table is not None]
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
-    further = (
-        None if verdict is None else numbers_table(verdict),
-        comparison_table(frame),
-        *(table(frame) for table in (operator_table, severity_table, autonomy_table, detail_table, latency_table, threshold_table)),
-    )
+    further = (None if verdict is None else numbers_table(verdict), comparison_table(frame), *(table(frame) for table in FURTHER))
     back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *published, *remarks, *unknown, *damaged)

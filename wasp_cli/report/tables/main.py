@@ -259,6 +259,10 @@ def severity_table(frame: Frame) -> Table | None:
     return Table("severity", "Against severity", ("Task", "Operator", "Method"), columns, tuple(rows), notes, meanings, grouping=2)
 
 
+FURTHER = (operator_table, severity_table, autonomy_table, detail_table, latency_table, threshold_table)
+"""What makes the tables behind the front ones, in their order."""
+
+
 def has_severity(cell: CellNumbers) -> bool:
     """Return whether the value of a cell's operator is a severity; that of a person, or of a clone, is a participant's number."""
     return cell.identity.value is not None and OPERATORS[cell.identity.operator].simulated
