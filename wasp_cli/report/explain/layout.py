@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
@@ -83,10 +84,6 @@ def cell_fields(episode: Episode) -> list[tuple[str, str]]:
     ]
 
 
-def decider(method: str) -> str:
-    return METHODS[method].title if method in METHODS else method
-
-
 def cost_meaning(constants: Constants) -> str:
     if constants.bootstrap_cost:
         return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
@@ -141,14 +138,10 @@ def span(first: int, last: int) -> str:
 
 def places(decisions: Sequence[int]) -> str:
     """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
-    spans: list[list[int]] = []
-    for t in decisions:
-        if spans and t == spans[-1][1] + 1:
-            spans[-1][1] = t
-        else:
-            spans.append([t, t])
-    more = sum(last - first + 1 for first, last in spans[4:])
-    return ", ".join([span(first, last) for first, last in spans[:4]] + ([f"{more} more"] if more else [])) or "-"
+    # Within a range a decision and its place in the list are as far apart as those before it.
+    ranges = [[t for _, t in part] for _, part in groupby(enumerate(decisions), lambda placed: placed[1] - placed[0])]
+    more = sum(map(len, ranges[4:]))
+    return ", ".join([span(part[0], part[-1]) for part in ranges[:4]] + ([f"{more} more"] if more else [])) or "-"
 
 
 def count(number: int, thing: str) -> str:

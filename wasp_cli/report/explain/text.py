@@ -22,7 +22,6 @@ from wasp_cli.report.explain.layout import (
     cell_fields,
     cost_meaning,
     count,
-    decider,
     fields,
     gain_meaning,
     heading,
@@ -36,6 +35,7 @@ from wasp_cli.report.explain.layout import (
     span,
     table,
 )
+from wasp_cli.report.tables import who_title
 
 MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
 
@@ -98,7 +98,7 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
     thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
     above = "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
-    gates = [(GATE_METHOD, decider(episode.method), above)]
+    gates = [(GATE_METHOD, who_title(episode.method), above)]
     if episode.gated:
         safety = off if episode.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
         task = f"ΔG > τ_r {short(thresholds.tau_r)}" if episode.asks_task else off
@@ -124,7 +124,7 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
     gates, changed, actions = [], [], []
     for run in runs:
-        gate = {"none": "-", "method": decider(episode.method)}.get(run.gate, run.gate)
+        gate = {"none": "-", "method": who_title(episode.method)}.get(run.gate, run.gate)
         gates.append(gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}")  # of merged runs `safety 12/15`
         by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
         changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
@@ -224,7 +224,7 @@ def _decision_headline(episode: Episode, facts: Decision) -> str:
     if facts.gate == "late":
         return f"The assistant had not answered in time: {did}."
     if facts.gate == "method":
-        return f"{decider(episode.method)} intervened: {did}."
+        return f"{who_title(episode.method)} intervened: {did}."
     return f"No gate fired: {did}." if facts.safety is not None else f"{did.capitalize()}."
 
 

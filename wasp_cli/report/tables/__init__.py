@@ -134,22 +134,18 @@ def operator_title(variant: str) -> str:
 
 def assistant_title(group: Group, *, name_full: bool = False) -> str:
     """Return the label of a row, with its ablation where it is one; an incomplete row says of how many cells it is the mean."""
-    title = METHODS[group.method].title
-    if name_full or group.variant != "full":
-        title += f", {variant_title(group.method, group.variant)}"
+    title = who_title(group.method, group.variant)
+    if name_full and group.variant == "full":
+        title += f", {METHODS[group.method].variants['full']}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
     return title
 
 
-def who_title(method: str, variant: str) -> str:
+def who_title(method: str, variant: str = "full") -> str:
     """Return the title of a method, with that of its ablation unless it is the whole method.
 
     What no registry knows, of a plugin that is gone or of another version, keeps its name.
     """
-    title = METHODS[method].title if method in METHODS else method
-    return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
-
-
-def variant_title(method: str, variant: str) -> str:
-    return METHODS[method].variants.get(variant, variant) if method in METHODS else variant
+    title, variants = (METHODS[method].title, METHODS[method].variants) if method in METHODS else (method, {})
+    return title if variant == "full" else f"{title}, {variants.get(variant, variant)}"
