@@ -118,7 +118,7 @@ def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     if value is None:
         return None
     clusters = _Clusters.of(cells)
-    return clusters.estimate(value, lambda counts: _mean(*_by_training(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
+    return clusters.estimate(value, lambda counts: _mean(clusters, counts, cells, _pooled(clusters, counts, cells, key)))
 
 
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
@@ -148,8 +148,7 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
     clusters = _Clusters.of(own, other)
 
     def statistic(counts: Floats) -> Floats:
-        numbers = _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key)
-        return _mean(*_by_training(clusters, counts, own, numbers))
+        return _mean(clusters, counts, own, _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key))
 
     return clusters.estimate(value, statistic)
 
@@ -177,7 +176,7 @@ def improvement_over(
     def statistic(counts: Floats) -> Floats:
         times = counts if by_world else np.ones((1, 1))
         numbers = [_ratio(*(((times @ sums) * times).sum(1) for sums in each)) for each in won]
-        return _mean(*_by_training(clusters, counts, own, np.stack(numbers, 1)))
+        return _mean(clusters, counts, own, np.stack(numbers, 1))
 
     return clusters.found(statistic)
 
@@ -203,22 +202,19 @@ def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], k
     return _ratio(counts @ sums[0], counts @ sums[1])
 
 
-def _by_training(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
-    """What a mean is made of in every resample, and how often: the means [1, K] of the trainings, or the cells [R, C] of the only one."""
-    if clusters.unit == "world":
-        _, seed, many = np.unique([cell.identity.seed for cell in cells], return_inverse=True, return_counts=True)
-        return numbers, np.broadcast_to(1.0 / many[seed], numbers.shape)  # seeds count alike, as in `summarise`
-    place = clusters.trainings(cells)
-    return (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
-
-
 def _ratio(total: Floats, mass: Floats) -> Floats:
     quotient: Floats = np.divide(total, mass, out=np.full(total.shape, np.nan), where=mass > 0)
     return quotient
 
 
-def _mean(numbers: Floats, times: Floats) -> Floats:
-    """[R] the mean of numbers [R or 1, N] that count several times [R, N]; undefined numbers do not count."""
+def _mean(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> Floats:
+    """[R] the mean over trainings of the mean numbers [R or 1, C] of their cells, or over the seeds of the only one; NaN does not count."""
+    if clusters.unit == "world":
+        _, seed, many = np.unique([cell.identity.seed for cell in cells], return_inverse=True, return_counts=True)
+        times = np.broadcast_to(1.0 / many[seed], numbers.shape)  # seeds count alike, as in `summarise`
+    else:
+        place = clusters.trainings(cells)
+        numbers, times = (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
     times = times * ~np.isnan(numbers)
     return _ratio((np.nan_to_num(numbers) * times).sum(1), times.sum(1))
 
