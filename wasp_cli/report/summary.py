@@ -69,9 +69,9 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
     return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
 
 
-def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
+def summarise(cells: Sequence[CellNumbers], key: str) -> Value:
     """Return the mean over seeds; it has no spread where seeds have cells under other conditions, which differ by more than chance."""
-    value = over_seeds(seed_means(cells, key).values(), ranked)
+    value = over_seeds(seed_means(cells, key).values())
     return value if even(defining(cells, key)) else replace(value, sd=None)
 
 
@@ -105,18 +105,14 @@ def same_episodes(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
 
     They went alike when what happened and what was corrected is equal to the bit. Gates may differ, and times do.
     """
-    by_condition = {condition(cell.identity): cell for cell in reference}
     same = total = 0
-    for cell in cells:
-        other = by_condition.get(condition(cell.identity))
-        if other is None:
-            continue
-        _, own, others = np.intersect1d(cell.episodes["world"], other.episodes["world"], return_indices=True)
-        alike = np.ones(len(own), bool)
+    for cell, other in pairs_of(cells, reference, "cost"):
+        own, others = (np.argsort(each.episodes["world"]) for each in (cell, other))
+        alike = np.ones(cell.count, bool)
         for name in HAPPENED & cell.episodes.keys() & other.episodes.keys():
             left, right = cell.episodes[name][own], other.episodes[name][others]
             alike &= (left == right) | (np.isnan(left) & np.isnan(right))
-        same, total = same + int(alike.sum()), total + len(own)
+        same, total = same + int(alike.sum()), total + cell.count
     return same, total
 
 
