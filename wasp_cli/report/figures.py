@@ -7,7 +7,7 @@ no file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
@@ -105,17 +105,12 @@ def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
     panel.set_axisbelow(True)
 
 
-def legend(
-    figure: Figure, panels: Iterable[Axes], further: Mapping[str, Mapping[str, Any]] | None = None, most: int = 0, **options: Any
-) -> None:
-    """Set one legend for some panels: each label once, then the lines of `further` by label.
+def legend(figure: Figure, panels: Iterable[Axes], most: int = 0, **options: Any) -> None:
+    """Set one legend for some panels, with each label once.
 
     `most` is the number of entries in a row at most, spread evenly over as many rows as the width needs; 0: one below the other.
     """
-    from matplotlib.lines import Line2D
-
     handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-    handles |= {label: Line2D([], [], **look) for label, look in (further or {}).items()}
     rows = math.ceil(len(handles) / most) if most else len(handles)
     while handles:
         shown = figure.legend(handles.values(), handles.keys(), frameon=False, ncols=math.ceil(len(handles) / rows), **options)
