@@ -13,7 +13,6 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.summarize import identity_of
-from wasp_cli.run.record import read_run
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.layout import Layout
@@ -51,8 +50,7 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
             identity = cells[node.key]
             write_rows(staging, identity, make(identity))
         commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
-    recorded = read_run(layout, RUN)
-    return Side(layout, RUN, recorded.spec, recorded.cells)
+    return Side.read(layout, RUN)
 
 
 def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-from wasp_cli.plan.node import Cell
 from wasp_cli.plan.reasons import changes_between, few
 from wasp_cli.report.bootstrap import COVERAGE, SEED, Estimate, difference_of, drawn
 from wasp_cli.report.node import mapping, upstream_of
@@ -32,8 +31,7 @@ from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import Interval
-from wasp_cli.run.record import read_run, results_of
-from wasp_cli.spec.model import Spec
+from wasp_cli.run.record import Recorded, read_run, results_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, same_rows
@@ -45,11 +43,9 @@ LEVEL = 0.05
 
 
 @dataclass(frozen=True)
-class Difference:
+class Difference(Estimate):
     """A measure of one cell, after minus before, as a mean over episodes."""
 
-    value: float
-    interval: Interval | None  # None with a single world
     p: float  # corrected for the number of measures
 
 
@@ -102,18 +98,13 @@ def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
 
 
-@dataclass(frozen=True)
-class Side:
+@dataclass(frozen=True, kw_only=True)
+class Side(Recorded):
     layout: Layout
-    run_id: str
-    spec: Spec
-    cells: Sequence[tuple[Cell, str]]  # each with the key of its evaluation
-    absent: tuple[str, ...] = ()  # whose cells are left out, since it is not installed here, each as a sentence
 
     @classmethod
     def read(cls, layout: Layout, run_id: str) -> Side:
-        run = read_run(layout, run_id)
-        return cls(layout, run.run_id, run.spec, run.cells, run.absent)
+        return cls(**vars(read_run(layout, run_id)), layout=layout)
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,13 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare import LEVEL, MEASURES, Compared, Difference, Side, State
+from wasp_cli.compare import LEVEL, MEASURES, Compared, Side, State
 from wasp_cli.report.bootstrap import Estimate
-from wasp_cli.report.claims_text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import RENDERERS, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.summary import UNDEFINED, Value
-from wasp_cli.report.tables import Row, Table, task_title
+from wasp_cli.report.tables import Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.spec.paper import Who
 
 TITLE = "# Comparison\n"
 SHOWN = 12  # cells that a terminal names of each kind
@@ -50,36 +48,37 @@ def headline(compared: Compared) -> str:
     return f"{_cells(len(compared.cells))}: {counted}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
 
 
-def cells_table(compared: Compared) -> Table | None:
+def cells_table(compared: Compared) -> Table:
     cells = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
     beyond = (", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-" for cell in cells)
     rows = [
         Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
         for cell, names in zip(cells, beyond, strict=True)
     ]
-    notes = tuple(_unable(compared))
-    return Table(
-        "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
-    ) if rows else None  # fmt: skip
+    labels, notes = ("Cell", "More than noise"), tuple(_unable(compared))
+    return Table("cells", "Cells that differ", labels, COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False)
 
 
-def summary_table(compared: Compared) -> Table | None:
+def summary_table(compared: Compared) -> Table:
     rows = []
     for assistant in compared.summary:
         if assistant.differing:
-            name = title_of(Who(assistant.method, assistant.variant))
+            name = who_title(assistant.method, assistant.variant)
             labels = (task_title(assistant.task), name, f"{assistant.differing} of {assistant.cells}")
             rows.append(Row(labels, _values(assistant.estimates)))
     meanings = (
         "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
         "no more than their range. Viol. and Int. pool the episodes of a cell, so long ones weigh more than in the table of cells.",
     )
-    return Table(
-        "summary", "Difference of each assistant", ("Task", "Method", "Cells"), COLUMNS, tuple(rows), (), meanings, ranked=False
-    ) if rows else None  # fmt: skip
+    labels = ("Task", "Method", "Cells")
+    return Table("summary", "Difference of each assistant", labels, COLUMNS, tuple(rows), (), meanings, ranked=False)
 
 
-def _values(numbers: Mapping[str, Difference] | Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Value, ...]:
+def tables(compared: Compared) -> list[Table]:
+    return [table for table in (cells_table(compared), summary_table(compared)) if table.rows]
+
+
+def _values(numbers: Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Value, ...]:
     row = (numbers.get(column.key) for column in COLUMNS)
     return tuple(UNDEFINED if each is None else Value(each.value, n=seeds, ranked=False, interval=each.interval) for each in row)
 
@@ -129,12 +128,11 @@ def _named(side: Side) -> str:
 def show(compared: Compared, console: Console) -> None:
     for line in remarks(compared):
         console.print(Text(line), soft_wrap=True)
-    for table in (cells_table(compared), summary_table(compared)):
-        if table is not None:
-            rows = table.rows[:SHOWN] if table.name == "cells" else table.rows
-            console.print(terminal(replace(table, rows=rows), console.width))
-            if len(rows) < len(table.rows):
-                console.print(Text(f"and {len(table.rows) - len(rows)} more; --out DIR writes all"), soft_wrap=True)
+    for table in tables(compared):
+        rows = table.rows[:SHOWN] if table.name == "cells" else table.rows
+        console.print(terminal(replace(table, rows=rows), console.width))
+        if len(rows) < len(table.rows):
+            console.print(Text(f"and {len(table.rows) - len(rows)} more; --out DIR writes all"), soft_wrap=True)
 
 
 def page(compared: Sequence[Compared]) -> str:
@@ -145,15 +143,11 @@ def page(compared: Sequence[Compared]) -> str:
     return "\n".join(parts)
 
 
-def tables(compared: Compared) -> list[Table]:
-    made = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
-    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in made]
-
-
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     before = (folder / "compare.md").read_text("utf-8", "replace") if (folder / "compare.md").is_file() else ""
-    written = write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
+    named = [replace(table, name=f"{each.first.spec.name}-{table.name}") for each in compared for table in tables(each)]
+    written = write_pages(folder, {"compare.md": page(compared)}, named)
     # Tables of the specs that the page before was about would pass for a part of this one.
     specs = re.findall(r"^## (.+)$", before, re.MULTILINE) if before.startswith(TITLE) else []
     old = {f"{spec}-{table}.{ending}" for spec in specs for table in ("cells", "summary") for ending in RENDERERS}

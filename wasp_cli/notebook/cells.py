@@ -184,10 +184,8 @@ def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Seq
 
 def episodes_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
     path = table_of(layout, cell)
-    return None if path is None else _own_episodes(path, cell)
-
-
-def _own_episodes(path: Path, cell: ListedCell) -> pa.Table:
+    if path is None:
+        return None
     table = read_episodes([path])
     names = CellIdentity.__dataclass_fields__
     if table.num_rows and {name: table[name][0].as_py() for name in names} != asdict(cell.identity):
@@ -196,11 +194,9 @@ def _own_episodes(path: Path, cell: ListedCell) -> pa.Table:
 
 
 def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
-    path = table_of(layout, cell)
-    if path is None:
+    if episodes_of(layout, cell) is None:  # which refuses the rows of another cell
         return None
-    _own_episodes(path, cell)
-    return read_steps(path)
+    return read_steps(cell_file(layout.artifact(KIND, cell.key)))
 
 
 def all_steps(layout: Layout, cells: Sequence[ListedCell], columns: Iterable[str] | None) -> pa.Table:
