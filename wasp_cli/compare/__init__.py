@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -194,7 +194,6 @@ def compare(first: Side, second: Side) -> Compared:
 
 class _Read:
     def __init__(self, side: Side) -> None:
-        self.layout = side.layout
         cells, _ = wanted_cells(side.layout, side.spec, side.cells)
         frame = read_frame(cells)
         self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
@@ -271,9 +270,11 @@ class Causes:
             yield f"another {kind}, whose record is damaged"
             return
         yield from own
-        upstream = list(_differing(old, new))
-        for _, other, needed, needed_too in upstream:
-            yield from self._follow(other, needed, needed_too)
+        first, second = upstream_of(old), upstream_of(new)
+        pairs = [(second[name][0], needed, second[name][1]) for name, (_, needed) in first.items() if name in second]
+        upstream = [(other, needed, needed_too) for other, needed, needed_too in pairs if needed != needed_too]
+        for each in upstream:
+            yield from self._follow(*each)
         reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
         if reads:
             yield f"{kind}: reads other artifacts: {few(reads)}"
@@ -291,11 +292,3 @@ class Causes:
         libraries = dict.fromkeys((*versions[0], *versions[1]))
         pairs += [(name, str(versions[0].get(name) or "unknown"), str(versions[1].get(name) or "unknown")) for name in libraries]
         yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(pairs) if one != two)
-
-
-def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
-    """What both read under one name, as another artifact: the name, the kind and both keys."""
-    after = upstream_of(new)
-    for name, (_, key) in upstream_of(old).items():
-        if name in after and after[name][1] != key:
-            yield name, after[name][0], key, after[name][1]

@@ -205,9 +205,9 @@ def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | No
 
 def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
     printed = paper.printed(asked.task, asked.left, asked.column), asked.right and paper.printed(asked.task, asked.right, asked.column)
-    shown = _shown_in_print(asked, *printed)
+    answer = Answer(asked, "untested", printed=printed, shown_in_print=_shown_in_print(asked, *printed))
     if asked.task not in rows.tasks:
-        return Answer(asked, "untested", printed=printed, shown_in_print=shown)
+        return answer
     sides = [who for who in (asked.left, asked.right) if who is not None]
     lacking = [lack for who in sides if (lack := rows.lack(asked.task, who, asked.column))]
     means = [rows.mean(asked.task, who, asked.column) for who in sides]
@@ -218,11 +218,10 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
     contrast = None if lacking else rows.contrast(asked)
     if not lacking and contrast is None:
         lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
-    values = left.value if left else None, right.value if right else None
+    answer = replace(answer, left=left.value if left else None, right=right.value if right else None)
     if contrast is None:
-        return Answer(asked, "untested", *values, reason="; ".join(dict.fromkeys(lacking)), printed=printed, shown_in_print=shown)
-    outcome = decide(contrast.bootstrap, asked.relation)
-    return Answer(asked, outcome, *values, contrast, printed=printed, shown_in_print=shown)
+        return replace(answer, reason="; ".join(dict.fromkeys(lacking)))
+    return replace(answer, outcome=decide(contrast.bootstrap, asked.relation), contrast=contrast)
 
 
 def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:

@@ -16,7 +16,6 @@ from wasp_cli.report.claims import COLUMN_OF, Answer, Beside, Judged, Outcome, V
 from wasp_cli.report.render import markdown_row, rendered
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title, who_title
-from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -55,7 +54,7 @@ def second_headlines(verdict: VerdictReport) -> list[str]:
         counts = Counter(outcome for _, outcome in pairs)
         said = [_counted(counts[outcome], outcome, verdict) for outcome in ("holds", "fails", "undecided") if counts[outcome]]
         changed = sum(own != other for own, other in pairs)
-        place = f"{title_of(who)} in place of {title_of(stood_for(who))}"
+        place = f"{who_title(*who)} in place of {who_title(*stood_for(who))}"
         sentences.append(f"Judged by {place}: {'; '.join(said)}; {changed} of {len(pairs)} verdicts differ." if pairs else "")
     return [text for text in sentences if text]
 
@@ -95,10 +94,10 @@ def _lacking(claims: Sequence[Judged]) -> list[str]:
 
 def sentence(answer: Answer) -> str:
     asked, column = answer.asked, COLUMN_OF[answer.asked.column]
-    sides = [f"{title_of(asked.left)} {column.number(answer.left)}"]
+    sides = [f"{who_title(*asked.left)} {column.number(answer.left)}"]
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
-        sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
+        sides.append(f"{who_title(*asked.right)} {column.number(answer.right)}")
     t = f"; t {limits}" if (limits := _limits(answer, answer.contrast.t if answer.contrast else None)) else ""
     contrast = ""
     if answer.contrast is not None:
@@ -143,7 +142,7 @@ def verdict_terminal(verdict: VerdictReport) -> Text:
 def verdict_markdown(verdict: VerdictReport) -> str:
     lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
     if told := second_headlines(verdict):
-        titles = [title_of(who) for who in verdict.others]
+        titles = [who_title(*who) for who in verdict.others]
         lines += [*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles)))]
         for judged in verdict.claims:
             if judged.part != "untested":
@@ -183,7 +182,7 @@ def verdict_html(verdict: VerdictReport) -> Markup:
         if judged.part != "untested":
             shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
             labels = (_second_label(verdict, judged, i) for i in range(len(verdict.others)))
-            seconds = [(title_of(who), text) for who, text in zip(verdict.others, labels, strict=True) if text]
+            seconds = [(who_title(*who), text) for who, text in zip(verdict.others, labels, strict=True) if text]
             claims.append((judged.claim, shade, label(verdict, judged), seconds, list(_told(judged))))
     told = {"title": TITLE, "headline": headline(verdict), "seconds": second_headlines(verdict), "untested": untested(verdict)}
     return rendered("claims.html", verdict=verdict, claims=claims, **told)
@@ -210,16 +209,12 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
         columns.append(replace(column, title=f"{column.title}, here"))
     rows = []
     for row in verdict.rows:
-        labels = row.table, task_title(row.task), title_of(row.who) + (" [incomplete]" if row.note else "")
+        labels = row.table, task_title(row.task), who_title(*row.who) + (" [incomplete]" if row.note else "")
         rows.append(Row(labels, _values(row, keys)))
     absent = sum(len(printed) for table in verdict.paper.tables for printed in table.rows.values()) - len(rows)
     notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
     head = ("paper", "Comparison with the paper", LABELS, tuple(columns))
     return Table(*head, tuple(rows), tuple(notes), MEANINGS, grouping=2, ranked=False)
-
-
-def title_of(who: Who) -> str:
-    return who_title(who.method, who.variant)
 
 
 def _values(row: Beside, keys: list[str]) -> tuple[Value, ...]:
