@@ -31,7 +31,6 @@ from wasp_cli.tasks.registry import TASKS
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-
 MODERATE = "moderate"  # name of the severity whose episode is shown
 FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
@@ -62,7 +61,6 @@ class TaskFilms:
     task: str
     operator: str
     value: float | None
-    severity: str | None
     seed: int
     number: int  # of the episode
     how: str  # it was chosen, for people
@@ -71,10 +69,6 @@ class TaskFilms:
     @property
     def decisions(self) -> int:
         return max(film.episode.decisions for film in self.films)
-
-    @property
-    def decision_seconds(self) -> float | None:
-        return next((film.episode.constants.decision_seconds for film in self.films), None)
 
 
 def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
@@ -113,7 +107,7 @@ def _of_task(
             films.append(film)
     if not films:
         return None
-    return TaskFilms(task, variant, first.identity.value, first.severity, first.identity.seed, number, how, tuple(films))
+    return TaskFilms(task, variant, first.identity.value, first.identity.seed, number, how, tuple(films))
 
 
 def _is_slim(layout: Layout, key: str) -> bool:
@@ -147,7 +141,7 @@ def film_page(films: TaskFilms) -> Markup:
         f"Episode {films.number} of seed {films.seed} under the operator {operator}: {films.how}. "
         "Every method meets the same world and the same mistakes; the Expert is the unimpaired operator."
     )
-    seconds = films.decision_seconds
+    seconds = films.films[0].episode.constants.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
     things = next((film.sprite.things for film in films.films if film.sprite is not None), ())
     return rendered(

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
-
 WHOLE = re.compile(r"(\d+) of \1 planned cells are")
 """A note that nothing is missing: a caption goes without, and the comments above the table have it."""
 

@@ -272,17 +272,11 @@ def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
     An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell.
     """
     asked = {cell.identity: cell.branches for cell in wanted if cell.branches is not None}
-    judged: dict[CellIdentity, Judged] = {}
-    gaps: dict[CellIdentity, Missing] = {}
-    for cell in frame.cells:
-        if cell.identity in asked:
-            worth = _judged(asked[cell.identity], cell)
-            if isinstance(worth, Missing):
-                gaps[cell.identity] = worth
-            else:
-                judged[cell.identity] = worth
+    read = {cell.identity: _judged(asked[cell.identity], cell) for cell in frame.cells if cell.identity in asked}
+    judged = {identity: worth for identity, worth in read.items() if not isinstance(worth, Missing)}
+    gaps = tuple(gap for gap in read.values() if isinstance(gap, Missing))
     cells = tuple(_with_columns(cell, judged[cell.identity]) if cell.identity in judged else cell for cell in frame.cells)
-    return replace(frame, cells=cells, judged=judged, unbranched=tuple(gaps.values()))
+    return replace(frame, cells=cells, judged=judged, unbranched=gaps)
 
 
 def _judged(branches: Wanted, cell: CellNumbers) -> Judged | Missing:

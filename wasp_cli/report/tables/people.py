@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
-from wasp_cli.report.summary import UNDEFINED, Interval, Value
+from wasp_cli.report.summary import UNDEFINED, Interval, Value, over_seeds
 from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.spec.model import QUESTIONS
@@ -28,7 +28,6 @@ from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing
 
 TLX = "tlx"
 WORKLOAD = "raw_tlx"  # mean of the six scales of NASA's task load index, without weights
-
 
 Condition = tuple[str, str, str]  # task, method and ablation
 
@@ -87,15 +86,10 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
     for participant, number in numbers:
         if not math.isnan(number):
             own.setdefault(participant, []).append(number)
-    if not own:
-        return UNDEFINED
     means = np.array([np.mean(own[participant]) for participant in sorted(own)])
-    count = len(means)
-    if count == 1:
-        return Value(float(means[0]), n=1, ranked=False)
-    limits = limits_of(drawn(count) @ means / count)
-    interval = None if limits is None else Interval(*limits, "participant", count)
-    return Value(float(means.mean()), float(means.std(ddof=1)), count, ranked=False, interval=interval)
+    limits = limits_of(drawn(len(means)) @ means / len(means)) if len(means) > 1 else None
+    interval = None if limits is None else Interval(*limits, "participant", len(means))
+    return replace(over_seeds(means.tolist(), ranked=False), interval=interval)
 
 
 def measured(sitting: Sitting, key: str) -> float:
@@ -242,12 +236,11 @@ def _order(sittings: Sequence[Sitting]) -> Table:
 def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     rows = []
     for condition, own in groups.items():
-        tables = []
-        for number, each in enumerate(own):  # episodes of several cells are told apart, since a key of one is not held in the next
-            episodes = pa.array(np.asarray(each.beats["episode"]) + 1_000_000 * number, pa.int32())
-            where = each.beats.schema.get_field_index("episode")
-            tables.append(each.beats.set_column(where, each.beats.schema.field("episode"), episodes))
-        summary = timing_summary(pa.concat_tables(tables))
+        beats = pa.concat_tables([each.beats for each in own])
+        # Episodes of several cells are told apart, since a key of one is not held in the next.
+        cell = np.repeat(np.arange(len(own)), [each.beats.num_rows for each in own])
+        episodes = pa.array(np.asarray(beats["episode"]) + 1_000_000 * cell, pa.int32())
+        summary = timing_summary(beats.set_column(beats.schema.get_field_index("episode"), "episode", episodes))
         numbers = [summary[column.key] for column in TIMES]
         people = len({each.participant for each in own})
         values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)

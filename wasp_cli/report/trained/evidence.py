@@ -24,7 +24,6 @@ from wasp_cli.store.layout import Layout, slug
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)  # red is what cost, blue what was predicted to
 GAP, TEXT = 6, 18  # between frames, and of a line of text, in px
 SIDE, LABEL, BAR = 96, 92, 26  # of a frame of a world model, the names of its rows, and the bars of costs, in px

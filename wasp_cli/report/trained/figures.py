@@ -31,7 +31,6 @@ from wasp_cli.store.layout import Layout
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
 SMOOTHED = 7  # points of a loss that are averaged: a batch is small
