@@ -34,7 +34,7 @@ def states(compared: Compared) -> dict[str, int]:
     return {**{state: len(compared.having(state)) for state in STATES}, "beyond": len(compared.beyond)}
 
 
-NONE = {"same": 0, "same rows": 0, "differs": 0, "not compared": 0, "only first": 0, "only second": 0, "beyond": 0}
+NONE = dict.fromkeys((*STATES, "beyond"), 0)
 
 
 def test_a_folder_beside_itself_has_no_difference(first: Side) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_SAFETY, Plans, Trajectory, episode_metrics
+from wasp_cli.plan.node import cell_label
 from wasp_cli.report.explain import Episode, read_episode
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.artifact import commit, staging_folder
@@ -49,8 +50,6 @@ class Invented:
         self.plans = Plans(
             np.full((steps, 2, 2), NAN), np.full((steps, 3), -1), np.zeros((steps, 3), bool), *np.full((4, steps), NAN)
         )  # fmt: skip
-        if self.method == "printed" and self.variant == "safety-only":
-            self.delta_g[:] = NAN
 
     def fire(
         self, t: int, gate: int, residuals: Any = ((-0.5, 0.5), (0.25, 0.0)), safe: Any = (3, 12, 30), cost: float = 0.2, alone: float = 0.6
@@ -77,14 +76,11 @@ class Invented:
             plans=self.plans if self.method in PLANNING else None,
         )  # fmt: skip
 
-    def label(self) -> str:
-        return f"goal1 s0 {self.method}{'' if self.variant == 'full' else '/' + self.variant} laggy=0.7"
-
     def manifest(self) -> dict[str, Any]:
         return {
             "kind": "evaluate",
             "key": KEY,
-            "label": self.label(),
+            "label": f"goal1 s0 {cell_label(self.method, self.variant, 'laggy', 0.7)}",
             "axes": {"method": self.method, "method_config": self.config},
             "settings": {"action_repeat": 4, "side_by_side": 2, "returns": {"gamma_c": 0.5}},
             "provenance": {"started_at": "2026-05-01T12:34:56+00:00"},

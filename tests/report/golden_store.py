@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.summarize import Report, report_run
+from wasp_cli.run.record import read_run
+from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
 
@@ -20,6 +23,13 @@ READ = ("episodes.parquet", "_steps.pq", "branches.parquet", "curve.json", "curv
 """Files of artifacts that a report reads, beside the manifests."""
 KEPT = ("kind", "key", "label", "task", "seed", "axes", "settings", "upstream", "upstream_kinds", "summary")
 """Of a manifest."""
+
+
+def report_of(results: Path, paper: Paper | None = None) -> Report:
+    """The report of a copy of the store."""
+    layout = Layout(results)
+    run = read_run(layout, last_runs(layout)[0]["golden"])
+    return report_run(results, run.spec, run.cells, run.parts, paper, run.branched)
 
 
 def distil(results: Path, target: Path) -> None:

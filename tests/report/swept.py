@@ -10,6 +10,7 @@ steps:
 """
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,35 +20,16 @@ from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.sweep import Swept
 from wasp_cli.store.tables import CellIdentity
 
-NUMBERS: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))
-"""Values as they are written, and as a file has them."""
-CONDITIONS: tuple[tuple[str, float], ...] = (("noisy", 0.2), ("noisy", 0.6))
+VALUES: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))
+"""As they are written, and as a file has them."""
 
 
-def invent_sweep(
-    folder: Path,
-    values: Sequence[tuple[str, Any]] = NUMBERS,
-    conditions: Sequence[tuple[str, float]] = CONDITIONS,
-    seeds: Sequence[int] = (0, 1),
-    methods: Sequence[str] = ("diffusion",),
-    task: str = "goal1",
-    missing: Sequence[CellIdentity] = (),
-) -> list[Swept]:
-    """The cells of `human`, which no value changes, and of `methods`; the first value lacks those that are `missing`."""
-    alone = [
-        written(folder / "human", CellIdentity(task, "human", "full", operator, severity, seed), 4 - c, 0.0, 1.0 - 0.1 * c)
-        for c, (operator, severity) in enumerate(conditions)
-        for seed in seeds
-    ]
+def invent_sweep(folder: Path, missing: Sequence[CellIdentity] = ()) -> list[Swept]:
+    """The cells of `human`, which no value changes, and of `diffusion`; the first value lacks those that are `missing`."""
+    alone = written(folder / "human", "human", 0, 0.0, 1.0)
     found = []
-    for n, (text, value) in enumerate(values):
-        place, intervene, left = folder / f"{n}", (n + 1) / 10, 1 - n / (len(values) - 1)
-        own = [
-            written(place, CellIdentity(task, method, "full", operator, severity, seed), 4 - c + n, intervene, (1.0 - 0.1 * c) * left)
-            for method in methods
-            for c, (operator, severity) in enumerate(conditions)
-            for seed in seeds
-        ]
+    for n, (text, value) in enumerate(VALUES):
+        own = written(folder / f"{n}", "diffusion", n, (n + 1) / 10, 1 - n / (len(VALUES) - 1))
         for cell in own:
             if n == 0 and cell.identity in missing:
                 cell.path.unlink()
@@ -56,9 +38,13 @@ def invent_sweep(
     return found
 
 
-def written(folder: Path, identity: CellIdentity, goals: int, intervene: float, risk: float) -> Wanted:
-    """One cell of two episodes that differ by one goal."""
-    return write(folder, identity, two_episodes(identity, goals, intervene, risk), success_goals=3)
+def written(folder: Path, method: str, goals: int, intervene: float, risk: float) -> list[Wanted]:
+    """The cells of a method under two severities and with two seeds."""
+    cells = []
+    for (c, severity), seed in product(enumerate((0.2, 0.6)), (0, 1)):
+        identity = CellIdentity("goal1", method, "full", "noisy", severity, seed)
+        cells.append(write(folder, identity, two_episodes(identity, 4 - c + goals, intervene, (1.0 - 0.1 * c) * risk), success_goals=3))
+    return cells
 
 
 def two_episodes(identity: CellIdentity, goals: int, intervene: float, risk: float) -> list[Trajectory]:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.report.golden_store import STORE
+from tests.report.golden_store import STORE, report_of
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.summarize import Report, report_run
+from wasp_cli.report.summarize import Report
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
@@ -30,11 +30,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def report(results: Path) -> Report:
-    layout = Layout(results)
-    runs, damaged = last_runs(layout)
-    assert not damaged
-    recorded = read_run(layout, runs["golden"])
-    return report_run(results, recorded.spec, recorded.cells, recorded.parts, load_paper(), recorded.branched)
+    return report_of(results, load_paper())
 
 
 def texts(report: Report) -> dict[str, str]:

@@ -11,25 +11,16 @@ import pytest
 from rich.console import Console
 
 from tests.commands import run_here
-from tests.report.golden_store import STORE
+from tests.report.golden_store import STORE, report_of
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.report.notes import FILE, LONGEST, Note, add_note, invalid, notes_of
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.summarize import Report, report_run
-from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     return shutil.copytree(STORE, tmp_path / "results")
-
-
-def report_of(results: Path) -> Report:
-    layout = Layout(results)
-    recorded = read_run(layout, last_runs(layout)[0]["golden"])
-    return report_run(results, recorded.spec, recorded.cells, recorded.parts, None, recorded.branched)
 
 
 def stored(results: Path) -> dict[str, int]:

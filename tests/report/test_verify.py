@@ -65,15 +65,6 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
     assert f"The cells were not computed with the same versions: {said}" in told
 
 
-def without(folder: Path, method: str, name: str = "held", **changes: Any) -> Path:
-    """Results of which one method is unknown now."""
-    side = write_results(folder, **changes)
-    for record in ("spec.json", "plan.json"):
-        path = side.layout.run(side.run_id) / record
-        path.write_text(path.read_text(encoding="utf-8").replace(f'"{method}"', f'"{name}"'), encoding="utf-8")
-    return folder
-
-
 def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_path: Path) -> None:
     side = write_results(tmp_path / "results")
     cut, linked = (side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2])
@@ -84,8 +75,11 @@ def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_pat
     assert f"part of the results cannot be read:\n  {cut} is damaged" in told.output
 
 
-def test_its_cells_are_named_where_the_others_are_counted(tmp_path: Path) -> None:
-    results = without(tmp_path / "results", "wasp", "<b>held")
+def test_cells_of_an_unknown_method_are_named_where_the_others_are_counted(tmp_path: Path) -> None:
+    results, side = tmp_path / "results", write_results(tmp_path / "results")
+    for record in ("spec.json", "plan.json"):
+        path = side.layout.run(side.run_id) / record
+        path.write_text(path.read_text(encoding="utf-8").replace('"wasp"', '"<b>held"'), encoding="utf-8")
     told = run_here("report", results, *REPORT, columns=200, code=0)
     assert "none is left out" not in told.output
     assert "4 of 4 planned cells of what is installed here are finished" in told.output

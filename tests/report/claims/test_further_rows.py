@@ -1,7 +1,7 @@
 """Claims about a method are judged again with the row of another that stands for it."""
 
 from tests.report.claims.test_verdict import against, asked, cell, frame_of, paper_with
-from wasp_cli.report.claims import VerdictReport, judge
+from wasp_cli.report.claims import judge
 from wasp_cli.report.claims_text import second_headlines, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.stats import Frame
 from wasp_cli.spec.paper import Who
@@ -55,12 +55,8 @@ def test_a_report_without_that_row_says_nothing_of_it() -> None:
     assert "as printed" not in verdict_markdown(verdict) + verdict_html(verdict) + verdict_terminal(verdict).plain
 
 
-def report() -> VerdictReport:
-    return judge(both(), paper_with(STATEMENT, asked("higher", "right: [wasp]", left="human")))
-
-
 def test_every_form_of_the_report_has_the_second_verdict() -> None:
-    verdict = report()
+    verdict = judge(both(), paper_with(STATEMENT, asked("higher", "right: [wasp]", left="human")))
     line = "Judged by WASP (as printed) in place of WASP: 1 does not hold; 1 of 1 verdicts differ."
     text, page = verdict_markdown(verdict), verdict_html(verdict)
     assert "| Claim | Verdict | WASP (as printed) |\n| --- | --- | --- |\n| `claim` | holds | does not hold |\n" in text

@@ -5,7 +5,6 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -277,17 +276,11 @@ def test_environments_of_others_are_not_imported_for_a_film(stored: Stored, tmp_
     (tmp_path / "evil_module.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     layout, frame, keys = stored
-    cells = tuple(_renamed(frame, "evil_module:Evil-v0"))
+    cells = tuple(replace(cell, identity=replace(cell.identity, task="evil_module:Evil-v0")) for cell in frame.cells)
     every = {cell.identity: next(iter(keys.values())) for cell in cells}
     found = list(films_of(layout, Frame(cells), every, sprite_of, lambda text: None))
     assert found == []
     assert not (tmp_path / "imported").exists()
-
-
-def _renamed(frame: Frame, task: str) -> Iterator[object]:
-    from dataclasses import replace
-
-    return (replace(cell, identity=replace(cell.identity, task=task)) for cell in frame.cells)
 
 
 def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(tmp_path: Path) -> None:

@@ -203,29 +203,23 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Frame:
     return frame_of(with_invented_branches(write_grid(tmp_path_factory.mktemp("grid"), ablations=("safety-only",))))
 
 
-def table_of(frame: Frame) -> Table:
-    table = necessity_table(frame)
-    assert table is not None
-    return table
-
-
 def row(table: Table, method: str) -> dict[str, float | None]:
     values = next(row.values for row in table.rows if row.labels[1].startswith(method))
     return {column.key: value.mean for column, value in zip(table.columns, values, strict=True)}
 
 
 def test_a_row_is_the_mean_over_seeds_of_its_cells(judged: Frame) -> None:
-    found = row(table_of(judged), "IDA")
+    found = row(necessity_table(judged), "IDA")
     cells = [cell for cell in judged.cells if cell.identity.method == "ida"]
     by_seed = [np.mean([cell.pooled["uir"] for cell in cells if cell.identity.seed == seed]) for seed in (0, 1, 2)]
     assert found["uir"] == pytest.approx(np.mean(by_seed))
     assert found["interventions"] == sum(cell.episodes["intervened"].sum() for cell in cells)
     assert found["branched"] == found["interventions"]
-    assert "Human-only" not in {label for row in table_of(judged).rows for label in row.labels}
+    assert "Human-only" not in {label for row in necessity_table(judged).rows for label in row.labels}
 
 
 def test_a_sample_is_told_and_so_is_a_small_one(grid: Grid) -> None:
-    table = table_of(frame_of(with_invented_branches(grid(seeds=(0,)), stride=12)))
+    table = necessity_table(frame_of(with_invented_branches(grid(seeds=(0,)), stride=12)))
     found = row(table, "WASP")
     assert found["interventions"] == 4 * 20
     assert found["branched"] == 4 * 2
@@ -234,12 +228,12 @@ def test_a_sample_is_told_and_so_is_a_small_one(grid: Grid) -> None:
 
 def test_rows_without_all_branches_are_partial_and_never_best(grid: Grid) -> None:
     wanted = with_invented_branches(grid(seeds=(0, 1)))
-    table = table_of(frame_of(wanted))
+    table = necessity_table(frame_of(wanted))
     best = {table.rows[r].labels[1] for r, c in table.marks if table.columns[c].key == "uir"}
     assert best == {"WASP"}
     gone = next(cell.branches for cell in wanted if cell.identity.method == "wasp")
     gone.path.unlink()
-    partial = table_of(frame_of(wanted))
+    partial = necessity_table(frame_of(wanted))
     assert "WASP [7 of 8 cells]" in {row.labels[1] for row in partial.rows}
     assert not any(partial.rows[r].labels[1].startswith("WASP") for r, _ in partial.marks)
     assert any(note.startswith("INCOMPLETE: 1 cell has no counterfactual branches") for note in partial.notes)
@@ -256,7 +250,7 @@ def test_the_classes_of_risk_have_the_shares_of_the_table(grid: Grid, monkeypatc
     frame = frame_of([*with_invented_branches(wanted[::2]), *with_invented_branches(wanted[1::2], stride=3)])
     monkeypatch.setattr(figures, "figure_files", lambda figure, *_: drawn.append(figure) or [])
     necessity_figure(frame, tmp_path)
-    at_risk = [100 * (row(table_of(frame), method)["at_risk"] or 0.0) for method in ("IDA", "Diffusion", "SafeRL-Res", "WASP")]
+    at_risk = [100 * (row(necessity_table(frame), method)["at_risk"] or 0.0) for method in ("IDA", "Diffusion", "SafeRL-Res", "WASP")]
     free = drawn[0].axes[0].patches[:: len(figures.CLASSES)]  # the first class of each row
     assert [100 - bar.get_width() for bar in free] == pytest.approx(at_risk)
 

@@ -22,11 +22,6 @@ from wasp_cli.store.tables import CellIdentity
 Grid = Callable[..., list[Wanted]]
 
 
-def found(table: Table | None) -> Table:
-    assert table is not None
-    return table
-
-
 def row(table: Table, *labels: str) -> Row:
     return next(row for row in table.rows if row.labels == labels)
 
@@ -36,35 +31,34 @@ def value(table: Table, key: str, *labels: str) -> Value:
 
 
 def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) -> None:
-    table, main = found(comparison_table(frame)), main_table(frame)
+    table, main = comparison_table(frame), main_table(frame)
     by_method = {group.method: group.cells for group in groups(frame) if group.variant == "full"}
     wasp, human = by_method["wasp"], by_method["human"]
     for measure in MEASURES:
         labels = ("Goal1", measure.heading, "WASP")
         assert value(table, "mean", *labels).mean == value(main, measure.key, "Goal1", "WASP").mean
         middle, change = iqm_of(wasp, measure.key), difference_of(wasp, human, measure.key)
-        assert measure.better is not None
         wins = improvement_over(wasp, human, measure.key, measure.better)
         for key, estimate in (("iqm", middle), ("difference", change), ("improvement", wins)):
             assert (value(table, key, *labels).mean, value(table, key, *labels).interval) == (estimate.value, estimate.interval)
 
 
 def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
-    three = found(comparison_table(frame)).notes
+    three = comparison_table(frame).notes
     assert (
         "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the trainings, each with its models and worlds; "
         "10 resamples differ, so they are coarse."
     ) in three
     assert not any("95 %" in note for note in three)
     assert "These are 80 intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts." in three
-    one = found(comparison_table(read_frame(grid(seeds=(0,))))).notes
+    one = comparison_table(read_frame(grid(seeds=(0,)))).notes
     assert any(note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note for note in one)
     together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
-    (note,) = [note for note in found(comparison_table(together)).notes if "[low, high]" in note]
+    (note,) = [note for note in comparison_table(together).notes if "[low, high]" in note]
     assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
-    single = found(comparison_table(read_frame(grid(seeds=(0,), episodes=1))))
+    single = comparison_table(read_frame(grid(seeds=(0,), episodes=1)))
     impaired = [one for one in grid(seeds=(0, 1)) if one.identity.operator in ("noisy", "laggy")[: 1 + one.identity.seed]]
-    for table in (single, found(comparison_table(read_frame(impaired)))):
+    for table in (single, comparison_table(read_frame(impaired))):
         assert "No intervals: there is a single world to resample, or the trainings have cells of different operators." in table.notes
     assert all(each.interval is None for row in single.rows for each in row.values)
 
@@ -76,7 +70,7 @@ def test_gaps(grid: Grid) -> None:
         if one.identity.method == "human" or (one.identity.method, one.identity.seed) == ("saferl", 0):
             one.path.unlink()
     frame = read_frame(wanted)
-    table = found(comparison_table(frame))
+    table = comparison_table(frame)
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
     assert any(note.startswith("INCOMPLETE: 12 of 42") for note in table.notes)
     assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None  # worlds of its only seed
@@ -86,7 +80,7 @@ def test_latency_is_over_episodes(frame: Frame) -> None:
     wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.variant == "full"]
     times = np.arange(4.0)
     timed = [replace(cell, episodes={**cell.episodes, "decision_p95_ms": times + 10 * i}) for i, cell in enumerate(wasp)]
-    table = found(latency_table(Frame(tuple(timed))))
+    table = latency_table(Frame(tuple(timed)))
     everything = [10 * i + time for i in range(len(wasp)) for time in times]
     assert [each.mean for each in row(table, "Goal1", "WASP").values] == [2.0, 2.0, np.median(everything), 113.0]
     untimed = {name: np.full(4, np.nan) for name in ("decision_p50_ms", "decision_p95_ms")}

@@ -1,14 +1,17 @@
-"""Pictures and pages of trained parts: all that there are, and nothing from what is damaged or leads elsewhere."""
+"""Pictures and pages of trained parts: all that there are, frames pixel by pixel, and nothing from what is damaged or leads elsewhere."""
 
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
-from tests.report.trained.parts import artifact
+from tests.learning.recordings import recording
+from tests.report.trained.parts import HORIZON, artifact
 from wasp_cli.report.trained import Trained
-from wasp_cli.report.trained.evidence import EVIDENCE, write_evidence
+from wasp_cli.report.trained.evidence import EVIDENCE, GAP, LABEL, PITCH, SIDE, TEXT, write_evidence
 from wasp_cli.store.layout import Layout
 
 
@@ -18,23 +21,12 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> tuple[Layout, list[Traine
     return layout, [artifact(layout, kind) for kind in EVIDENCE]
 
 
-def names(files: list[Path], report: Path) -> set[tuple[str, str]]:
-    """Stage and file of what was written."""
-    found = set()
-    for path in files:
-        place, folder, file = path.relative_to(report).parts
-        assert place == "trained"
-        task, seed, kind, _ = folder.split("-")
-        assert (task, seed) == ("goal1", "s0")
-        found.add((kind, file))
-    return found
-
-
 def test_every_part_has_its_files(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
     layout, trained = store
     told: list[str] = []
     files = write_evidence(layout, trained, tmp_path, told.append)
-    assert names(files, tmp_path) == {(kind, file) for kind, made in EVIDENCE.items() for file, _ in made}
+    wanted = {f"trained/goal1-s0-{one.kind}-{one.key[:8]}/{file}" for one in trained for file, _ in EVIDENCE[one.kind]}
+    assert {str(path.relative_to(tmp_path)) for path in files} == wanted
     assert len(told) == len(EVIDENCE)
 
 
@@ -112,3 +104,14 @@ def test_links_are_not_followed_to_write(store: tuple[Layout, list[Trained]], tm
     page.parent.rename(report / "trained" / "mine")
     assert write_evidence(layout, [denoiser], report, anew=False) == [page]
     assert (report / "trained" / "mine").is_dir()
+
+
+def test_the_strip_shows_true_and_imagined_frames_in_their_rows(layout: Layout, tmp_path: Path) -> None:
+    data = recording()
+    (path,) = (path for path in write_evidence(layout, [artifact(layout, "diagnostics")], tmp_path) if path.name == "open_loop.png")
+    sheet = np.asarray(Image.open(path).convert("RGB"))
+    step = int(np.flatnonzero(data.cost[1 : 2 + HORIZON] == 0)[0])  # a red edge would cover a part of a costly one
+    for row, image in enumerate((data.pixels[1 + step, :3], 255 - data.pixels[1 + step, :3], data.pixels[1 + step, 3:])):
+        shown = sheet[TEXT + GAP + row * PITCH :, LABEL + step * PITCH :][:SIDE, :SIDE]
+        enlarged = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0))).resize((SIDE, SIDE), Image.Resampling.NEAREST)
+        np.testing.assert_array_equal(shown[4:-4, 4:-4], np.asarray(enlarged)[4:-4, 4:-4])
