@@ -107,7 +107,7 @@ def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
     assert not compared.alike
     lines = list(remarks(compared, shown=3))
     assert sum(line.startswith("  in the first only: goal1") for line in lines) == 3
-    assert "  in the first only: 3 more" in lines
+    assert "  and 3 more" in lines
 
 
 def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp_path: Path) -> None:

@@ -286,9 +286,8 @@ class Causes:
             manifests = [read_manifest(layout, kind, key) for layout in self._layouts]
         except (ArtifactError, StoreError):
             return
-        old, new = (mapping(each.get("provenance")) for each in manifests)
-        versions = [mapping(each.get("versions")) for each in (old, new)]
-        pairs = [(name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in MACHINE]
-        libraries = dict.fromkeys((*versions[0], *versions[1]))
-        pairs += [(name, str(versions[0].get(name) or "unknown"), str(versions[1].get(name) or "unknown")) for name in libraries]
-        yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(pairs) if one != two)
+        machines = [mapping(each.get("provenance")) for each in manifests]
+        libraries = [mapping(each.get("versions")) for each in machines]
+        for (old, new), names in ((machines, MACHINE), (libraries, dict.fromkeys((*libraries[0], *libraries[1])))):
+            pairs = ((name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in names)
+            yield from (f"{name} {one} -> {two}" for name, one, two in pairs if one != two)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.compare import LEVEL, MEASURES, Compared, Side, State
+from wasp_cli.errors import first
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render import RENDERERS, markdown, markdown_text, terminal, write_pages
@@ -56,7 +58,7 @@ def cells_table(compared: Compared) -> Table:
         for cell, names in zip(cells, beyond, strict=True)
     ]
     labels, notes = ("Cell", "More than noise"), tuple(_unable(compared))
-    return Table("cells", "Cells that differ", labels, COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False)
+    return Table("cells", "Cells that differ", labels, COLUMNS, tuple(rows), notes, MEANINGS, grouping=0, ranked=False)
 
 
 def summary_table(compared: Compared) -> Table:
@@ -94,23 +96,17 @@ def _unable(compared: Compared) -> Iterator[str]:
         )
 
 
-def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
+def remarks(compared: Compared, shown: int = SHOWN) -> Iterator[str]:
     """Yield what stands before the tables, a line each; at most `shown` cells of a kind."""
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
     yield from (f"  {line}" for line in dict.fromkeys((*compared.first.absent, *compared.second.absent)))
     for state in ("only first", "only second", "not compared"):
         cells = compared.having(state)
-        for cell in cells[:shown]:
-            yield f"  {STATES[state]}: {cell.label}{f' ({cell.reason})' if cell.reason else ''}"
-        if shown is not None and len(cells) > shown:
-            yield f"  {STATES[state]}: {len(cells) - shown} more"
+        yield from first([f"  {STATES[state]}: {cell.label}{f' ({cell.reason})' if cell.reason else ''}" for cell in cells], shown)
     if compared.causes:
         yield "What differs behind the cells:"
-        for cause, count in compared.causes[:shown]:
-            yield f"  {cause} ({_cells(count)})"
-        if shown is not None and len(compared.causes) > shown:
-            yield f"  and {len(compared.causes) - shown} more"
+        yield from first([f"  {cause} ({_cells(count)})" for cause, count in compared.causes], shown)
     odd = [cell for cell in compared.having("differs") if cell.keys[0] == cell.keys[1]]
     if odd:
         what = "cell has other rows" if len(odd) == 1 else "cells have other rows"
@@ -138,7 +134,8 @@ def show(compared: Compared, console: Console) -> None:
 def page(compared: Sequence[Compared]) -> str:
     parts = [TITLE]
     for each in compared:
-        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=None)))
+        lines = (f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=sys.maxsize))
+        parts.append(f"## {each.first.spec.name}\n\n{''.join(lines)}")
         parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
     return "\n".join(parts)
 

@@ -158,10 +158,7 @@ def _without(judged: Judged, out: Collection[int]) -> Judged:
     rest = ~np.isin(judged.episode, list(out))
     episode = judged.episode[rest]
     episode = episode - np.searchsorted(sorted(out), episode)  # episodes are numbered anew, as the rows of the cell are
-    old = judged.worth
-    of_branches = (old.rho[rest], old.delta_c[rest], old.delta_r[rest])
-    worth = Necessity(*of_branches, old.unnecessary[rest], old.swapped[rest], old.effective[rest])
-    return replace(judged, worth=worth, episode=episode)
+    return replace(judged, worth=Necessity(**{name: part[rest] for name, part in judged.worth._asdict().items()}), episode=episode)
 
 
 def _why(note: Note) -> str:

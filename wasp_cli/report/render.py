@@ -121,10 +121,9 @@ def terminal(table: Table, width: int = 120) -> Group:
     """
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
-    needed = tuple(c for c in every if not table.columns[c].optional)
     spare = [c for c in every if table.columns[c].optional]
-    fewer = (tuple(c for c in every if c in needed or c in spare[:kept]) for kept in range(len(spare), -1, -1))
-    attempts = ((every, True, True), *((shown, False, True) for shown in fewer), (needed, False, False))
+    fewer = [tuple(c for c in every if c not in spare[kept:]) for kept in range(len(spare), -1, -1)]
+    attempts = ((every, True, True), *((shown, False, True) for shown in fewer), (fewer[-1], False, False))
     for attempt in attempts:
         rich, least = _rich(table, width, *attempt)
         if least <= width:
@@ -154,7 +153,7 @@ def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta:
     for heading, size in zip(headings, loose if frame + sum(loose) <= width else tight, strict=True):
         rich.add_column(escape(heading), justify="right", width=size)
     for r, line in enumerate(texts):
-        if r and table.grouped and table.starts_group(r):
+        if r and table.starts_group(r):
             rich.add_section()
         styles = ("bold green" if (r, c) in table.marks else "underline" if (r, c) in table.seconds else "" for c in shown)
         cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]  # as a part: the blanks beside it have no style
@@ -224,7 +223,7 @@ def _lines(table: Table) -> Iterator[str]:
     yield r"\toprule"
     yield _line([*map(escaped, table.labels), *(escaped(table.columns[c].heading) for c in shown)])
     for r in range(len(table.rows)):
-        if r == 0 or (table.grouped and table.starts_group(r)):
+        if table.starts_group(r):
             yield r"\midrule"
         cells = []
         for c in shown:

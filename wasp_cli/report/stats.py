@@ -31,9 +31,7 @@ Floats = NDArray[np.float64]
 Result = TypeVar("Result")
 
 POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")  # columns that weigh others (metrics.episode.WEIGHTS)
-
 TIMES = ("decision_p50_ms", "decision_p95_ms")  # columns of which a cell has the median over its episodes
-
 COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")

@@ -75,8 +75,7 @@ class Table:
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()  # what a reader must know before believing a number; printed everywhere
     meanings: tuple[str, ...] = ()  # what the columns mean; printed where there is room
-    grouped: bool = True  # whether labels form groups; otherwise all rows are one
-    grouping: int = 1  # how many labels form a group
+    grouping: int = 1  # how many labels form a group; with 0 all rows are one
     ranked: bool = True
     marks: frozenset[tuple[int, int]] = field(init=False, compare=False)  # (row, column) of the best values
     seconds: frozenset[tuple[int, int]] = field(init=False, compare=False)
@@ -91,7 +90,7 @@ class Table:
         object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
 
     def group(self, row: int) -> tuple[str, ...]:
-        return self.rows[row].labels[: self.grouping] if self.grouped else ()
+        return self.rows[row].labels[: self.grouping]
 
     def starts_group(self, row: int) -> bool:
         return row == 0 or self.group(row) != self.group(row - 1)
@@ -101,7 +100,7 @@ class Table:
 
     def shown_labels(self, row: int) -> list[str]:
         labels = list(self.rows[row].labels)
-        if self.grouped and not self.starts_group(row):
+        if not self.starts_group(row):
             labels[: self.grouping] = [""] * self.grouping
         return labels
 

@@ -206,7 +206,7 @@ def _table(
     notes: Sequence[str] = (),
 ) -> str:
     filled = tuple(Row(names, tuple(Value(numbers[column.key]) for column in columns)) for names, numbers in rows)
-    return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouped=False, ranked=False))
+    return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouping=0, ranked=False))
 
 
 FOLDER = "trained"  # below the folder of a report
