@@ -13,12 +13,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import Constants, Episode
 from wasp_cli.report.explain.facts import Range
-from wasp_cli.report.tables import who_title
-from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
 NUMBER = re.compile(r"[-+.…%\d]*")
@@ -67,41 +62,6 @@ def notes(*texts: str) -> list[RenderableType]:
 
 def _indented(part: RenderableType) -> Padding:
     return Padding(part, (0, 0, 0, INDENT), expand=False)
-
-
-def cell_fields(episode: Episode) -> list[tuple[str, str]]:
-    row, method = episode.row, episode.method
-    task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
-    rule = METHODS[method].rule if method in METHODS else ""
-    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
-    if operator in OPERATORS:
-        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
-    return [
-        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
-        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
-        ("method", rule or f"not described: see the documentation of '{method}'"),
-        ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
-    ]
-
-
-def cost_meaning(constants: Constants) -> str:
-    if constants.bootstrap_cost:
-        return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
-    within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
-    return f"G^c: expected costly decisions within {within}, discounted, if {goes_on(constants)} (Eq. 9)"
-
-
-def goes_on(constants: Constants) -> str:
-    if not constants.takeover:
-        return "the operator goes on alone"
-    return "the expert follows" if constants.vote is None else "the expert follows IDA's action"
-
-
-def gain_meaning(constants: Constants) -> str:
-    if constants.takeover:
-        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
-    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
-    return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
 
 
 def action(values: Sequence[float]) -> str:

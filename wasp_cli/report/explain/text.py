@@ -10,8 +10,10 @@ from collections.abc import Iterator, Sequence
 from rich.console import RenderableType
 from rich.text import Text
 
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import LOOKS, Episode, number
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.report.explain import LOOKS, Constants, Episode, number
 from wasp_cli.report.explain.facts import Decision, Planned, Run, decision_of, exceeds, merged_runs, runs_of
 from wasp_cli.report.explain.layout import (
     BETWEEN,
@@ -19,11 +21,8 @@ from wasp_cli.report.explain.layout import (
     action,
     beside,
     between,
-    cell_fields,
-    cost_meaning,
     count,
     fields,
-    gain_meaning,
     heading,
     ms,
     notes,
@@ -36,6 +35,7 @@ from wasp_cli.report.explain.layout import (
     table,
 )
 from wasp_cli.report.tables import who_title
+from wasp_cli.tasks.registry import TASKS
 
 MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
 
@@ -55,11 +55,46 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
         heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}"),
         f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}.",
         "",
-        fields([*cell_fields(episode), *_outcome(episode)]),
+        fields([*_cell(episode), *_outcome(episode)]),
         *(section("Gates" if episode.gated else "Decisions", *_gate_counts(episode)) if episode.selective else ()),
         *section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs))),
     ]
     return [*set_out(parts, width), Text(hint, "dim")]
+
+
+def _cell(episode: Episode) -> list[tuple[str, str]]:
+    row, method = episode.row, episode.method
+    task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
+    rule = METHODS[method].rule if method in METHODS else ""
+    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    if operator in OPERATORS:
+        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
+    return [
+        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
+        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
+        ("method", rule or f"not described: see the documentation of '{method}'"),
+        ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
+    ]
+
+
+def _cost_meaning(constants: Constants) -> str:
+    if constants.bootstrap_cost:
+        return f"G^c: expected discounted cost if {_goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
+    within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
+    return f"G^c: expected costly decisions within {within}, discounted, if {_goes_on(constants)} (Eq. 9)"
+
+
+def _goes_on(constants: Constants) -> str:
+    if not constants.takeover:
+        return "the operator goes on alone"
+    return "the expert follows" if constants.vote is None else "the expert follows IDA's action"
+
+
+def _gain_meaning(constants: Constants) -> str:
+    if constants.takeover:
+        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
+    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
+    return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
 
 
 def _counts(episode: Episode) -> tuple[int, int, int, int]:
@@ -111,7 +146,7 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
         rows.append([name, where, str(int(fired.sum())), f"{fired.mean():.1%}", str(stood) if stood else "-"])
     yield table(["gate", "fires where", "decisions", "share", "command kept"], rows)
     if episode.gated:
-        yield from notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
+        yield from notes(_cost_meaning(episode.constants), _gain_meaning(episode.constants))
     else:
         yield from notes(f"{signal.name}: {signal.meaning}")
     if any(row[-1] != "-" for row in rows):
@@ -188,7 +223,7 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     yield heading(f"{episode.label} · episode {episode.row['episode']} · decision {facts.t}", f"of 0 to {episode.decisions - 1}")
     yield _decision_headline(episode, facts)
     yield ""
-    yield fields(cell_fields(episode))
+    yield fields(_cell(episode))
     yield from section("Action", _action(facts))
     if facts.safety is not None and facts.task is not None:
         rows, styles = [], []
@@ -198,7 +233,7 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
             value, threshold = beside(gate.value, gate.threshold)
             rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
             styles.append(look.style if gate.state == "fired" else "")
-        meanings = notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
+        meanings = notes(_cost_meaning(episode.constants), _gain_meaning(episode.constants))
         yield from section("Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings)
         yield from section("Plan", *_plan(episode, facts))
     if facts.signal is not None:
