@@ -66,10 +66,6 @@ class Judged:
         """The outcome of those questions that could be asked; `untested` where none could."""
         return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
 
-    @property
-    def beyond_print(self) -> tuple[tuple[Answer, ...], ...]:
-        return tuple(answers for answers in self.answers if all(answer.shown_in_print is False for answer in answers))
-
 
 @dataclass(frozen=True)
 class Beside:
@@ -88,7 +84,6 @@ class VerdictReport:
     paper: Paper
     rows: tuple[Beside, ...]  # of the tasks that are here
     claims: tuple[Judged, ...]
-    tasks: tuple[str, ...]  # that are here
     seeds: int
     one_training: bool  # whether all rows come from the models of one training
     notes: tuple[str, ...]
@@ -106,7 +101,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     return VerdictReport(
         paper=paper, rows=tuple(_beside(rows, paper)),
         claims=tuple(replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others)) for own in judged),
-        tasks=rows.tasks, seeds=seeds, one_training=len({cell.training for cell in frame.cells}) == 1,
+        seeds=seeds, one_training=len({cell.training for cell in frame.cells}) == 1,
         notes=tuple(_notes(frame, rows, paper, seeds, spec)), others=others,
     )  # fmt: skip
 
@@ -132,10 +127,7 @@ def signed_margin(asked: Comparison) -> float:
 def any_of(answers: Sequence[Answer]) -> Outcome:
     """Combine alternatives: one is enough, and none of them holds only when each was tested."""
     outcomes = {answer.outcome for answer in answers}
-    for outcome in ("holds", "untested", "undecided"):
-        if outcome in outcomes:
-            return outcome
-    return "fails"
+    return next((outcome for outcome in ("holds", "untested", "undecided") if outcome in outcomes), "fails")
 
 
 def all_of(outcomes: Sequence[Outcome]) -> Outcome:

@@ -128,7 +128,7 @@ def printed(answer: Answer) -> str:
 
 
 def beyond_print(judged: Judged) -> str:
-    odd = [answer for answers in judged.beyond_print for answer in answers]
+    odd = [answer for answers in judged.answers if all(one.shown_in_print is False for one in answers) for answer in answers]
     shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in odd]
     return f"The paper's own means do not show it: {few(shown)}." if shown else ""
 

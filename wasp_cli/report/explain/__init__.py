@@ -18,14 +18,13 @@ from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.plan.node import cell_label
-from wasp_cli.report.stats import odd_tables_refused
+from wasp_cli.report.stats import Floats, odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times
 from wasp_cli.tasks.registry import TASKS
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method", GATE_LATE: "late"}

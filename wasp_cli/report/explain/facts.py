@@ -15,7 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, Floats, number
+from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, number
+from wasp_cli.report.stats import Floats
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.

@@ -148,13 +148,9 @@ AUTONOMY_COLUMNS = (
     Column("jump", "Jump", "down"),
 )
 COST_COLUMNS = (Column("cost_median", "Cost, median", digits=1), Column("cost_worst", "Cost, worst", digits=0))
-LATENCY_COLUMNS = tuple(
-    Column(f"{name}.{over}", f"{share}, {over}", digits=2)
-    for name, share in zip(TIMES, ("p50", "p95"), strict=True)
-    for over in ("median", "worst")
-)
 THRESHOLD_COLUMNS = (Column("tau_c", "tau_c", digits=3), Column("tau_r", "tau_r", digits=3), Column("tau_q", "tau_Q", digits=3))
 REDUCE: dict[str, Callable[[Floats], float]] = {"median": np.median, "worst": np.max}
+LATENCY_COLUMNS = tuple(Column(f"{name}.{over}", f"{name.split('_')[1]}, {over}") for name in TIMES for over in REDUCE)  # `p50, median`
 
 
 def detail_table(frame: Frame) -> Table:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from wasp_cli import console
 from wasp_cli.errors import ArtifactError, WaspError
@@ -23,6 +22,7 @@ from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.provenance import Origins, is_from_published
 from wasp_cli.report.render import markdown_row, markdown_text
+from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value, over_seeds
 from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.stages.registry import stages_of
@@ -119,7 +119,6 @@ def short(value: int | float | bool | str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-Floats = NDArray[np.float64]
 PIXELS = (6, 64, 64)  # of a frame: front RGB, then rear RGB
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RecursionError, pa.ArrowException, WaspError)
 """What reading, or showing, a file of another form may raise."""

@@ -14,9 +14,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.report.figures import save
 from wasp_cli.report.render import markdown
+from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table
-from wasp_cli.report.trained import ALL, PIXELS, UNREADABLE, Document, Floats, Trained, dataset_warnings, read_json, read_table
+from wasp_cli.report.trained import ALL, PIXELS, UNREADABLE, Document, Trained, dataset_warnings, read_json, read_table
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug

@@ -21,10 +21,10 @@ import numpy as np
 
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
-from wasp_cli.report.stats import Frame
+from wasp_cli.report.stats import Floats, Frame
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.tables.main import full_groups, main_table
-from wasp_cli.report.trained import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.report.trained import UNREADABLE, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
