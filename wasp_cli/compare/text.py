@@ -51,12 +51,10 @@ def headline(compared: Compared) -> str:
 
 
 def cells_table(compared: Compared) -> Table:
-    cells = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
-    beyond = (", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-" for cell in cells)
-    rows = [
-        Row((cell.label, names), _values(cell.paired.differences if cell.paired else {}, 1))
-        for cell, names in zip(cells, beyond, strict=True)
-    ]
+    rows = []
+    for cell in sorted(compared.having("differs"), key=lambda cell: min(cell.p.values())):
+        beyond = ", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-"
+        rows.append(Row((cell.label, beyond), _values(cell.paired.differences if cell.paired else {}, 1)))
     labels, notes = ("Cell", "More than noise"), tuple(_unable(compared))
     return Table("cells", "Cells that differ", labels, COLUMNS, tuple(rows), notes, MEANINGS, grouping=0, ranked=False)
 
@@ -160,5 +158,4 @@ def as_json(compared: Compared) -> dict[str, Any]:
     }
     cells = [{**asdict(cell), "beyond": list(cell.beyond)} for cell in compared.cells]
     facts = {**sides, "alike": compared.alike, "causes": dict(compared.causes), "cells": cells, "summary": [*map(asdict, compared.summary)]}
-    plain: dict[str, Any] = plain_values(facts)
-    return plain
+    return dict(plain_values(facts))

@@ -161,11 +161,8 @@ def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, flo
 
 
 def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
-    rows: dict[str, list[Group]] = {}
-    for group in groups(frame):
-        if group.variant == "full" and group.cells:
-            rows.setdefault(group.task, []).append(group)
-    return rows
+    drawable = (group for group in groups(frame) if group.variant == "full" and group.cells)
+    return {task: list(own) for task, own in groupby(drawable, lambda group: group.task)}
 
 
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:

@@ -178,20 +178,15 @@ READINGS = (
 
 
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
-    kinds: set[str] = set()
-
-    def need(kind: str) -> None:
-        if kind not in kinds:
-            kinds.add(kind)
-            for upstream in stage_class(kind).needs:
-                need(upstream)
-
+    needed = [*spec.stages]
     for method in spec.methods:
         info, config = METHODS[method], spec.method(method).model_dump(mode="json")
-        for kind in ("evaluate", *info.needs_of(config), *(["calibration"] if info.calibrated else [])):
-            need(kind)
-    for kind in spec.stages:
-        need(kind)
+        needed += ["evaluate", *info.needs_of(config), *["calibration"] * info.calibrated]
+    kinds: set[str] = set()
+    while needed:
+        if (kind := needed.pop()) not in kinds:
+            kinds.add(kind)
+            needed += stage_class(kind).needs
     in_force: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""

@@ -236,15 +236,13 @@ def episode_json(episode: Episode) -> dict[str, Any]:
         "gated": episode.gated, "selective": episode.selective, "totals": totals, "runs": [asdict(run) for run in runs_of(episode)],
         "series": {"gate": episode.gate, **{name: episode.numbers[name] for name in names}}, "signal_limit": episode.signal_limit,
     }  # fmt: skip
-    values: dict[str, Any] = plain_values(facts)
-    return values
+    return dict(plain_values(facts))
 
 
 def decision_json(episode: Episode, t: int) -> dict[str, Any]:
     limits = {"tau_q": episode.thresholds.tau_q, "tau_c": episode.thresholds.tau_c, "signal_limit": episode.signal_limit}
     facts = {"who": _who(episode), "constants": asdict(episode.constants), **asdict(decision_of(episode, t)), **limits}
-    values: dict[str, Any] = plain_values(facts)
-    return values
+    return dict(plain_values(facts))
 
 
 def _who(episode: Episode) -> dict[str, Any]:

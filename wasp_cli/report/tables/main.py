@@ -223,12 +223,10 @@ def operator_table(frame: Frame) -> Table:
         numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
         rows.append(Row(labels_of(group), tuple(numbers)))
     headings = [
-        Column(f"{variant}.{column.key}", f"{operator_title(variant)}: {column.title}", column.better, column.digits)
-        for variant, column in columns
+        replace(column, key=f"{variant}.{column.key}", title=f"{operator_title(variant)}: {column.title}") for variant, column in columns
     ]
-    return Table(
-        "operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=("Mean over the severities of a variant.",)
-    )
+    meanings = ("Mean over the severities of a variant.",)
+    return Table("operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=meanings)
 
 
 def severity_table(frame: Frame) -> Table | None:

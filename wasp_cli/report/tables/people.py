@@ -112,11 +112,7 @@ def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, flo
     return [(each, measured(each, key) - float(np.mean(conditions.get(each.condition, [math.nan])))) for each in sittings]
 
 
-MEASURES = tuple(
-    Column(column.key, column.title, digits=column.digits, scale=column.scale)
-    for column in PAPER_COLUMNS
-    if column.key in ("return", "success", "cost", "int_rate")
-)
+MEASURES = tuple(replace(column, better=None) for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "int_rate"))
 LABELS = ("Task", "Condition")
 ALONE = "human"
 DIFFERENCES = (Column("return_change", "Return, to alone", signed=True), Column("cost_change", "Cost, to alone", signed=True))
@@ -209,7 +205,7 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
 
 
 def _order(sittings: Sequence[Sitting]) -> Table:
-    columns = [Column(column.key, column.title, digits=column.digits, scale=column.scale, signed=True) for column in MEASURES]
+    columns = [replace(column, signed=True) for column in MEASURES]
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
     rows, balanced = [], True
