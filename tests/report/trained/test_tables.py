@@ -69,8 +69,8 @@ def test_what_is_missing_is_named_and_never_a_number() -> None:
     found = numbers(stages)
     assert (found["expert.return"], found["critics.rank_r"], found["critics.rank_c"]) == (20.0, None, None)
     assert stages.notes == (
-        "INCOMPLETE: 5 of 12 parts are missing: goal1 s0 critics (failed: no luck), goal1 s1 expert, goal1 s1 critics, "
-        "goal1 s0 diagnostics, goal1 s1 diagnostics.",
+        "INCOMPLETE: 5 of 12 parts are missing: goal1 s0 critics (failed: no luck), goal1 s0 diagnostics, goal1 s1 expert, "
+        "goal1 s1 critics, goal1 s1 diagnostics.",
     )
     assert [row.labels for row in ahead.rows] == [("Goal1", "Cost AUPRC [0 of 2 parts]")]
     assert all(value.mean is None for value in ahead.rows[0].values)

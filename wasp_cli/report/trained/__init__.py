@@ -168,21 +168,20 @@ MEASURES = (  # numbers of `diagnostics`, each for some imagined steps: `auprc@5
 )
 AHEAD = (1, 5, 10, 15)  # imagined steps
 NAMED = 6  # missing parts that a note names; the plan names all
-Key = tuple[str, str]  # task and stage of a part
 
 
 @dataclass(frozen=True)
 class _Training:
-    wanted: Mapping[Key, list[Part]]
+    wanted: Sequence[Part]
     summaries: Mapping[Part, Mapping[str, Any]]
     failures: Mapping[Part, str]  # why a part is not there, where that is known
 
     @property
     def tasks(self) -> list[str]:
-        return list(dict.fromkeys(task for task, _ in self.wanted))
+        return list(dict.fromkeys(part.task for part in self.wanted))
 
     def parts(self, task: str, stage: str) -> list[Part]:
-        return self.wanted.get((task, stage), [])
+        return [part for part in self.wanted if (part.task, part.kind) == (task, stage)]
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
         told = (self.summaries.get(part, {}).get(name) for part in parts)
@@ -200,11 +199,8 @@ def training_tables(
     parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
 ) -> list[Table]:
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
-    by_stage: dict[Key, list[Part]] = {}
-    for part, _ in parts:
-        by_stage.setdefault((part.task, part.kind), []).append(part)
     told = {part: summaries[key] for part, key in parts if key in summaries}
-    training = _Training(by_stage, told, {part: why[key] for part, key in parts if key in why})
+    training = _Training([part for part, _ in parts], told, {part: why[key] for part, key in parts if key in why})
     tables = (_stages(training, _incomplete(training)), _ahead(training))
     return [table for table in tables if table.rows and table.columns]
 
@@ -250,13 +246,12 @@ def _ahead(training: _Training) -> Table:
 
 
 def _incomplete(training: _Training) -> tuple[str, ...]:
-    everything = [part for parts in training.wanted.values() for part in parts]
-    absent = training.missing(everything)
+    absent = training.missing(training.wanted)
     if not absent:
         return ()
     absent.sort(key=lambda part: part not in training.failures)  # what failed explains the rest
     names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent]
-    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {few(names, NAMED)}.",)
+    return (f"INCOMPLETE: {len(absent)} of {len(training.wanted)} parts are missing: {few(names, NAMED)}.",)
 
 
 def _share(training: _Training, parts: Sequence[Part]) -> str:
