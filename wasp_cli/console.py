@@ -82,13 +82,10 @@ def plain(text: str) -> None:
 
 def waiting_aloud(text: str) -> Callable[[], bool]:
     """Return what a wait asks each time whether to go on: it says why once, and goes on."""
-    told = False
 
+    @cache
     def wait() -> bool:
-        nonlocal told
-        if not told:
-            told = True
-            plain(text)
+        plain(text)
         return True
 
     return wait
@@ -122,14 +119,9 @@ def duration(seconds: float) -> str:
 
 
 def size(count: int | None) -> str:
-    if count is None:
-        return "?"
-    number, unit = float(count), "bytes"
-    for larger in ("kB", "MB", "GB", "TB"):
-        if number < 1000:
-            break
-        number, unit = number / 1000, larger
-    return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.1f} {unit}"
+    from rich.filesize import decimal
+
+    return "?" if count is None else decimal(count)
 
 
 # Ctrl-C before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it would pass

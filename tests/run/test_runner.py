@@ -136,7 +136,7 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     runner = Runner(layout, run_id, InlinePool())
 
     def other() -> None:
-        with held(layout.lock(first.key), lambda: True, {"pid": 1}):
+        with held(layout.lock(first.key), lambda: True):
             started.set()
             wait_until(lambda: '"waiting"' in layout.journal(run_id).read_text(encoding="utf-8"), 60.0)
 

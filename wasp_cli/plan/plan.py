@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
@@ -74,22 +75,13 @@ class Plan:
         return total, sum(node.sort not in self.seconds for node in nodes)
 
     def critical_path(self) -> tuple[float, list[Node]]:
-        ends: dict[str, float] = {}
-        before: dict[str, Node | None] = {}
-        last: Node | None = None
-        for node in self.to_run():
-            needs = [needed for needed in node.needs.values() if needed.key in ends]
-            previous = max(needs, key=lambda needed: ends[needed.key], default=None)
-            ends[node.key] = (ends[previous.key] if previous else 0.0) + self.seconds.get(node.sort, 0.0)
-            before[node.key] = previous
-            if last is None or ends[node.key] > ends[last.key]:
-                last = node
-        path: list[Node] = []
-        seconds = ends[last.key] if last else 0.0
-        while last is not None:
-            path.append(last)
-            last = before[last.key]
-        return seconds, path[::-1]
+        paths: dict[str, tuple[float, list[Node]]] = {}  # by key the longest one that ends with this node
+        none: tuple[float, list[Node]] = (0.0, [])
+        for node in self.to_run():  # needed ones first
+            needed = [paths[each.key] for each in node.needs.values() if each.key in paths]
+            seconds, before = max(needed, key=itemgetter(0), default=none)
+            paths[node.key] = seconds + self.seconds.get(node.sort, 0.0), [*before, node]
+        return max(paths.values(), key=itemgetter(0), default=none)
 
     def as_json(self) -> dict[str, Any]:
         seconds, path = self.critical_path()

@@ -96,7 +96,7 @@ class Envelope:
             if heartbeat.deaths >= DEATHS:
                 return self._failed(KILLED)
             try:
-                with held(layout.lock(job.key), lambda: False, heartbeat.fixed):
+                with held(layout.lock(job.key), lambda: False):
                     if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
                     return self._result("shared", summary=artifact.read_manifest(layout, job.kind, job.key).get("summary", {}))

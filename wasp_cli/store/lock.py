@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 POLL_SECONDS = 0.2
 _PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -25,7 +23,7 @@ class Busy(Exception):
 
 
 @contextmanager
-def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | None = None, *, shared: bool = False) -> Iterator[None]:
+def held(path: Path, waiting: Callable[[], bool], *, shared: bool = False) -> Iterator[None]:
     """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting; else it is Busy.
 
     Any number may hold it `shared`, and then nobody alone.
@@ -42,10 +40,6 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
                     raise Busy
                 time.sleep(POLL_SECONDS)
             if _is_at(descriptor, path):
-                if holder is not None:
-                    with suppress(OSError):  # a full disk: who holds it stays unsaid
-                        os.ftruncate(descriptor, 0)
-                        os.write(descriptor, json.dumps(holder).encode())
                 yield
                 return
         finally:
