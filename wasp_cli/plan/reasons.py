@@ -137,7 +137,13 @@ class Reasons:
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
-    fields = list(_fields(node, manifest))
+    model = stage_class(node.kind).config
+    try:
+        before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
+    except ValidationError:  # written by a version with other fields
+        before, now = manifest["config"], dict(node.config)
+    sections = (before, manifest["settings"], manifest["axes"]), (now, node.settings, node.axes)
+    fields = list(_fields(node.kind, *sections))
     modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
     parts = _words(fields, modules, versions)
     if not parts:
@@ -152,10 +158,8 @@ def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read."""
-    fields = _named(_differing(before["config"], after["config"], f"{after['kind']}."))
-    fields += _differing(before["settings"], after["settings"], "")
-    old, new = ((manifest["axes"].get("method_config") or {}) for manifest in (before, after))
-    fields += _differing(old, new, f"{after['axes'].get('method')}.")
+    sections = ([manifest[name] for name in ("config", "settings", "axes")] for manifest in (before, after))
+    fields = list(_fields(after["kind"], *sections))
     older, newer = ((manifest["provenance"].get("versions") or {}) for manifest in (before, after))
     return _words(fields, _modules(after["sources"], before["sources"]), list(_differing(older, newer, "")))
 
@@ -170,21 +174,13 @@ def library_changes(manifest: Mapping[str, Any]) -> list[str]:
     return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := minor(installed.get(name))) != new]
 
 
-def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
-    model = stage_class(node.kind).config
-    try:
-        before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
-    except ValidationError:  # written by a version with other fields
-        before, now = dict(manifest["config"]), dict(node.config)
-    yield from _named(_differing(before, now, f"{node.kind}."))
-    yield from _differing(manifest["settings"], node.settings, "")
-    method = str(node.axes.get("method"))
-    yield from _differing(manifest["axes"].get("method_config") or {}, node.axes.get("method_config") or {}, f"{method}.")
-
-
-def _named(changes: Iterable[str]) -> list[str]:
-    """Settings as specs name them: `episodes` stands at the top."""
-    return [text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text for text in changes]
+def _fields(kind: str, before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What differs in configuration, settings and axes, named as in specs."""
+    for text in _differing(before[0], now[0], f"{kind}."):
+        yield text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text  # it stands at the top
+    yield from _differing(before[1], now[1], "")
+    old, new = (axes.get("method_config") or {} for *_, axes in (before, now))
+    yield from _differing(old, new, f"{now[2].get('method')}.")
 
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> Iterator[str]:

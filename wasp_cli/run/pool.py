@@ -24,7 +24,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import UsageError, WaspError
+from wasp_cli.errors import UsageError, WaspError, described
 from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
 from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.store.layout import Layout
@@ -225,23 +225,18 @@ class DaskPool(Pool):
         self._pending.add(result)
 
         def told(ended: Any) -> None:
-            failure: BaseException | None = None
-            answer: Any = None
-            try:
-                error = ended.exception() if ended.status == "error" else None
-                if error is not None or ended.status != "finished":
-                    said = f"{type(error).__name__}: {error}" if error else ended.status
-                    failure = WorkersDied(str(error)) if isinstance(error, KilledWorker) else _lost(said)
-                else:
-                    answer = ended.result()
-            except Exception as error:  # the scheduler died just now: what a worker computed cannot be fetched
-                failure = _lost(f"{type(error).__name__}: {error}")
-            self._pending.discard(result)
             with suppress(InvalidStateError):  # it was given up meanwhile
-                if failure is None:
-                    result.set_result(answer)
-                else:
-                    result.set_exception(failure)
+                try:
+                    error = ended.exception() if ended.status == "error" else None
+                    if error is None and ended.status == "finished":
+                        result.set_result(ended.result())
+                    elif isinstance(error, KilledWorker):
+                        result.set_exception(WorkersDied(str(error)))
+                    else:
+                        result.set_exception(_lost(described(error) if error else ended.status))
+                except Exception as error:  # the scheduler died just now: what a worker computed cannot be fetched
+                    result.set_exception(_lost(described(error)))
+            self._pending.discard(result)
 
         self._client.submit(execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False).add_done_callback(told)
         return result

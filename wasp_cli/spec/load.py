@@ -69,7 +69,10 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
-    loc, depth = tuple(part for part in finding.loc if part != KEY), max(source.depth(finding.loc) for source in chain.sources)
+    loc = tuple(part for part in finding.loc if part != KEY)
+    # The nearest of the files that have most of the place: its value is the one in force.
+    source = max(chain.sources, key=lambda source: source.depth(finding.loc))
+    depth = source.depth(finding.loc)
     near: list[Override] = []  # options that may have written it: the files have nothing nearer to the place
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
@@ -81,7 +84,7 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
     for option in said or (near if depth < len(loc) else []):
         message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
         return Problem(f"{option.option} {option.text}", None, message, finding.hint)
-    return chain.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
+    return source.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
 
 
 LONGEST_CHAIN = 8
@@ -116,11 +119,6 @@ class Chain:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
         return values, problems
-
-    def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """Return a problem in the nearest of the files that have most of a place: its value is the one in force."""
-        source = max(self.sources, key=lambda source: source.depth(loc))  # of equal ones the first
-        return source.problem(loc, message, hint, at_key=at_key)
 
     def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
         """Return the problems file by file, nearest first; those of no file (options) last."""

@@ -21,20 +21,8 @@ from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
-from wasp_cli.spec.names import (
-    NO_REPEATS,
-    RECORDED,
-    TOP,
-    MethodName,
-    OperatorName,
-    Seed,
-    SeverityName,
-    SpecName,
-    StageName,
-    TaskName,
-    VariantName,
-    unknown,
-)
+from wasp_cli.spec import names
+from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
 
@@ -90,7 +78,7 @@ def balanced_order(conditions: int, participant: int) -> list[int]:
 
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
-Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
+Severities = Annotated[dict[names.SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]  # where, what, and the value that is wrong
 DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
 """What every spec trains besides what its methods need."""
@@ -119,23 +107,23 @@ def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
 class Spec(Config):
     """What to run. Sections of stages and methods are fields of the subclass that `spec_type` builds."""
 
-    name: SpecName = Field(description="name of the reports; not part of any key")
+    name: names.SpecName = Field(description="name of the reports; not part of any key")
     preset: Preset = Field(default="cpu", description="sets every size and budget; values in this file override it")
-    tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
-    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(description="the assistants")]
-    stages: Annotated[tuple[StageName, ...], NO_REPEATS] = Field(
+    tasks: Annotated[tuple[names.TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
+    methods: Annotated[tuple[names.MethodName, ...], NO_REPEATS, Field(description="the assistants")]
+    stages: Annotated[tuple[names.StageName, ...], NO_REPEATS] = Field(
         default=DEFAULT_STAGES,
         description="what is computed besides what the methods need: training once for each task and seed of training, "
         "`counterfactual` for each cell whose method may intervene",
     )
-    variants: Annotated[tuple[VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
+    variants: Annotated[tuple[names.VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
         default=("full",), description="ablations of the methods that have them; the others run once"
     )
-    operators: Annotated[dict[OperatorName, Severities], AfterValidator(_in_range)] = Field(
+    operators: Annotated[dict[names.OperatorName, Severities], AfterValidator(_in_range)] = Field(
         default={}, description="operator variants with their severities, as name: value"
     )
-    seeds: Annotated[tuple[Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")]
-    training_seed: Seed | None = Field(
+    seeds: Annotated[tuple[names.Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")]
+    training_seed: names.Seed | None = Field(
         default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
     )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
@@ -144,7 +132,7 @@ class Spec(Config):
     )
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
-    by_task: dict[TaskName, dict[str, dict[str, Any]]] = Field(
+    by_task: dict[names.TaskName, dict[str, dict[str, Any]]] = Field(
         default={}, description="settings that one task has of its own, over those of the sections, as task: {section: {field: value}}"
     )
     study: StudyConfig | None = Field(default=None, description="of people who drive the cells with `wasp drive SPEC`; not part of any key")

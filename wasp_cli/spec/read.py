@@ -50,9 +50,9 @@ class Problem:
         return self.source if self.position is None else f"{self.source}:{self.position.line}:{self.position.column}"
 
     def __str__(self) -> str:
-        parts = [f"{self.place}: {_printable(self.message)}", *self._excerpt()]
+        parts = [f"{self.place}: {printable(self.message)}", *self._excerpt()]
         if self.hint:
-            parts.append(f"    {_printable(self.hint)}")
+            parts.append(f"    {printable(self.hint)}")
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
@@ -65,11 +65,6 @@ class Problem:
         # Tabs stay tabs, so that the caret stands under its character at any tab width.
         before = "".join("\t" if character == "\t" else " " for character in self.line[: self.position.column - 1])
         return [f"{self.position.line:>5} | {printable(self.line)}", f"      | {before}^"]
-
-
-def _printable(text: str) -> str:
-    """A text without what would steer a terminal: escapes in a YAML string can name any character."""
-    return "".join(character if character.isprintable() or character == "\n" else repr(character)[1:-1] for character in text)
 
 
 class InvalidSpec(SpecError):

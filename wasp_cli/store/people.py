@@ -54,7 +54,7 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
     inputs, episodes = np.asarray(beats["input"]), np.asarray(beats["episode"])
     fresh = np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])]) if len(late) else late
     for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
-        values = np.array([np.nan if value is None else value for value in beats[name].to_pylist()], np.float64)
+        values = np.asarray(beats[name], np.float64)  # what is unknown is NaN
         if name == "input_age_ms":
             values = values[fresh]
         for label, value in zip(("p50", "p99"), percentiles(values.tolist()), strict=True):
