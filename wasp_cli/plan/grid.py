@@ -199,7 +199,7 @@ class _Builder:
         config, settings = self.config(kind, task), self.settings(kind)
         identity = {
             "kind": kind,
-            "task": _task_facts(task),
+            "task": TASKS[task].facts(),
             "seed": seed,
             "axes": {**axes, "method_config": self.method(axes["method"], variant, task).identity} if variant else axes,
             "config": config.identity,
@@ -228,11 +228,6 @@ def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
 def stage_class(kind: str) -> type[Stage]:
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage
-
-
-@cache
-def _task_facts(task: str) -> Mapping[str, Any]:
-    return TASKS[task].facts()
 
 
 FIELDS = ("task", "method", "variant", "operator", "severity", "value", "seed", "stage")
@@ -278,16 +273,14 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
         for value in condition.values:
             if value not in known:
                 raise UnknownName(f"{condition.field} in this spec", value, known)
-    selected = frozenset(
-        key
-        for key, facts in candidates
-        for selector in selectors
-        if (key in targets or any(condition.field == "stage" for condition in selector))
-        and all(condition.holds(facts) for condition in selector)
-    )
+    selected: set[str] = set()
+    for selector in selectors:
+        of_any_node = any(condition.field == "stage" for condition in selector)
+        meant = (key for key, facts in candidates if all(condition.holds(facts) for condition in selector))
+        selected |= {key for key in meant if of_any_node or key in targets}
     if not selected:
         raise UsageError(f"--select: no node of the spec matches {' or '.join(texts)}", "wasp plan SPEC --all lists them")
-    return selected
+    return frozenset(selected)
 
 
 def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:

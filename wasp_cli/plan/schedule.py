@@ -18,6 +18,7 @@ from typing import Any
 
 from wasp_cli.plan.node import Node
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.reached import reached
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
@@ -71,15 +72,10 @@ class Schedule:
         self._left.discard(node.key)
         self._ready = [entry for entry in self._ready if entry[1].key != node.key]
         heapq.heapify(self._ready)
-        lost: dict[str, Node] = {}
-        waiting = [node]
-        while waiting:
-            for dependent in self._dependents[waiting.pop().key]:
-                if dependent.key in self._left:
-                    self._left.discard(dependent.key)
-                    lost[dependent.key] = dependent
-                    waiting.append(dependent)
-        return sorted(lost.values(), key=lambda node: self._rank[node.key][1])
+        behind = reached(self._dependents[node.key], lambda lost: self._dependents[lost.key])
+        lost = [dependent for dependent in behind if dependent.key in self._left]
+        self._left.difference_update(dependent.key for dependent in lost)
+        return sorted(lost, key=lambda dependent: self._rank[dependent.key][1])
 
 
 def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:

@@ -139,10 +139,8 @@ def is_gone(record: Mapping[str, Any]) -> bool:
         return True
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:  # somebody else's, but there
-        pass
+    except OSError as error:  # another one: it is somebody else's, but there
+        return isinstance(error, ProcessLookupError)
     return False
 
 

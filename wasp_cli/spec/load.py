@@ -63,7 +63,8 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     placed = [_placed(chain, overrides, finding) for finding in mistakes]
     problems += [problem for problem in placed if problem.position is None or (problem.source, problem.position) not in places]
     if problems or spec is None:
-        raise InvalidSpec(chain.ordered(problems))
+        names = [source.name for source in chain.sources]  # nearest first; what comes from an option stands last
+        raise InvalidSpec(sorted(problems, key=lambda problem: (*names, problem.source).index(problem.source)))
     return Loaded(spec, chain, tuple(overrides))
 
 
@@ -119,11 +120,6 @@ class Chain:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
         return values, problems
-
-    def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
-        """Return the problems file by file, nearest first; those of no file (options) last."""
-        names = [source.name for source in self.sources]
-        return sorted(problems, key=lambda problem: names.index(problem.source) if problem.source in names else len(names))
 
 
 def chain_of(source: Source) -> Chain:

@@ -92,14 +92,9 @@ class PrintedTable(Config):
     @model_validator(mode="after")
     def _rectangular(self) -> PrintedTable:
         width = len(self.columns)
-        refuse(
-            [
-                (("rows", task, str(who)), PydanticCustomError("repeated", f"{len(numbers)} numbers for {width} columns", {}), None)
-                for task, rows in self.rows.items()
-                for who, numbers in rows.items()
-                if len(numbers) != width
-            ]
-        )
+        counts = {("rows", task, str(who)): len(numbers) for task, rows in self.rows.items() for who, numbers in rows.items()}
+        wrong = {place: f"{count} numbers for {width} columns" for place, count in counts.items() if count != width}
+        refuse([(place, PydanticCustomError("repeated", text, {}), None) for place, text in wrong.items()])
         return self
 
 
