@@ -2,8 +2,7 @@
 
 import json
 import shutil
-import subprocess
-import sys
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from tests import commands
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.trained.evidence import EVIDENCE
 from wasp_cli.run.verify import again, differences, show_answer
@@ -45,10 +45,7 @@ ida-guarded: {vote: -0.9, quantile: 0.05}
 """
 
 
-def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    return done
+wasp = partial(commands.wasp, commands.ROOT, code=0)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The command line from outside: exit codes, messages, what goes to which stream, what is imported."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 import typer
 from click.testing import Result
 
-from tests.commands import run_here
+from tests.commands import ROOT, run_here, wasp
 from tests.run.harness import Fakes, fakes, prepared, small_spec, written
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
@@ -28,18 +27,11 @@ from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes", "small_spec"]
 
-ROOT = Path(__file__).parents[2]
 SMOKE = "specs/smoke.yaml"
 
 
-def wasp(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **environment}
-    command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, env=variables, check=False)
-
-
 def here(*arguments: str | Path, code: int | None = None) -> Result:
-    """The same in this process, where nothing but the answer matters."""
+    """`wasp ARGUMENTS` in this process, where nothing but the answer matters."""
     done = run_here(*arguments, columns=200, code=code)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
     return done
@@ -53,8 +45,9 @@ def spec_with(tmp_path: Path, old: str, new: str) -> Path:
     return path
 
 
-def test_an_ascii_terminal_gets_help_and_no_traceback() -> None:
-    done = wasp("run", "--help", PYTHONIOENCODING="ascii")
+def test_an_ascii_terminal_gets_help_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = wasp(ROOT, "run", "--help")
     assert (done.returncode, done.stderr) == (0, "")
     assert "+- Arguments -" in done.stdout
 
@@ -215,7 +208,7 @@ def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path
 
 def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
     for arguments in (("--debug", "check", "/nowhere.yaml"), ("check", "/nowhere.yaml", "--debug")):
-        done = wasp(*arguments)
+        done = wasp(ROOT, *arguments)
         assert ("Traceback" in done.stderr, done.returncode) == (True, 1)
 
 

@@ -12,7 +12,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from tests.commands import run_here
+from tests.commands import ROOT, run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.report.conftest import without_figures
 from wasp_cli.cli import app
@@ -27,7 +27,6 @@ from wasp_cli.tasks.registry import TASKS
 
 __all__ = ["without_figures"]
 
-ROOT = Path(__file__).parents[2]
 COMMANDS = [[], *([name] for name in sorted(get_command(app).commands))]  # type: ignore[attr-defined]
 
 

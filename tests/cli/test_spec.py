@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 
-from tests.commands import run_here
+from tests.commands import ROOT, run_here
 from tests.spec.good import GOOD
 from wasp_cli.spec.shipped import shipped_names
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture

@@ -126,10 +126,6 @@ def compare_run(folder: Path, calm: Path) -> None:
 # report and publish: of the session
 
 
-def start_report(folder: Path) -> None:
-    wasp("report", folder / "results", "--no-films", "--no-trained")
-
-
 def compare_report(folder: Path, calm: Path) -> None:
     """The same files, none empty, and the same tables."""
     found, wanted = (
@@ -150,10 +146,6 @@ def start_publish(folder: Path) -> None:
          "--select", "stage=world_model|policies")  # fmt: skip
 
 
-def check_publish(folder: Path) -> None:
-    require_whole(folder / "published")
-
-
 def compare_publish(folder: Path, calm: Path) -> None:
     assert payload(folder / "published")
     assert payload(folder / "published") == payload(calm / "published")
@@ -172,10 +164,6 @@ def begin_gc(folder: Path) -> None:
     session.mkdir()
     (session / SESSION_FILE).write_text('{"number": 9}')
     shutil.copy(next((layout.store / "evaluate").glob(f"*/{EPISODES_FILE}")), session)
-
-
-def start_gc(folder: Path) -> None:
-    wasp("gc", folder / "results", "--yes", "--runs")
 
 
 def check_gc(folder: Path) -> None:
@@ -223,8 +211,8 @@ def compare_drive(folder: Path, calm: Path) -> None:
 
 COMMANDS = (
     Command("run", 90, start_run, compare_run),
-    Command("report", 60, start_report, compare_report),
-    Command("publish", 50, start_publish, compare_publish, check=check_publish),
-    Command("gc", 45, start_gc, compare_gc, begin_gc, check_gc),
+    Command("report", 60, lambda folder: wasp("report", folder / "results", "--no-films", "--no-trained"), compare_report),
+    Command("publish", 50, start_publish, compare_publish, check=lambda folder: require_whole(folder / "published")),
+    Command("gc", 45, lambda folder: wasp("gc", folder / "results", "--yes", "--runs"), compare_gc, begin_gc, check_gc),
     Command("drive", 20, start_drive, compare_drive, check=check_drive),
 )

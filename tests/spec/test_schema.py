@@ -13,7 +13,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tests.commands import run_here
+from tests.commands import ROOT, run_here
 from tests.spec import good
 from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.spec.load import load
@@ -23,7 +23,7 @@ from wasp_cli.spec.schema import FOREIGN, spec_schema
 from wasp_cli.spec.shipped import shipped_names, spec_path, specs_folder
 from wasp_cli.tasks.registry import is_foreign
 
-SPECS = Path(__file__).parents[2] / "specs"
+SPECS = ROOT / "specs"
 FILE = SPECS / "wasp.schema.json"
 MODELINE = f"# yaml-language-server: $schema={FILE.name}"
 
@@ -122,9 +122,6 @@ def test_names_of_plugins_are_there(monkeypatch):
 
 
 # Specs by name, from any folder; and a wheel that brings them and the published parts, installed into an empty folder.
-
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture

@@ -1,8 +1,5 @@
 """A folder of cells is a dataset of episodes to everybody's reader."""
 
-from pathlib import Path
-from typing import Any
-
 import duckdb
 import pyarrow.dataset
 import pyarrow.parquet as pq
@@ -19,26 +16,15 @@ def layout(tmp_path) -> Layout:
     return folder_of_cells(tmp_path / "results")
 
 
-def pandas_folder(folder: Path) -> Any:
-    return pytest.importorskip("pandas").read_parquet(folder)
+READERS = {
+    "pandas": lambda folder: pytest.importorskip("pandas").read_parquet(folder),
+    "polars": lambda folder: pytest.importorskip("polars").read_parquet(f"{folder}/*/*.parquet"),
+    "duckdb": lambda folder: duckdb.sql(f"from '{folder}/*/*.parquet'").fetchall(),
+    "arrow": lambda folder: pyarrow.dataset.dataset(folder).to_table(),
+}
 
 
-def polars_glob(folder: Path) -> Any:
-    return pytest.importorskip("polars").read_parquet(f"{folder}/*/*.parquet")
-
-
-def duckdb_glob(folder: Path) -> Any:
-    return duckdb.sql(f"from '{folder}/*/*.parquet'").fetchall()
-
-
-def arrow_dataset(folder: Path) -> Any:
-    return pyarrow.dataset.dataset(folder).to_table()
-
-
-READERS = (pandas_folder, polars_glob, duckdb_glob, arrow_dataset)
-
-
-@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
 def test_a_folder_of_cells_reads_as_their_episodes_and_what_an_invalidated_one_leaves_is_no_obstacle(read, layout):
     invalidate(layout, "evaluate", KEYS[0], "its bytes changed")
     assert why_invalid(layout, "evaluate", KEYS[0]) == "its bytes changed"
