@@ -101,9 +101,9 @@ def following(name: str) -> Iterator[Callable[[float, str], None]]:
 def report_error(error: WaspError) -> None:
     if not isinstance(error, Interrupted):
         err().print("[bold red]error:[/] ", end="")
-    err().print(error.message, markup=False, soft_wrap=True)
+    plain(error.message)
     if error.hint:
-        err().print(f"       {error.hint}", markup=False, soft_wrap=True)
+        plain(f"       {error.hint}")
 
 
 def duration(seconds: float) -> str:

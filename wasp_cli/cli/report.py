@@ -295,7 +295,7 @@ def publish(
     free = dry_run or not os.access(layout.root, os.W_OK)
     with nullcontext() if free else held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
-        show_publication(planned, largest * 1e6, console())
+        show_publication(planned, largest * 1e6)
         if cut := fewer_steps(planned, target, steps):
             say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish more")
         if dry_run:

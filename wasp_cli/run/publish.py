@@ -21,11 +21,10 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.text import Text
 
 import wasp_cli
-from wasp_cli.console import count_table, size, waiting_aloud
+from wasp_cli.console import count_table, out, say, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
@@ -214,7 +213,7 @@ def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> 
     return sum(steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps) for here, there in pairs)
 
 
-def show_publication(publication: Publication, largest: float, console: Console) -> None:
+def show_publication(publication: Publication, largest: float) -> None:
     table = count_table("kind", "new", "size here", "there already")  # copies without steps or images are smaller
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]
@@ -225,16 +224,14 @@ def show_publication(publication: Publication, largest: float, console: Console)
     table.add_section()
     total = sum(item.size for item in publication.new) + sum(reports)
     table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
-    console.print(table)
+    out().print(table)
     if publication.other:
-        text = "left out: the report is not that of the newest run of this spec (wasp run SPEC, then publish again)"
-        console.print(text, markup=False, soft_wrap=True)
+        say("left out: the report is not that of the newest run of this spec (wasp run SPEC, then publish again)")
     for item in publication.large:
-        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
-        console.print(text, markup=False, soft_wrap=True)
+        say(f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)")
     if publication.absent:
         kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
-        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
+        say(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}")
 
 
 CARD = """\

@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TextIO
 
 from rich.console import Console, Group, RenderableType
@@ -24,11 +23,10 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import duration, err, plain
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError
+from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
-from wasp_cli.run.watch import STALE_SECONDS, RunState, desertion, state_of
-from wasp_cli.store.artifact import read_record
+from wasp_cli.run.watch import STALE_SECONDS, RunState, desertion, running_records, state_of
 from wasp_cli.store.find import find_node, matching, only, same_label
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
@@ -60,7 +58,7 @@ class Lines:
         self._watcher.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stop.set()
         self._watcher.join()
         self._events()
@@ -98,16 +96,11 @@ class Lines:
             self._note(NOTES[kind])
 
     def _started(self) -> None:
-        for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):
-            if path.stem not in self._shown:
-                try:
-                    record = read_record(path)
-                except ArtifactError:  # replaced while it was read
-                    continue
-                if record is not None:
-                    self._shown.add(path.stem)
-                    text = f"  ({record['text']})" if record.get("text") else ""
-                    plain(f"        start   {self._names.get(path.stem, str(record.get('label')))}{text}")
+        for key, record in running_records(self._layout, self._run_id):
+            if key not in self._shown:
+                self._shown.add(key)
+                text = f"  ({record['text']})" if record.get("text") else ""
+                plain(f"        start   {self._names.get(key, str(record.get('label')))}{text}")
 
     def _note(self, text: str) -> None:
         plain(f"        note    {text}")
@@ -134,9 +127,9 @@ class Live(Lines):
         self._live.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self._live.stop()
-        super().__exit__(kind, error, trace)
+        super().__exit__(*error)
 
     def _draw(self) -> RenderableType:
         now = time.monotonic()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import platform
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -167,24 +167,26 @@ def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], gone: bool) -> t
     return ("died", moment(events[-1].get("at"))) if gone else ("running", None)
 
 
+def running_records(layout: Layout, run_id: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the key of each node that runs, and what its file says."""
+    with suppress(OSError, StoreError):
+        for path in sorted(layout.within(layout.run(run_id) / "running").glob("*.json")):
+            with suppress(ArtifactError):  # replaced while it was read
+                if is_key(path.stem) and (record := read_record(path)) is not None:
+                    yield path.stem, record
+
+
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
-    nodes = []
-    try:
-        paths = sorted(layout.within(layout.run(run_id) / "running").glob("*.json"))
-    except (OSError, StoreError):
-        return ()
-    for path in paths:
-        try:
-            record = read_record(path)
-        except ArtifactError:  # replaced while it was read
-            continue
-        if record is not None and is_key(path.stem) and path.stem not in ends:
-            nodes.append(Active(
-                key=path.stem, label=_line(record.get("label"), path.stem), kind=_line(record.get("kind"), ""),
-                share=min(max(_number(record, "share") or 0.0, 0.0), 1.0), text=_line(record.get("text"), ""),
-                started=moment(record.get("started")), seen=moment(record.get("at")), memory_mb=_number(record, "memory_mb"),
-                gone=is_gone(record) and not is_held(layout.lock(path.stem)),
-            ))  # fmt: skip
+    nodes = [
+        Active(
+            key=key, label=_line(record.get("label"), key), kind=_line(record.get("kind"), ""),
+            share=min(max(_number(record, "share") or 0.0, 0.0), 1.0), text=_line(record.get("text"), ""),
+            started=moment(record.get("started")), seen=moment(record.get("at")), memory_mb=_number(record, "memory_mb"),
+            gone=is_gone(record) and not is_held(layout.lock(key)),
+        )
+        for key, record in running_records(layout, run_id)
+        if key not in ends
+    ]  # fmt: skip
     return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
 
 

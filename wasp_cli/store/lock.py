@@ -47,9 +47,9 @@ def held(path: Path, waiting: Callable[[], bool], *, shared: bool = False) -> It
 
 
 @contextmanager
-def held_if_free(path: Path, *, made: bool = True) -> Iterator[bool]:
+def held_if_free(path: Path) -> Iterator[bool]:
     """Hold a lock unless someone else has it; whether it is held."""
-    descriptor = _opened(path, made)
+    descriptor = _opened(path)
     try:
         yield _taken(descriptor) and _is_at(descriptor, path)
     finally:
@@ -71,19 +71,18 @@ def is_held(path: Path) -> bool:
 
 def remove_lock(path: Path) -> bool:
     """Remove a lock file unless someone holds it; whether it is removed."""
-    with suppress(FileNotFoundError), held_if_free(path, made=False) as mine:
+    if not path.exists():
+        return False
+    with held_if_free(path) as mine:
         if mine:
             path.unlink()
         return mine
-    return False
 
 
-def _opened(path: Path, made: bool = True) -> int:
+def _opened(path: Path) -> int:
     """The file of a lock, made where there is none."""
-    if made:
-        path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    return os.open(path, os.O_RDWR | _PLAIN)
+    path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
+    return os.open(path, os.O_RDWR | os.O_CREAT | _PLAIN, 0o666)
 
 
 def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:
