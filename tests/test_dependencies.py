@@ -1,26 +1,16 @@
 """What the package imports is what it declares, and no more."""
 
-import ast
 import json
 import re
 import sys
 import tomllib
 from pathlib import Path
 
+from tests.plan.test_closure import names_imported
+
 ROOT = Path(__file__).parents[1]
 NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 """Distributions whose module has another name."""
-
-
-def modules_of(source: str) -> set[str]:
-    """The first names of absolute imports anywhere in a source, in functions too."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module.partition(".")[0])
-    return found
 
 
 def declared(*extras: str) -> set[str]:
@@ -33,7 +23,7 @@ def declared(*extras: str) -> set[str]:
 def test_every_import_is_declared():
     imported: dict[str, set[str]] = {}
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
-        for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - {"wasp_cli"}:
+        for module in {name.partition(".")[0] for name in names_imported(path)} - set(sys.stdlib_module_names) - {"wasp_cli"}:
             imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
     missing = {
         module: places

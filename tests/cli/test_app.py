@@ -56,10 +56,6 @@ def test_version() -> None:
     assert here("--version").stdout == f"wasp {__version__}\n"
 
 
-DRIVING = ["starlette", "uvicorn", "h11", "websockets"]
-"""What only `wasp drive` needs."""
-
-
 @pytest.mark.parametrize(
     ("arguments", "package", "extra"), [(("view", "results/published"), "starlette", "web"), (("drive", "goal1"), "uvicorn", "drive")]
 )
@@ -86,7 +82,8 @@ for arguments, heavy in %r:
 
 
 def test_light_commands_import_nothing_heavy(layout: Layout, tmp_path: Path) -> None:
-    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", *DRIVING]
+    driving = ["starlette", "uvicorn", "h11", "websockets"]
+    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", *driving]
     invalid, results = spec_with(tmp_path, "episodes: 2", "episode: 2"), str(layout.root)
     run_id = "20260501-120000-small-0001"
     write_run(layout, run_id, [planned(1, "a")], [(0.0, "run started", {})])

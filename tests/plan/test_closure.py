@@ -249,16 +249,18 @@ DRAWS = ("matplotlib", "PIL.ImageDraw", "PIL.ImageFont", "imageio", "rich", "jin
 ROOMS = ("report", "video", "cli", "compare")
 
 
-def imported(module: str) -> Iterator[str]:
-    """Everything that the source of a module imports anywhere, functions included, whoever's it is."""
-    spec = find_spec(module)
-    if spec.origin is None or not spec.origin.endswith(".py"):
-        return
-    for node in ast.walk(ast.parse(Path(spec.origin).read_bytes())):
+def names_imported(path: Path) -> Iterator[str]:
+    """Everything that a source imports anywhere, functions included, whoever's it is."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported(module: str) -> Iterator[str]:
+    spec = find_spec(module)
+    return names_imported(Path(spec.origin)) if spec.origin is not None else iter(())
 
 
 def test_nothing_in_a_key_draws_lays_out_or_belongs_to_a_report():

@@ -10,11 +10,9 @@ from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import closure
 from wasp_cli.plan.plan import make_plan
 
-ASKED = ["diagnostics", "counterfactual"]
-
 
 def judged(**changes: Any) -> Grid:
-    return grid(**{"stages": ASKED, **changes})
+    return grid(**{"stages": ["diagnostics", "counterfactual"], **changes})
 
 
 def branch_labels(laid_out: Grid) -> list[str]:

@@ -37,11 +37,6 @@ from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
 
 
-@pytest.fixture
-def named_spec(small_spec) -> Path:
-    return written(small_spec.with_name("named.yaml"), "name: small", "name: named")
-
-
 @pytest.fixture(scope="module")
 def both(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("both")
@@ -182,8 +177,8 @@ def test_what_is_being_computed_stays(fakes, small_spec, other_spec, results, tm
     assert evaluation.name not in finished(results)
 
 
-def test_runs_go_only_when_asked(named_spec, results):
-    run(named_spec, results)
+def test_runs_go_only_when_asked(results, tmp_path):
+    run(written(tmp_path / "named.yaml", "name: small", "name: named"), results)
     layout = Layout(results)
     named, newest, _ = before = run_ids(layout)
     collect(results, "--yes")

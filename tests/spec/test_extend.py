@@ -44,11 +44,8 @@ def places(path: Path, *settings: str) -> list[tuple[str, tuple[int, int] | None
     with pytest.raises(InvalidSpec) as caught:
         load(path, settings)
     assert caught.value.exit_code == 3
-    found = []
-    for problem in caught.value.problems:
-        position = None if problem.position is None else (problem.position.line, problem.position.column)
-        found.append((Path(problem.source).name, position, problem.message))
-    return found
+    found = [(Path(problem.source).name, problem.position, problem.message) for problem in caught.value.problems]
+    return [(name, position and (position.line, position.column), message) for name, position, message in found]
 
 
 def test_sections_merge_and_everything_else_replaces(base):

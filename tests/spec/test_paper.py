@@ -88,10 +88,7 @@ def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper):
 def problems(text: str) -> list[tuple[int, int, str, str | None]]:
     with pytest.raises(InvalidSpec) as caught:
         paper_of(parse(text, "paper.yaml"))
-    found = []
-    for problem in caught.value.problems:
-        found.append((problem.position.line, problem.position.column, problem.message, problem.hint))
-    return found
+    return [(problem.position.line, problem.position.column, problem.message, problem.hint) for problem in caught.value.problems]
 
 
 GOOD = """\

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import UsageError
-from wasp_cli.spec.load import CELLS, Sweep, read_sweep, values_of
+from wasp_cli.spec.load import CELLS, read_sweep, values_of
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.read import InvalidSpec
 
@@ -96,10 +96,6 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     ]
 
 
-def methods(found: Sweep) -> set[tuple[str, ...]]:
-    return {point.loaded.spec.methods for point in found.points}
-
-
 @pytest.mark.parametrize(
     ("vary", "wanted", "expected"),
     [
@@ -111,7 +107,7 @@ def methods(found: Sweep) -> set[tuple[str, ...]]:
     ],
 )
 def test_which_methods_run(spec, vary, wanted, expected):
-    assert methods(read_sweep(spec, vary, wanted)) == {expected}
+    assert {point.loaded.spec.methods for point in read_sweep(spec, vary, wanted).points} == {expected}
 
 
 def test_each_value_has_a_spec_and_a_name_of_its_own(spec):
