@@ -12,6 +12,7 @@ import json
 import os
 import re
 import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +63,9 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
         return []
     found = []
     for line in lines:
-        try:
-            value = parse(line)
-        except (ValueError, RecursionError):
-            continue
-        if isinstance(value, dict):
-            found.append(value)
+        with suppress(ValueError, RecursionError):
+            if isinstance(value := parse(line), dict):
+                found.append(value)
     return found
 
 

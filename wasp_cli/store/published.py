@@ -111,11 +111,11 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
         return str(error)
 
 
-def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
-    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there."""
+def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> None:
+    """Copy a published artifact into the store, or the first episodes of a cell, unless it is there."""
     with held(layout.lock(offer.key), waiting):
         if artifact.exists(layout, offer.kind, offer.key):
-            return False
+            return
         staging = artifact.staging_folder(layout, offer.key)
         try:
             copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
@@ -132,7 +132,6 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
         except BaseException:
             artifact.discard(staging)
             raise
-    return True
 
 
 def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
