@@ -18,9 +18,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import distribution
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Template
 from rich.text import Text
 
 import wasp_cli
@@ -234,35 +236,6 @@ def show_publication(publication: Publication, largest: float) -> None:
         say(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}")
 
 
-CARD = """\
----
-license: apache-2.0
-library_name: wasp-cli
-pipeline_tag: reinforcement-learning
-tags: [shared-autonomy, safe-reinforcement-learning, world-model, mujoco]
----
-
-# {name}
-
-Results of `{name}`, an experiment in safety-aware shared autonomy, written by wasp {version}.
-
-| Kind | Artifacts | Tasks |
-| --- | ---: | --- |
-{rows}
-
-Unpack it to a folder DIR. A run of the same spec takes from there what it needs:
-
-    wasp run SPEC --reuse DIR
-{again}
-`sha256sum --check SHA256SUMS` compares every file. The manifest of an artifact has its settings, inputs, library versions and commit.
-"""
-AGAIN = """
-Cells can be computed again from the models beside them, and compared to the bit:
-
-    wasp verify DIR --cells 30
-"""
-
-
 def require_archive(file: Path) -> None:
     """See that an archive can have this name, which is that of the folder in it. Raises UsageError."""
     if not file.name.endswith(".tar.gz") or not artifact.is_file_name(file.name.removesuffix(".tar.gz")):
@@ -281,7 +254,8 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
     again = any(why_not(target, key) is None for key in sorted(artifact.stored_keys(target, EVALUATE)))
-    card = CARD.format(name=name, version=wasp_cli.__version__, rows="\n".join(_rows(target)), again=AGAIN if again else "")
+    template = Template(files("wasp_cli.run").joinpath("card.md").read_text(encoding="utf-8"), trim_blocks=True, keep_trailing_newline=True)
+    card = template.render(name=name, version=wasp_cli.__version__, rows=_rows(target), again=again)
     root = Path(__file__).parents[2]
     checkout = (root / "pyproject.toml").is_file()  # else the installed package has it
     path = root / "LICENSE" if checkout else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
@@ -294,8 +268,8 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     return len(members)
 
 
-def _rows(target: Layout) -> Iterator[str]:
+def _rows(target: Layout) -> Iterator[tuple[str, int, str]]:
     for kind in sorted(artifact.stored_kinds(target)):
         keys = artifact.stored_keys(target, kind)
         tasks = {str(artifact.read_manifest(target, kind, key).get("task")) for key in keys}
-        yield f"| {kind} | {len(keys)} | {', '.join(sorted(tasks))} |"
+        yield kind, len(keys), ", ".join(sorted(tasks))
