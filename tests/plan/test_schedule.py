@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from tests.commands import ROOT
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out, together
 from wasp_cli.plan.node import Node
@@ -89,9 +90,6 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed)
     assert most <= workers
     assert simulated(nodes, lasting, None)[0] == pytest.approx(longest)
     assert simulated(nodes, lasting, 1)[0] == pytest.approx(work)
-
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(autouse=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.commands import ROOT
 from tests.run import fake_stages
 from wasp_cli.plan import grid
 from wasp_cli.plan.plan import Plan, plan_against
@@ -22,8 +23,6 @@ from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
-
-ROOT = Path(__file__).resolve().parents[2]
 
 SMALL = """
 name: small

@@ -9,14 +9,13 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 
-from tests.commands import run_here
+from tests.commands import ROOT, run_here
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.spec.hints import settings
 from wasp_cli.spec.load import load
 from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
-FOLDER = Path(__file__).parents[2] / "specs"
-SPECS = [path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.yaml")) if path.stem != "paper"]
+SPECS = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "specs").glob("*.yaml")) if path.stem != "paper"]
 SNIPPETS = [
     "{", "}", "[", "]", ":", ": ", "- ", "#", "&a ", "*a", "<<: *a", "!!x ", "'", '"', "|", ">", "\n", "\n  ", "\t", "~", "null", "true",
     "1e999", ".nan", "-1", "0.5", "0x1f", "2020-01-01", "goal1", "wasp", "noisy", "? ", "%", "@", "\x00", "é", "\N{BOM}", "---\n", "...",
@@ -40,9 +39,8 @@ KEYS = [
 ]  # fmt: skip
 EXTENDS = [
     "extends: base.yaml", "extends: broken.yaml", "extends: binary.yaml", "extends: absent.yaml", "extends: spec.yaml",
-    "extends: loop.yaml",
-    "extends: folder.yaml", "extends: long1.yaml", "extends: ..", "extends: base", "extends: [base.yaml]", "extends:", "extends: *a",
-    "extends: !!x base.yaml", 'extends: "base\\0.yaml"', "extend: base.yaml", "extends: {<<: *a}",
+    "extends: loop.yaml", "extends: folder.yaml", "extends: long1.yaml", "extends: ..", "extends: base", "extends: [base.yaml]",
+    "extends:", "extends: *a", "extends: !!x base.yaml", 'extends: "base\\0.yaml"', "extend: base.yaml", "extends: {<<: *a}",
 ]  # fmt: skip
 BASES: dict[str, str | bytes] = {
     "base.yaml": SPECS[0] + "wasp: {candidates: 8, feasable: 3}\n",

@@ -144,7 +144,6 @@ def show_report(
 
 
 def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw: bool) -> Path:
-    """Write a report, and return its page."""
     try:
         with err().status("report") as status:
             draw: Draw | None = None

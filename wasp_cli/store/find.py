@@ -170,7 +170,6 @@ def _failures(layout: Layout) -> list[FoundNode]:
 
 
 def _by_path(layout: Layout, text: str, labels: Sequence[str]) -> FoundCell:
-    """The cell of an existing file or folder."""
     path = Path(text)
     if os.path.isdir(text) and text.strip():
         path = cell_file(path)
