@@ -37,13 +37,7 @@ def test_only_values_that_are_not_their_defaults_enter_the_identity():
     assert Outer(every=6).identity() == Outer().identity()
     changed = Outer(inner=Inner(later=1), bars={"goal1": 2})
     assert changed.identity() == {"inner": {"later": 1}, "larger": {"size": 4}, "bars": {"goal1": 2}}
-
-
-def test_a_section_at_its_defaults_is_not_the_same_as_no_section():
-    assert Outer(perhaps=Inner()).identity()["perhaps"] == {}
-
-
-def test_a_raised_edition_is_another_identity():
+    assert Outer(perhaps=Inner()).identity()["perhaps"] == {}, "a section at its defaults is not the same as no section"
     assert Raised().identity() == {"edition": 2}
 
 
