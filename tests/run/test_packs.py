@@ -13,6 +13,7 @@ import pytest
 from tests.run.layered import plan, publish, run
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.spec import shipped
+from wasp_cli.store import packs
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.packs import KINDS, tar_of, unpack, write_pack
 
@@ -90,6 +91,25 @@ def test_a_pack_that_was_cut_or_is_none_is_damaged(root, cut):
     pack.write_bytes(pack.read_bytes()[:cut] if cut else b"version https://git-lfs.github.com/spec/v1\n")
     with pytest.raises(ArtifactError, match="is damaged"):
         unpack(root)
+
+
+def test_a_pack_that_stands_for_more_than_fits_is_refused(root, monkeypatch):
+    monkeypatch.setattr(packs, "LARGEST", 4096)
+    next((root / "packs").glob(".*")).unlink()
+    with pytest.raises(ArtifactError, match="has more than"):
+        unpack(root)
+
+
+@pytest.mark.parametrize("link", ["store", "store/evaluate"])
+def test_a_link_in_the_place_of_the_store_leads_nowhere(root, tmp_path, link):
+    clone, elsewhere = cloned(root, tmp_path / "clone"), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.rmtree(clone / "store")
+    (clone / link).parent.mkdir(exist_ok=True)
+    (clone / link).symlink_to(elsewhere)
+    with pytest.raises(ArtifactError, match="leads elsewhere by a link"):
+        unpack(clone)
+    assert not list(elsewhere.iterdir())
 
 
 def test_a_link_in_a_pack_is_refused(tmp_path):

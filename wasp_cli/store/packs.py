@@ -23,7 +23,7 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError, described
 
-FOLDER, SUFFIX = "packs", ".tar.xz"
+FOLDER, SUFFIX, LARGEST = "packs", ".tar.xz", 1 << 30  # bytes of a pack, unpacked
 KINDS = ("calibration", "counterfactual", "diagnostics", "evaluate")  # that go into packs: the others have weights, which nothing shrinks
 
 
@@ -38,6 +38,8 @@ def unpack(root: Path) -> None:
                 _extract(pack, Path(folder))
                 for unpacked in sorted(Path(folder).glob("*/*")):
                     place = root / "store" / unpacked.relative_to(folder)
+                    if place.parent.is_symlink() or place.parents[1].is_symlink():
+                        raise ValueError(f"'{place.parent}' leads elsewhere by a link")
                     place.parent.mkdir(parents=True, exist_ok=True)
                     try:
                         unpacked.rename(place)
@@ -120,7 +122,11 @@ def _names(pack: Path) -> list[str]:
 
 
 def _archive(pack: Path) -> tarfile.TarFile:
-    return tarfile.open(fileobj=io.BytesIO(lzma.decompress(pack.read_bytes())))  # whole: its check sum is at the end
+    reader = lzma.LZMADecompressor()
+    data = reader.decompress(pack.read_bytes(), LARGEST)
+    if not reader.eof:  # whole: the check sum is at the end. Few bytes of anybody may stand for as many as fill the memory.
+        raise EOFError(f"it was cut off, or has more than {LARGEST >> 20} MB")
+    return tarfile.open(fileobj=io.BytesIO(data))
 
 
 def tar_of(members: Mapping[str, bytes]) -> bytes:
