@@ -28,7 +28,7 @@ def specs_folder() -> Path:
 def published_folder() -> Path | None:
     """Return where the published parts are, laid out as a results folder; None where the package came without them.
 
-    Where nobody may write to the package they are copied, once.
+    They are copied, once, where nobody may write to the package.
     """
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
     folder = next((folder for folder in folders if (folder / "store").is_dir()), None)
