@@ -14,6 +14,7 @@ import wasp_cli
 from tests.commands import run_here
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.stats import groups
+from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, read_episodes
@@ -185,6 +186,21 @@ def test_what_the_page_says_of_figure_3_is_in_its_table():
     assert table["FormulaOne1", "WASP"]["ΔC ↑"].startswith("+0.05 [-")
     avoided = [table[task, "Safety filter"]["ΔC ↑"].replace("+0", "") for task in ("Goal1", "FormulaOne1")]
     assert f"({avoided[0]} and {avoided[1]})" in words
+
+
+def test_the_page_names_the_trainings_that_certainly_avoid_cost_on_race1():
+    certain = {}
+    for training in reproduction.BRANCHED:
+        table = necessity_table(reproduction.frame((training,)))
+        avoided = [column.key for column in table.columns].index("delta_c")
+        for row in table.rows:
+            each = row.values[avoided]
+            if row.labels[0] == "Race1" and each.interval is not None and each.interval.low > 0:
+                certain[row.labels[1], training] = f"{each.mean:.2f} [{each.interval.low:.2f}, {each.interval.high:.2f}]".replace("0.", ".")
+    gate = "IDA + safety gate"
+    assert {*certain} == {(gate, 1), (gate, 4), ("Diffusion", 4)}
+    told = f"in trainings 1 and 4 ({certain[gate, 1]} and {certain[gate, 4]}), Diffusion in training 4 ({certain['Diffusion', 4]}), WASP in none."
+    assert f"On Race1 {gate} certainly avoids cost within 15 decisions {told}" in " ".join(section("Figure 3").split())
 
 
 def test_what_training_2_says_of_single_rows_is_published():

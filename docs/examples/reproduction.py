@@ -28,7 +28,7 @@ from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, BRANCHED = (1, 2, 3, 4), (1, 3)  # those of Tables 1 and 2, and of Figure 3, on Race1
+TRAININGS, BRANCHED = (1, 2, 3, 4), (1, 3, 4, 5)  # those of Tables 1 and 2, and of Figure 3, on Race1
 PRINTED = (3,)  # that of the ablations of WASP as printed, on the cars
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
@@ -90,11 +90,16 @@ def claims() -> str:
             f"{judged.claim.says} (`{judged.claim.id}`)",
             word(judged),
             word(other),
-            decides(judged) + ("" if on == TRAININGS else f"; trainings {on[0]} and {on[1]}"),
+            decides(judged) + ("" if on == TRAININGS else f"; trainings {listed(on)}"),
         )
         for judged, other, on in verdicts()
     ]
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
+
+
+def listed(trainings: tuple[int, ...]) -> str:
+    """Return `1, 3 and 4`."""
+    return f"{', '.join(map(str, trainings[:-1]))} and {trainings[-1]}"
 
 
 def tables() -> dict[str, str]:
