@@ -197,10 +197,10 @@ def test_the_page_names_the_trainings_that_certainly_avoid_cost_on_race1():
             each = row.values[avoided]
             if row.labels[0] == "Race1" and each.interval is not None and each.interval.low > 0:
                 certain[row.labels[1], training] = f"{each.mean:.2f} [{each.interval.low:.2f}, {each.interval.high:.2f}]".replace("0.", ".")
-    gate = "IDA + safety gate"
+    gate, words = "IDA + safety gate", " ".join(section("Figure 3").split())
     assert {*certain} == {(gate, 1), (gate, 4), ("Diffusion", 4)}
-    told = f"in trainings 1 and 4 ({certain[gate, 1]} and {certain[gate, 4]}), Diffusion in training 4 ({certain['Diffusion', 4]}), WASP in none."
-    assert f"On Race1 {gate} certainly avoids cost within 15 decisions {told}" in " ".join(section("Figure 3").split())
+    told = f"in trainings 1 and 4 ({certain[gate, 1]} and {certain[gate, 4]}), Diffusion in training 4 ({certain['Diffusion', 4]})"
+    assert f"On Race1 {gate} certainly avoids cost within 15 decisions {told}, WASP in none." in words
 
 
 def test_what_training_2_says_of_single_rows_is_published():
