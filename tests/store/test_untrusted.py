@@ -50,20 +50,16 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
-def test_nothing_is_obeyed(name, outside, tmp_path, monkeypatch):
-    # The pictures of a report are made and written, but not painted.
-    monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: file.write(b"a picture"))
-    obeys_nothing(name, ONCE, outside, tmp_path)
+ONCE_EACH = [pytest.param(name, ONCE, id=name) for name in ATTACKS if name not in ON_EVERY_FORM]
+ALL_FORMS = [
+    pytest.param(name, COMMANDS, id=f"{name}, every form", marks=() if name in ON_EVERY_FORM else pytest.mark.slow) for name in ATTACKS
+]
 
 
-@pytest.mark.parametrize("name", [name if name in ON_EVERY_FORM else pytest.param(name, marks=pytest.mark.slow) for name in ATTACKS])
-def test_nothing_is_obeyed_by_any_form_of_a_command(name, outside, tmp_path):
-    obeys_nothing(name, COMMANDS, outside, tmp_path)
-
-
-def obeys_nothing(name: str, commands: tuple[tuple[str, ...], ...], outside: Path, tmp_path: Path) -> None:
-    """Attack a store, and give it to the commands one after the other."""
+@pytest.mark.parametrize(("name", "commands"), ONCE_EACH + ALL_FORMS)
+def test_nothing_is_obeyed(name, commands, outside, tmp_path, monkeypatch):
+    if commands is ONCE:  # the pictures of a report are made and written, but not painted
+        monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: file.write(b"a picture"))
     it = UntrustedStore(tmp_path)
     ATTACKS[name](it, outside)
     codes = {}

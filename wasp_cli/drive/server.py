@@ -112,9 +112,9 @@ class Server(LocalServer):
         self.desk.changed = changed
         sender = asyncio.create_task(self._send(ws, wake))
         try:
-            await self._receive(ws)
-        except (WebSocketDisconnect, RuntimeError, TimeoutError):
-            pass  # gone, closed while something was sent, or silent for too long: the desk is told below, and the world waits
+            # Gone, closed while something was sent, or silent for too long: the desk is told below, and the world waits.
+            with suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
+                await self._receive(ws)
         finally:
             self.desk.leave()
             sender.cancel()
