@@ -17,7 +17,7 @@ from wasp_cli.report.stats import groups
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity, read_episodes
+from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 
 ROOT = Path(__file__).parents[1]
 STORE = ROOT / "results" / "published" / "store"
@@ -109,7 +109,6 @@ def test_the_tables_are_those_of_the_published_rows():
             ("formula1 ida", "cost +2.517 [+0.433, +6.125]", "and 2.5 [.4, 6.1] on FormulaOne1"),
             ("goal1 ida", "cost +14.450 [+9.949, +19.192]", "and 14.5 [9.9, 19.2] on Goal1"),
             ("goal1 ida", "int_rate -0.046 [-0.065, -0.031]", "more often than IDA on Goal1, by 4.6 points [3.1, 6.5]."),
-            ("race1 diffusion", "cost -1.408 [-3.533, +0.683]", "On Race1 Diffusion costs 1.4 [-.7, 3.5] less than WASP."),
         )),
         ((2,), "Table 1", (
             ("race1 ida", "cost +4.575 [-0.392, +11.792]", "4.6 [-.4, 11.8], 4.3"),
@@ -241,10 +240,12 @@ def test_the_counts_of_verdicts_are_those_of_the_table():
 def test_why_claims_fail_or_stay_open_is_what_was_judged():
     judged = {each.claim.id: each.answers for each, _, _ in reproduction.verdicts()}
     (failed,) = (answer for (answer,) in judged["less-than-stepwise-correction"] if answer.outcome == "fails")
-    assert f"on Goal1 the magnitude is {100 - 100 * failed.left / failed.right:.0f} % below SafeRL-Res's" in PAGE
+    assert f"on Goal1 the magnitude is {100 - 100 * failed.left / failed.right:.0f} % below SafeRL-Res's, not a quarter." in PAGE
+    alone = {each.task: each.cells for each in groups(reproduction.frame()) if (each.method, each.variant) == ("wasp", "task-only")}
+    size = statistics.mean(cell.pooled["mag"] for cell in alone["goal1"])
+    assert f"With the task gate alone it is {100 - 100 * size / failed.right:.0f} % below;" in PAGE
     (failed,) = (answer for (answer,) in judged["fewer-and-smaller"] if answer.outcome == "fails")
     told = f"on Goal1 WASP intervenes more often than IDA, with {100 * failed.left:.0f} and {100 * failed.right:.0f} % of the commands."
-    alone = {each.task: each.cells for each in groups(reproduction.frame()) if (each.method, each.variant) == ("wasp", "task-only")}
     rate = statistics.mean(cell.pooled["int_rate"] for cell in alone["goal1"])
     assert f"{told} With the task gate alone it is {100 * rate:.0f} %;" in " ".join(PAGE.split())
     ((failed,),) = judged["safety-gate-keeps-safety"]
@@ -253,6 +254,18 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
     assert {answer.asked.task for answer in open_ones} == {"race1", "formula1"}
     (open_,) = (answer for (answer,) in judged["performance-preserved"] if answer.outcome == "undecided")
     assert "Goal1 Succ. (%): WASP" in reproduction.sentence(open_), "only success on Goal1 against IDA is undecided"
+
+
+def test_commands_that_stepwise_correction_leaves_are_corners_of_the_box():
+    counts = {method: Counter[bool]() for method in ("saferl", "diffusion")}
+    for cell, node in reproduction.grid((1,)).cells:
+        if cell.method in counts:
+            steps = read_steps(STORE / "evaluate" / node.key / "episodes.parquet")
+            for command, deviation in zip(steps["a_h"].to_pylist(), steps["deviation"].to_pylist(), strict=True):
+                counts[cell.method][deviation > 0.0] += 1
+                assert deviation > 0.0 or {abs(number) for number in command} == {1.0}
+    left = " and ".join(f"{each[False]} of {each.total():,}" for each in counts.values())
+    assert f"they left {left} commands as they were, all in a corner of the box." in PAGE
 
 
 def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path):
