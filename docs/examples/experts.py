@@ -88,7 +88,8 @@ def draw() -> None:
         axes[1, column].set_xlabel("interactions (thousands)")
     axes[0, 0].set_ylabel("return")
     axes[1, 0].set_ylabel("cost")
-    axes[0, 0].legend(frameon=False)
+    lines = {line.get_label(): line for axis in axes[0] for line in axis.get_lines()}  # a task may lack a training
+    figure.legend(lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False)
     figure.savefig(PICTURE, dpi=110)
 
 

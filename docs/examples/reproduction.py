@@ -28,7 +28,7 @@ from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, BRANCHED = (1, 2, 3, 4), (1, 3, 4, 5)  # those of Tables 1 and 2, and of Figure 3, on Race1
+TRAININGS, BRANCHED = (1, 2, 3, 4, 5), (1, 3, 4, 5)  # those of Tables 1 and 2, and of Figure 3, on Race1
 PRINTED = (1, 3)  # those of the ablations of WASP as printed, on FormulaOne1
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
