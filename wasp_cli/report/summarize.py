@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from rich.console import Console
@@ -54,8 +55,7 @@ class Report:
     name: str
     layout: Layout
     facts: tuple[str, ...]  # one-line statements about the grid
-    tables: tuple[Table, ...]  # the first ones are for the terminal
-    shown: int  # how many of them
+    shown: tuple[Table, ...]  # on the terminal too
     frame: Frame
     trained: tuple[Trained, ...]
     assumptions: tuple[provenance.Assumption, ...]
@@ -66,17 +66,28 @@ class Report:
     notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
     verdict: VerdictReport | None = None  # what becomes of the paper's claims; None where nothing was evaluated
 
+    @cached_property
+    def further(self) -> tuple[Table, ...]:
+        """The other tables, made when they are first asked for: the terminal need not wait for their intervals."""
+        paper = None if self.verdict is None else numbers_table(self.verdict)
+        made = (paper, comparison_table(self.frame), *(of(self.frame) for of in FURTHER))
+        return tuple(table for table in made if table is not None and table.rows and table.columns)
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        return (*self.shown, *self.further)
+
     @property
     def missing(self) -> tuple[Missing, ...]:
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
         """Print the front tables, and name what is missing. The main results come last: they are what stays on a small screen."""
-        for table in self.tables[self.shown - 1 : 0 : -1]:
+        for table in self.shown[:0:-1]:
             console.print(terminal(table, console.width))
         for fact in (*self.published, *self.remarks):
             console.print(Text(fact), soft_wrap=True)
-        for table in self.tables[: min(self.shown, 1)]:
+        for table in self.shown[:1]:
             console.print(terminal(table, console.width))
         for line in in_words(self.frame):
             console.print(Text(line), soft_wrap=True)
@@ -133,9 +144,9 @@ class Report:
             )
         if self.verdict is not None:
             parts.append(verdict_markdown(self.verdict))
-        parts += [markdown(table) for table in self.tables[: self.shown]]
+        parts += [markdown(table) for table in self.shown]
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
-        parts += [markdown(table) for table in self.tables[self.shown :]]
+        parts += [markdown(table) for table in self.further]
         if self.notes:
             parts.append("## Notes\n\n" + "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes)))
         if self.trained:
@@ -149,10 +160,10 @@ class Report:
         page = rendered(
             "page.html", report=self, verdict=None if self.verdict is None else verdict_html(self.verdict),
             gaps=missing_words(self.frame) if self.missing else None,
-            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING], further=self.tables[self.shown :],
+            tables=[table for table in self.shown if table.name not in TRAINING], further=self.further,
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
             films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
-            training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
+            training_tables=[table for table in self.shown if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
             cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys), notes=lines_of(self.notes),
             style=trusted("style.css"), script=trusted("sort.js") + trusted("script.js"), task_title=task_title,
@@ -234,12 +245,10 @@ def report_run(
     front += people_tables(sittings)
     front += [table for table in (ablation_table(frame), necessity_table(frame)) if table is not None]
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
-    further = (None if verdict is None else numbers_table(verdict), comparison_table(frame), *(table(frame) for table in FURTHER))
-    back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *published, *remarks, *unknown, *damaged)
     return Report(
-        name=spec.name, layout=layout, facts=facts, tables=(*front, *back), shown=len(front), frame=frame, trained=trained,
+        name=spec.name, layout=layout, facts=facts, shown=tuple(front), frame=frame, trained=trained,
         assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
         verdict=verdict, keys=keys, notes=tuple(notes),
     )  # fmt: skip

@@ -23,7 +23,7 @@ from wasp_cli.report.films import SIZE, TaskFilms, film_page, films_of
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame
 from wasp_cli.report.summarize import Report
-from wasp_cli.report.tables.main import detail_table, main_table
+from wasp_cli.report.tables.main import main_table
 from wasp_cli.report.trained import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import commit, staging_folder
@@ -44,8 +44,7 @@ def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
         name=word,
         layout=Layout(folder),
         facts=("a fact", "another", f"a third: {word}"),
-        tables=(main_table(frame), detail_table(frame)),
-        shown=1,
+        shown=(main_table(frame),),
         frame=replace(frame, missing=(missing,)),
         trained=(Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word}),),
         assumptions=(("wasp.tau_c", 0.3, word),),
@@ -78,7 +77,7 @@ def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
 
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
-    report = Report("empty", Layout(tmp_path), facts=(), tables=(), shown=0, frame=Frame(()), trained=(), assumptions=())
+    report = Report("empty", Layout(tmp_path), facts=(), shown=(), frame=Frame(()), trained=(), assumptions=())
     assert Outline(report.html()).found
 
 
