@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from rich.console import Console
@@ -64,11 +64,15 @@ class Report:
     remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
     notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
-    verdict: VerdictReport | None = None  # what becomes of the paper's claims; None where nothing was evaluated
+    judging: Callable[[], VerdictReport] | None = None  # of the paper's claims; None where nothing was evaluated
+
+    # Both are made when they are first asked for: the terminal's tables need not wait for their intervals.
+    @cached_property
+    def verdict(self) -> VerdictReport | None:
+        return None if self.judging is None else self.judging()
 
     @cached_property
     def further(self) -> tuple[Table, ...]:
-        """The other tables, made when they are first asked for: the terminal need not wait for their intervals."""
         paper = None if self.verdict is None else numbers_table(self.verdict)
         made = (paper, comparison_table(self.frame), *(of(self.frame) for of in FURTHER))
         return tuple(table for table in made if table is not None and table.rows and table.columns)
@@ -238,7 +242,7 @@ def report_run(
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
     judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.operator != PERSON for cell in frame.cells)
-    verdict = judge(frame, paper, spec) if paper is not None and judging else None
+    verdict = partial(judge, frame, paper, spec) if paper is not None and judging else None
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
@@ -250,7 +254,7 @@ def report_run(
     return Report(
         name=spec.name, layout=layout, facts=facts, shown=tuple(front), frame=frame, trained=trained,
         assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
-        verdict=verdict, keys=keys, notes=tuple(notes),
+        judging=verdict, keys=keys, notes=tuple(notes),
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
         frame=replace(frame, missing=(missing,)),
         trained=(Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word}),),
         assumptions=(("wasp.tau_c", 0.3, word),),
-        verdict=judge(frame, load_paper()),
+        judging=partial(judge, frame, load_paper()),
     )
     return report.html(cost_return_figure(frame, folder))
 
