@@ -241,8 +241,7 @@ def report_run(
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
-    judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.operator != PERSON for cell in frame.cells)
-    verdict = partial(judge, frame, paper, spec) if paper is not None and judging else None
+    judged = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.operator != PERSON for cell in frame.cells)
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
@@ -254,7 +253,7 @@ def report_run(
     return Report(
         name=spec.name, layout=layout, facts=facts, shown=tuple(front), frame=frame, trained=trained,
         assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
-        judging=verdict, keys=keys, notes=tuple(notes),
+        judging=partial(judge, frame, paper, spec) if paper is not None and judged else None, keys=keys, notes=tuple(notes),
     )  # fmt: skip
 
 
