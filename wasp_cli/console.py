@@ -124,21 +124,24 @@ def size(count: int | None) -> str:
     return "?" if count is None else decimal(count)
 
 
-# Ctrl-C before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it would pass
-# through imports and the end of Python, and some of these print it or turn it into another one.
+# Ctrl-C or SIGTERM before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it
+# would pass through imports and the end of Python, and some of these print it or turn it into another one.
 INTERRUPTED = 130
+ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_at_once() -> None:
-    """Let Ctrl-C end this process with the exit code of an interruption, unless it was started to ignore it or has a handler of its own."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _end)
+    """Let these signals end this process with an interruption's exit code; not one that is ignored or has another handler."""
+    for number in ENDING:
+        if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
+            signal.signal(number, _end)
 
 
 def end_in_order() -> None:
-    """Let Ctrl-C be an exception again, for a command that has begun."""
-    if signal.getsignal(signal.SIGINT) is _end:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let these signals be an exception, for a command that has begun: what it made for itself goes with it."""
+    for number in ENDING:
+        if signal.getsignal(number) is _end:
+            signal.signal(number, signal.default_int_handler)
 
 
 def _end(number: int, frame: object) -> None:

@@ -141,20 +141,22 @@ def test_what_differs_with_avx512_is_computed_once_more_with_avx2(monkeypatch: p
     }  # fmt: skip
 
 
-def test_workers_end_with_a_killed_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_it_and_what_it_made_goes_if_it_can(tmp_path: Path, number: int) -> None:
     code = f"""if True:
-        import pathlib, time
+        import pathlib, sys, time, wasp_cli.__main__
         from wasp_cli.run import verify
-        from wasp_cli.store.layout import Layout
-        verify.again = lambda _, key, __: (pathlib.Path({str(tmp_path)!r}, key).touch(), time.sleep(600))
-        list(verify.verify(Layout(pathlib.Path("none")), ["a", "b"], 2))
+        verify.draw = lambda *_, **__: verify.Drawn(("a", "b"), 2, 0, 0)
+        verify.again = lambda _, key, within: ((within / key).touch(), time.sleep(600))
+        sys.argv = ["wasp", "verify", {str(STORE)!r}, "-j", "2"]
+        wasp_cli.__main__.main()
     """
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True)
-    wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
-    process.kill()
-    process.wait(60)
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True, env={**os.environ, "TMPDIR": str(tmp_path)})
+    wait_until(lambda: len(list(tmp_path.glob("wasp-verify-*/?"))) == 2)
+    process.send_signal(number)
+    code = process.wait(60)
     wait_until(lambda: group_is_gone(process.pid), 60)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"], "its workers had begun, and are gone"
+    assert (code, len(list(tmp_path.glob("wasp-verify-*")))) == ((130, 0) if number == signal.SIGTERM else (-number, 1))
 
 
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from urllib.parse import quote
 
 from markupsafe import escape
 from starlette.concurrency import run_in_threadpool
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -52,23 +53,30 @@ FILES = {
 Answer = Callable[[Request], str | Response]  # a page, or what else is sent back
 
 
+class _Whole(IntegerConvertor):
+    regex = "[0-9]{1,18}"  # Python refuses to read numbers of thousands of digits
+
+
+register_url_convertor("whole", _Whole())
+
+
 class ViewServer(LocalServer):
     def __init__(self, site: Site, port: int = 0) -> None:
         self.site = site
-        film = "/film/{key}/{number:int}/{kind}"
+        film = "/film/{key}/{number:whole}/{kind}"
         answers: dict[str, Answer] = {
             "/": lambda _: pages.home_page(site),
             "/static/{name}": lambda request: static(FILES, request.path_params["name"]),
             "/cells": lambda _: pages.cells_page(site),
             "/cells/numbers": lambda request: _json(pages.numbers(site)),
-            "/cell/{cell:path}/episode/{number:int}/explain": self._explain,
-            "/cell/{cell:path}/episode/{number:int}": lambda request: episode_page(
+            "/cell/{cell:path}/episode/{number:whole}/explain": self._explain,
+            "/cell/{cell:path}/episode/{number:whole}": lambda request: episode_page(
                 site, request.path_params["cell"], request.path_params["number"], _number(request, "step")
             ),
             "/cell/{cell:path}": lambda request: pages.cell_page(site, request.path_params["cell"]),
             "/compare/cells": self._beside,
             film: lambda request: _json(self._films(request).state(*_film(request))),
-            film + "/frame/{frame:int}": self._frame,
+            film + "/frame/{frame:whole}": self._frame,
             "/report/{spec}": self._report,
             "/run/{run}": lambda request: pages.run_page(site, request.path_params["run"]),
             "/run/{run}/now": lambda request: str(pages.run_now(site, request.path_params["run"])),
