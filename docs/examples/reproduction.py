@@ -6,6 +6,7 @@ python docs/examples/reproduction.py
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
 from wasp_cli.report.stats import Frame, groups, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.report.tables.main import ablation_table, main_table
@@ -32,6 +34,7 @@ TRAININGS, BRANCHED = (1, 2, 3, 4, 5), (1, 3, 4, 5)  # those of Tables 1 and 2, 
 PRINTED = (1, 3)  # those of the ablations of WASP as printed, on FormulaOne1
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
+LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
 
 LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
@@ -106,7 +109,7 @@ def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
     made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame(BRANCHED))}
     alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
-    return {"The 21 claims": claims(), "What the others cost more": costs_more()} | alone
+    return {"The 21 claims": claims(), "What the others cost more": costs_more(), "Mild and severe operators": severities()} | alone
 
 
 def costs_more() -> str:
@@ -122,6 +125,23 @@ def costs_more() -> str:
             told.setdefault(METHODS[group.method].title, {})[group.task] = f"{bold}{contrast.value:+.1f} [{low:+.1f}, {high:+.1f}]{bold}"
     head = ("Method", *(TASKS[task].title for task in wholes))
     lines = (head, ("---", *["---:"] * len(wholes)), *((method, *row.values()) for method, row in told.items()))
+    return "\n".join(markdown_row(line) for line in lines)
+
+
+def severities() -> str:
+    """Return in Markdown what each assistant comes to under mild, moderate and severe operators: means over the operators."""
+    spec = load(ROOT / "specs" / "severity.yaml").spec
+    cells = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED)).cells
+    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, [(cell, node.key) for cell, node in cells], [])
+    columns = [(measure, level) for measure in MEASURED for level in LEVELS]
+    lines: list[Sequence[str]] = [
+        ("Task", "Method", *(MEASURED[measure].format(level) for measure, level in columns)), ("---", "---", *["---:"] * len(columns))
+    ]  # fmt: skip
+    for group in groups(read_frame(wanted)):
+        if METHODS[group.method].impaired:
+            at = {level: [cell for cell in group.cells if cell.severity == level] for level in LEVELS}
+            numbers = (summarise(at[level], measure).mean for measure, level in columns)
+            lines.append((TASKS[group.task].title, METHODS[group.method].title, *(f"{number:.2f}" for number in numbers)))
     return "\n".join(markdown_row(line) for line in lines)
 
 

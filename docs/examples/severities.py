@@ -47,13 +47,12 @@ def against(mean: float, error: float) -> str:
 def returns_of(spec: Path, folder: Path) -> dict[tuple[str, str, float | None], Returns]:
     """Read the returns of Human-only and of the Expert, by task, operator and value of the severity; the Expert has no value."""
     laid_out = lay_out_over(load(spec).spec, Layout(folder), str(PUBLISHED))
-    keys = {node.key for cell, node in laid_out.cells if cell.method in ("human", "expert")}
+    keys = [node.key for cell, node in laid_out.cells if cell.method in ("human", "expert")]
     found: dict[tuple[str, str, float | None], Returns] = {}
     results = wasp_cli.results(folder)
-    for row in wasp_cli.results(folder, spec=results.specs).episodes(method=["human", "expert"], columns=["episode", "return"]).to_pylist():
-        if row["key"] in keys:
-            returns = found.setdefault((row["task"], row["operator"], row["value"]), {})
-            returns[row["seed"], row["episode"]] = row["return"]
+    for row in wasp_cli.results(folder, spec=results.specs).episodes(key=keys, columns=["episode", "return"]).to_pylist():
+        returns = found.setdefault((row["task"], row["operator"], row["value"]), {})
+        returns[row["seed"], row["episode"]] = row["return"]
     return found
 
 
