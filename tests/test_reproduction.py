@@ -14,6 +14,7 @@ import reproduction
 import wasp_cli
 from tests.commands import run_here
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.bootstrap import difference_of
 from wasp_cli.report.stats import groups
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.spec.load import load
@@ -39,6 +40,24 @@ def section(title: str) -> str:
 def test_the_tables_are_those_of_the_published_rows():
     for title, table in reproduction.tables().items():
         assert table in section(title), title
+
+
+@pytest.mark.parametrize(
+    ("task", "other", "measure", "told"),
+    [
+        ("race1", "ida", "cost", {"mild": "by 2.3 [.6, 3.8] under mild", "severe": "and 5.9 [2.8, 9.2] under severe ones on Race1"}),
+        ("formula1", "ida", "cost", {"mild": "by 1.4 [-.2, 3.3] (not certain)", "severe": "and 2.1 [.9, 3.5] on FormulaOne1"}),
+        ("goal1", "ida", "cost", {"mild": "by 13.9 [8.9, 18.8] and", "severe": "and 16.4 [12.0, 20.9] on Goal1."}),
+        ("race1", "diffusion", "return", {"severe": "Diffusion returns .7 [.2, 1.4] more under severe operators on Race1."}),
+    ],
+)
+def test_what_others_have_more_under_mild_and_severe_operators(task, other, measure, told):
+    cells, words = reproduction.by_severity(), " ".join(section("Mild and severe operators").split())
+    for level, text in told.items():
+        made = difference_of(cells[task, other, level], cells[task, "wasp", level], measure)
+        number = f"{made.value:.1f} [{made.interval.low:.1f}, {made.interval.high:.1f}]"
+        assert re.sub(r"\b0\.", ".", number) in text
+        assert text in words
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from wasp_cli.report.bootstrap import contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import Frame, groups, read_frame, with_branches
+from wasp_cli.report.stats import CellNumbers, Frame, groups, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
@@ -128,20 +128,25 @@ def costs_more() -> str:
     return "\n".join(markdown_row(line) for line in lines)
 
 
-def severities() -> str:
-    """Return in Markdown what each assistant comes to under mild, moderate and severe operators: means over the operators."""
+@cache
+def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
+    """Return the cells of `specs/severity.yaml` by task, method and severity; those of references are left out."""
     spec = load(ROOT / "specs" / "severity.yaml").spec
     cells = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED)).cells
     wanted, _ = wanted_cells(Layout(PUBLISHED), spec, [(cell, node.key) for cell, node in cells], [])
+    rows = [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
+    return {(row.task, row.method, level): [cell for cell in row.cells if cell.severity == level] for row in rows for level in LEVELS}
+
+
+def severities() -> str:
+    """Return in Markdown what each assistant comes to under mild, moderate and severe operators: means over the operators."""
     columns = [(measure, level) for measure in MEASURED for level in LEVELS]
-    lines: list[Sequence[str]] = [
-        ("Task", "Method", *(MEASURED[measure].format(level) for measure, level in columns)), ("---", "---", *["---:"] * len(columns))
-    ]  # fmt: skip
-    for group in groups(read_frame(wanted)):
-        if METHODS[group.method].impaired:
-            at = {level: [cell for cell in group.cells if cell.severity == level] for level in LEVELS}
-            numbers = (summarise(at[level], measure).mean for measure, level in columns)
-            lines.append((TASKS[group.task].title, METHODS[group.method].title, *(f"{number:.2f}" for number in numbers)))
+    lines: list[Sequence[str]] = [("Task", "Method", *(MEASURED[measure].format(level) for measure, level in columns))]
+    lines.append(("---", "---", *["---:"] * len(columns)))
+    for task, method in dict.fromkeys((task, method) for task, method, _ in by_severity()):
+        means = (summarise(by_severity()[task, method, level], measure).mean for measure, level in columns)
+        shown = "" if any(line[0] == TASKS[task].title for line in lines) else TASKS[task].title
+        lines.append((shown, METHODS[method].title, *("n/a" if mean is None else f"{mean:.2f}" for mean in means)))
     return "\n".join(markdown_row(line) for line in lines)
 
 
