@@ -30,7 +30,7 @@ from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
-TRAININGS, BRANCHED = (1, 2, 3, 4, 5), (1, 3, 4, 5)  # those of Tables 1 and 2, and of Figure 3, on Race1
+TRAININGS = (1, 2, 3, 4, 5)
 PRINTED = (1, 3)  # those of the ablations of WASP as printed, on FormulaOne1
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
@@ -42,9 +42,8 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 @cache
 def grid(trainings: tuple[int, ...] = TRAININGS) -> Grid:
-    """Return the cells of Tables 1 and 2, and the nodes of the branches of Figure 3's trainings."""
-    settings = (f"seeds={list(trainings)}", VARIANTS, *(STAGES if {*trainings} <= {*BRANCHED} else ()))
-    spec = load(ROOT / "specs" / "table1.yaml", settings).spec
+    """Return the cells of Tables 1 and 2, and the nodes of the branches of Figure 3."""
+    spec = load(ROOT / "specs" / "table1.yaml", (f"seeds={list(trainings)}", VARIANTS, *STAGES)).spec
     return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
 
 
@@ -74,40 +73,26 @@ def decides(judged: Judged) -> str:
 
 
 @cache
-def verdicts() -> list[tuple[Judged, Judged | None, tuple[int, ...]]]:
-    """Return of every claim the verdict, the one with WASP (as printed), and the trainings of the former: the first that have an answer."""
-    reports = {trainings: judge(frame(trainings), load_paper()) for trainings in (TRAININGS, BRANCHED, PRINTED)}
-    printed = [who.method for who in reports[BRANCHED].others].index("printed")
-    found: list[tuple[Judged, Judged | None, tuple[int, ...]]] = []
-    for asked in zip(*(report.claims for report in reports.values()), strict=True):
-        ours, on = next((each, on) for each, on in zip(asked, reports, strict=True) if each.outcome != "untested")
-        theirs = (other for each in asked if (other := each.others[printed]) is not None and other.outcome != "untested")
-        found.append((ours, next(theirs, None), on))
+def verdicts() -> list[tuple[Judged, Judged | None]]:
+    """Return of every claim the verdict, and the one with WASP (as printed): of its ablations that of fewer trainings."""
+    whole, of_ablations = (judge(frame(trainings), load_paper()) for trainings in (TRAININGS, PRINTED))
+    printed = [who.method for who in whole.others].index("printed")
+    found: list[tuple[Judged, Judged | None]] = []
+    for ours, fewer in zip(whole.claims, of_ablations.claims, strict=True):
+        theirs = (each.others[printed] for each in (ours, fewer))
+        found.append((ours, next((other for other in theirs if other is not None and other.outcome != "untested"), None)))
     return found
 
 
 def claims() -> str:
     """Return the table of all claims in Markdown."""
-    rows = [
-        (
-            f"{judged.claim.says} (`{judged.claim.id}`)",
-            word(judged),
-            word(other),
-            decides(judged) + ("" if on == TRAININGS else f"; trainings {listed(on)}"),
-        )
-        for judged, other, on in verdicts()
-    ]
+    rows = [(f"{ours.claim.says} (`{ours.claim.id}`)", word(ours), word(theirs), decides(ours)) for ours, theirs in verdicts()]
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
-
-
-def listed(trainings: tuple[int, ...]) -> str:
-    """Return `1, 3 and 4`."""
-    return f"{', '.join(map(str, trainings[:-1]))} and {trainings[-1]}"
 
 
 def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
-    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame(BRANCHED))}
+    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame())}
     alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
     return {"The 21 claims": claims(), "What the others cost more": costs_more(), "Mild and severe operators": severities()} | alone
 
