@@ -18,7 +18,9 @@ import shutil
 import tarfile
 import tempfile
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError, described
@@ -32,26 +34,31 @@ def unpack(root: Path) -> None:
 
     Several processes may do so at once. Raises ArtifactError where a pack is damaged, StoreError where the folder cannot be written.
     """
-    for pack in _waiting(root):
-        try:
-            with tempfile.TemporaryDirectory(dir=root / FOLDER, prefix=".unpacking-") as folder:
-                _extract(pack, Path(folder))
-                for unpacked in sorted(Path(folder).glob("*/*")):
-                    place = root / "store" / unpacked.relative_to(folder)
-                    if place.parent.is_symlink() or place.parents[1].is_symlink():
-                        raise ValueError(f"'{place.parent}' leads elsewhere by a link")
-                    place.parent.mkdir(parents=True, exist_ok=True)
-                    try:
-                        unpacked.rename(place)
-                    except OSError:
-                        if not place.is_dir():  # else it is there already, or another process was faster
-                            raise
-            _stamp(pack).touch()
-        except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
-            raise ArtifactError(f"'{pack}' is damaged: {described(error)}", "restore it, or remove it") from error
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise StoreError(f"cannot unpack '{pack}': {reason}", "copy its folder to where you can write") from error
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression leaves Python to others
+        for _ in threads.map(partial(_unpack, root), _waiting(root)):
+            pass
+
+
+def _unpack(root: Path, pack: Path) -> None:
+    try:
+        with tempfile.TemporaryDirectory(dir=root / FOLDER, prefix=".unpacking-") as folder:
+            _extract(pack, Path(folder))
+            for unpacked in sorted(Path(folder).glob("*/*")):
+                place = root / "store" / unpacked.relative_to(folder)
+                if place.parent.is_symlink() or place.parents[1].is_symlink():
+                    raise ValueError(f"'{place.parent}' leads elsewhere by a link")
+                place.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    unpacked.rename(place)
+                except OSError:
+                    if not place.is_dir():  # else it is there already, or another process was faster
+                        raise
+        _stamp(pack).touch()
+    except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
+        raise ArtifactError(f"'{pack}' is damaged: {described(error)}", "restore it, or remove it") from error
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise StoreError(f"cannot unpack '{pack}': {reason}", "copy its folder to where you can write") from error
 
 
 def _waiting(root: Path) -> list[Path]:
