@@ -31,7 +31,7 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1, 2, 3, 4, 5)
-PRINTED = (1, 3)  # those of the ablations of WASP as printed, on FormulaOne1
+PRINTED = (1, 3)  # those of the ablations of WASP as printed, on the cars
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
@@ -74,7 +74,7 @@ def decides(judged: Judged) -> str:
 
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None]]:
-    """Return of every claim the verdict, and the one with WASP (as printed): of its ablations that of fewer trainings."""
+    """Return of every claim the verdict with WASP, and the one with WASP (as printed), whose ablations have fewer trainings."""
     whole, of_ablations = (judge(frame(trainings), load_paper()) for trainings in (TRAININGS, PRINTED))
     printed = [who.method for who in whole.others].index("printed")
     found: list[tuple[Judged, Judged | None]] = []
