@@ -23,7 +23,21 @@ def test_the_tables_of_results_are_the_published_rows():
     field, (moderate, unseen, _) = assistants.published("field"), assistants.GROUPS
     assert assistants.table(field, moderate) in PAGE
     assert assistants.differences(field, moderate) in PAGE
-    assert assistants.table(assistants.published("assistants"), unseen) in PAGE
+    met = assistants.published("unseen")
+    assert assistants.table(met, unseen) in PAGE
+    assert assistants.differences(met, unseen) in PAGE
+    for group, told in (
+        (unseen, "WASP costs 37, 21 and 28 % of what IDA"),
+        (moderate, "it costs 41, 17 and 27 % of IDA's in this training"),
+    ):
+        cells = assistants.sums_of(met)
+        costs = [
+            [assistants.measures(assistants.cube(cells, task, name, assistants.GROUPS[group]))["cost"] for name in ("wasp", "ida")]
+            for task in assistants.shown_tasks(cells)
+        ]
+        assert "{:.0f}, {:.0f} and {:.0f} %".format(*(100 * ours / ida for ours, ida in costs)) in told
+        assert told in " ".join(PAGE.split())
+    assert "12.1 / 118.3" in assistants.matrix(met)
     assert assistants.matrix(assistants.published("operators")) in PAGE
 
 

@@ -1,6 +1,6 @@
 """How do the assistants compare on fresh seeds, and under operators that no choice has seen? Print the tables of docs/assistants.md.
 
-python docs/examples/assistants.py SPEC     from the published cells of `field`, `goal1-two` or `operators`, or the rows of `assistants`
+python docs/examples/assistants.py SPEC     from the published cells of `field`, `unseen`, `goal1-two` or `operators`
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import wasp_cli
@@ -32,8 +31,7 @@ GROUPS = {
     "Operators that no choice has seen": ("noisy-gaussian", "noisy-burst", "delayed-noisy", "reactive"),
     "The unimpaired expert": (UNIMPAIRED,),
 }
-KNOWS = "knows-operator"
-OPPONENTS = ("ida", "ida-guarded", "diffusion", "csa", "saferl", "reach", "mpmi", "printed", KNOWS)
+OPPONENTS = ("ida", "ida-guarded", "diffusion", "csa", "saferl", "reach", "mpmi", "printed")
 SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped", "ms")
 RESAMPLES = 1000
 COLUMNS_READ = ("episode", "return", "success", "cost", "decisions", "intervened", "int_eff", "mag", "decision_p50_ms")
@@ -46,9 +44,8 @@ Sums = NDArray[np.float64]
 
 @cache
 def published(spec: str) -> pa.Table:
-    """Return a row for each published episode of a spec: of cells, with what their branches say, or of the file that has rows alone."""
-    file = PUBLISHED / f"{spec}.parquet"
-    return pq.read_table(file) if file.is_file() else pa.Table.from_pylist(list(rows_of(spec)))
+    """Return a row for each published episode of a spec, with what its branches say."""
+    return pa.Table.from_pylist(list(rows_of(spec)))
 
 
 def rows_of(spec: str) -> Iterator[dict[str, Any]]:
@@ -90,7 +87,7 @@ def cube(cells: Cells, task: str, method: str, group: tuple[str, ...], beside: s
 
     A reference met nobody but itself.
     """
-    alone = method in METHODS and not METHODS[method].impaired
+    alone = not METHODS[method].impaired
     operators = [name for name in ((UNIMPAIRED,) if alone else group) if (task, method, name) in cells]
     met = [set(cells[task, each, name]) for each in (method, beside or method) for name in operators]
     worlds = sorted(set.intersection(*met)) if met else []
@@ -133,14 +130,9 @@ def matrix(rows: pa.Table) -> str:
             each = [measures(cube(cells, task, method, (name,))) if (task, method, name) in cells else None for name in operators]
             if any(each):
                 numbers = ["" if m is None else f"{m['return']:.1f} / {m['cost']:.1f}" for m in each]
-                lines.append(f"| {first} | {title(method)} | {' | '.join(numbers)} |")
+                lines.append(f"| {first} | {METHODS[method].title} | {' | '.join(numbers)} |")
                 first = ""
     return "\n".join(lines)
-
-
-def title(method: str) -> str:
-    """Return how a table calls a method."""
-    return "WASP (knows the operator)" if method == KNOWS else METHODS[method].title
 
 
 COLUMNS = ("Task", "Method", "Return", "Succ. (%)", "Cost", "Int.", "effective", "Mag.", "UIR", "mirror", "ms")
@@ -159,7 +151,7 @@ def table(rows: pa.Table, group: str) -> str:
             if sums.size:
                 m = measures(sums)
                 numbers = ["" if np.isnan(value) else f"{value:.{digits}f}" for value, digits in zip(m.values(), DIGITS, strict=True)]
-                lines.append([first, title(method), *numbers])
+                lines.append([first, METHODS[method].title, *numbers])
                 first = ""
     kept = [i for i in range(len(COLUMNS)) if any(line[i] for line in lines)]
     rules = ["---", "---", *["---:"] * len(DIGITS)]
@@ -177,7 +169,7 @@ def short(rows: pa.Table) -> str:
     for method in dict.fromkeys(name for _, name, _ in cells):
         sums = [cube(cells, task, method, next(iter(GROUPS.values()))) for task in tasks]
         numbers = [f"{m['return']:.1f} / {m['cost']:.1f}" if m else "" for m in (measures(cells) if cells.size else None for cells in sums)]
-        lines.append(f"| {title(method)} | {' | '.join(numbers)} |")
+        lines.append(f"| {METHODS[method].title} | {' | '.join(numbers)} |")
     return "\n".join(lines)
 
 
@@ -204,7 +196,7 @@ def differences(rows: pa.Table, group: str) -> str:
                 low, high = np.nanpercentile(left[key] - right[key], [2.5, 97.5])
                 digits = 1 if key in ("return", "cost") else 2
                 texts.append(f"{here[key] - there[key]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]")
-            lines.append(f"| {first} | {title(method)} | {' | '.join(texts)} |")
+            lines.append(f"| {first} | {METHODS[method].title} | {' | '.join(texts)} |")
             first = ""
     return "\n".join(lines)
 
