@@ -1,6 +1,7 @@
 """README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
 import json
+import re
 import runpy
 from pathlib import Path
 
@@ -73,9 +74,17 @@ def test_the_tables_of_experts_and_of_trained_parts_are_the_published_ones():
 
 
 def test_the_rule_chooses_the_least_intervention_that_keeps_the_return():
-    rows = curves.shown(pq.read_table(curves.published("assistants"))).splitlines()
-    chosen = {tuple(part.strip() for part in row.split("|")[2:4]) for row in rows if "by the rule" in row}
-    assert {("IDA", "tau_Q, times 0"), ("Diffusion", "ratio 0.6"), ("WASP", "tau_r, times 1")} <= chosen
+    rows = pq.read_table(curves.published("field"))
+    assert curves.shown(rows) in PAGE
+    ends = []
+    for task in curves.shown_tasks(rows):
+        points = [curves.point(rows, task, "wasp", value) for value in curves.KNOBS["wasp"].values]
+        ends += [(min(at[name] for at in points), max(at[name] for at in points)) for name in ("return", "cost")]
+    told = (
+        "14.8 to 15.1 at a cost of 1.8 to 3.0 on Race1, 28.1 to 30.5 at 0.1 to 0.4 on FormulaOne1 and 19.7 to 20.9 at 3.5 to 10.5 on Goal1"
+    )
+    assert [f"{number:.1f}" for end in ends for number in end] == re.findall(r"\d+\.\d", told)
+    assert told in " ".join(PAGE.split())
 
 
 def test_ida_moves_with_its_knob_at_the_median_too(monkeypatch):
@@ -85,8 +94,8 @@ def test_ida_moves_with_its_knob_at_the_median_too(monkeypatch):
 
 
 def test_curves_that_are_not_published_are_a_usage_error(monkeypatch):
-    monkeypatch.setattr("sys.argv", ["curves.py", "field"])
-    with pytest.raises(SystemExit, match=r"field-curves\.parquet is not there\n(.|\n)*curves\.py field RESULTS TASK"):
+    monkeypatch.setattr("sys.argv", ["curves.py", "table1"])
+    with pytest.raises(SystemExit, match=r"table1-curves\.parquet is not there\n(.|\n)*curves\.py field RESULTS TASK"):
         runpy.run_path(curves.__file__, run_name="__main__")
 
 

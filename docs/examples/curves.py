@@ -1,6 +1,6 @@
 """What does each assistant give for how often it acts? Vary its one knob, print the curves and the operating points, and draw the figure.
 
-python docs/examples/curves.py                          from the published rows of `assistants`
+python docs/examples/curves.py                          from the published rows of `field`
 python docs/examples/curves.py field RESULTS TASK ...   measure what is not in RESULTS yet, with the published models of that spec
 """
 
@@ -47,19 +47,19 @@ OPERATORS = {"noisy": 0.45, "laggy": 0.7, "limited-skill": 0.25, "reaction-time"
 
 @dataclass(frozen=True)
 class Knob:
-    """What is varied of an assistant, and the values; the value of every other table is `default`."""
+    """What is varied of an assistant, and the values; `used` is that of `specs/field.yaml` and of Table 1."""
 
     symbol: str
     values: tuple[float, ...]
-    default: float = 1.0
+    used: float = 1.0
 
 
 KNOBS = {
-    "ida": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0, 4.0)),
-    "ida-least": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0)),
-    "ida-guarded": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0)),
-    "diffusion": Knob("ratio", (0.1, 0.2, 0.4, 0.6, 0.8), 0.4),
-    "csa": Knob("ratio", (0.2, 0.4, 0.55, 0.69), 0.69),
+    "ida": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0, 4.0), 0.0),
+    "ida-least": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0), 0.0),
+    "ida-guarded": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0), 0.0),
+    "diffusion": Knob("ratio", (0.1, 0.2, 0.4, 0.6, 0.8), 0.6),
+    "csa": Knob("ratio", (0.2, 0.4, 0.55, 0.69), 0.4),
     "saferl": Knob("residual, times", (0.25, 0.5, 0.75, 1.0, 1.5)),
     "filter": Knob("tau_c, times", (0.25, 0.5, 1.0, 2.0, 4.0)),
     "reach": Knob("gamma, times", (0.5, 0.75, 0.9, 1.0)),
@@ -168,21 +168,17 @@ def chosen(curves: Sequence[Mapping[float, Mapping[str, float]]]) -> float:
 
 
 def shown(rows: pa.Table) -> str:
-    """Write the table of the defaults and of the operating points."""
-    lines = [
-        "| task | assistant | knob | return | cost | Int. | effective | Mag. | |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
-    ]
+    """Write the values in use and those that the rule chooses: return / cost / effective intervention rate on every task."""
+    tasks = shown_tasks(rows)
+    lines = [f"| Assistant | knob | {' | '.join(TASKS[task].title for task in tasks)} | |", f"| --- | --- |{' ---: |' * len(tasks)} --- |"]
     for method, knob in measured_in(rows):
-        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in shown_tasks(rows)}
+        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in tasks}
         rule = chosen(list(curves.values()))
-        for task, points in curves.items():
-            for value, each in points.items():
-                shares = (f"{each[name]:.2f}" for name in ("interventions", "effective", "deviation"))
-                numbers = " | ".join((f"{each['return']:.1f}", f"{each['cost']:.1f}", *shares))
-                marks = ["default"] * (value == knob.default) + ["by the rule"] * (value == rule)
-                title = f"{TASKS[task].title} | {METHODS[method].title} | {knob.symbol} {value:g}"
-                lines += [f"| {title} | {numbers} | {', '.join(marks)} |"] * bool(marks)
+        for value in sorted({knob.used, rule}):
+            each = [curves[task][value] for task in tasks]
+            numbers = " | ".join(f"{at['return']:.1f} / {at['cost']:.1f} / {at['effective']:.2f}" for at in each)
+            marks = ["used"] * (value == knob.used) + ["by the rule"] * (value == rule)
+            lines.append(f"| {METHODS[method].title} | {knob.symbol} {value:g} | {numbers} | {', '.join(marks)} |")
     return "\n".join(lines)
 
 
@@ -210,18 +206,18 @@ def draw(rows: pa.Table, path: Path) -> None:
                 x, y = ([each[name] for each in points.values()] for name in ("effective", measure))
                 colour, marker = style_of(method)
                 panel.plot(x, y, "-", marker=marker, ms=4, lw=1.2, color=colour, label=METHODS[method].title)
-                at = points[knob.default]
+                at = points[knob.used]
                 panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=colour)
             panel.set(
                 title=TASKS[task].title if not row else "", ylabel=measure if not column else "", xlabel="effective Int." if row else ""
             )
             panel.spines[["top", "right"]].set_visible(False)
-    axes[0, 0].legend(frameon=False, fontsize=8)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside right upper")
     figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":
-    spec, *measured = sys.argv[1:] or ["assistants"]
+    spec, *measured = sys.argv[1:] or ["field"]
     source = published(spec)
     needed = ROOT / "specs" / f"{spec}.yaml" if measured else source
     if not needed.is_file():
