@@ -13,11 +13,11 @@ from pathlib import Path
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.bootstrap import contrast_of, difference_of
+from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import CellNumbers, Frame, groups, read_frame, with_branches
+from wasp_cli.report.stats import CellNumbers, Frame, Group, groups, pairs_of, read_frame, with_branches
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
@@ -35,6 +35,8 @@ PRINTED = (1, 3)  # those of the ablations of WASP as printed, on the cars
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
+
+SEARCHED = {"return": "Return ↑", "cost": "Cost ↓", "int_rate": "Int. ↓"}
 
 LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
@@ -114,13 +116,32 @@ def costs_more() -> str:
 
 
 @cache
-def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
-    """Return the cells of `specs/severity.yaml` by task, method and severity; those of references are left out."""
-    spec = load(ROOT / "specs" / "severity.yaml").spec
+def rows_of(name: str) -> list[Group]:
+    """Return the published cells of a spec, grouped; those of references are left out."""
+    spec = load(ROOT / "specs" / f"{name}.yaml").spec
     cells = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED)).cells
     wanted, _ = wanted_cells(Layout(PUBLISHED), spec, [(cell, node.key) for cell, node in cells], [])
-    rows = [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
+    return [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
+
+
+def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
+    """Return the cells of `specs/severity.yaml` by task, method and severity."""
+    rows = rows_of("severity")
     return {(row.task, row.method, level): [cell for cell in row.cells if cell.severity == level] for row in rows for level in LEVELS}
+
+
+def more_search() -> str:
+    """Return in Markdown what WASP as printed comes to with our search and with the paper's on the same worlds, with paired differences."""
+    lines: list[Sequence[str]] = [("Task", "Search", *SEARCHED.values()), ("---", "---", *["---:"] * len(SEARCHED))]
+    ours = {row.task: row.cells for row in groups(frame((1,))) if (row.method, row.variant) == ("printed", "full")}
+    for row in rows_of("paper-size"):
+        small, large = [TASKS[row.task].title, "N = 64"], ["", "N = 300"]
+        for measure in SEARCHED:
+            more, less = zip(*pairs_of(row.cells, ours[row.task], measure), strict=True)
+            small.append(f"{summarise(less, measure).mean:.2f}")
+            large.append(f"{summarise(more, measure).mean:.2f} ({with_interval(difference_of(more, less, measure))})")
+        lines += [small, large]
+    return "\n".join(markdown_row(line) for line in lines)
 
 
 def severities() -> str:
@@ -149,11 +170,16 @@ def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
         made = {key: difference_of(group.cells, whole.cells, key) for key in keys}
         if made:
             texts[f"{group.task} {name}"] = ", ".join(
-                f"{key} {each.value:+.3f} [{each.interval.low:+.3f}, {each.interval.high:+.3f}]"
-                for key, each in made.items()
-                if each is not None and each.interval is not None
+                f"{key} {with_interval(each, 3)}" for key, each in made.items() if each is not None and each.interval is not None
             )
     return texts
+
+
+def with_interval(made: Estimate | None, digits: int = 2) -> str:
+    """Write a difference with its 95 % interval."""
+    if made is None or made.interval is None:
+        return "n/a"
+    return f"{made.value:+.{digits}f} [{made.interval.low:+.{digits}f}, {made.interval.high:+.{digits}f}]"
 
 
 def rows_alone(table: Table) -> str:
