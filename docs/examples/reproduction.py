@@ -96,7 +96,8 @@ def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
     made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame())}
     alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
-    return {"The 21 claims": claims(), "What the others cost more": costs_more(), "Mild and severe operators": severities()} | alone
+    texts = {"The 21 claims": claims(), "What the others cost more": costs_more(), "As printed, with the paper's search": more_search()}
+    return texts | {"Mild and severe operators": severities()} | alone
 
 
 def costs_more() -> str:
