@@ -184,7 +184,7 @@ def with_interval(made: Estimate | None, digits: int = 2) -> str:
 
 
 def rows_alone(table: Table) -> str:
-    """Return the rows of a table, without its notes, without columns that LEFT_OUT names, and without rows of which nothing is computed."""
+    """Return the rows of a table, without its notes, columns of LEFT_OUT and rows without cells; of 20 cells it says [8/20]."""
     head, rules, *rows = [
         [cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])] for line in markdown(table).splitlines() if line.startswith("|")
     ]
@@ -193,7 +193,7 @@ def rows_alone(table: Table) -> str:
     for row in rows:
         task = row[0] or task
         if "[0 of" not in row[1]:
-            lines.append(["" if task == shown else task, *row[1:]])
+            lines.append(["" if task == shown else task, row[1].replace(" of 20 cells]", "/20]"), *row[2:]])
             shown = task
     return "\n".join(f"| {' | '.join(line[i] for i in kept)} |" for line in lines)
 
