@@ -212,7 +212,7 @@ def test_what_training_2_says_of_single_rows_is_published():
 
 def test_what_more_search_does_to_wasp_as_printed_is_published():
     words = section("As printed, with the paper's search")
-    said = "More search returns 1.2 [.5, 2.0] more on Goal1, costs 3.5 [1.1, 6.2] more on Race1, and changes nothing certain on FormulaOne1."
+    said = "More search returns 1.2 [.5, 2.0] more on Goal1, costs 3.5 [1.1, 6.2] more on Race1; on FormulaOne1 nothing is certain."
     assert all(each in words for each in ("(+1.19 [+0.50, +1.98])", "(+3.48 [+1.05, +6.20])", "(+0.13 [-0.05, +0.35])", said))
 
 
