@@ -31,7 +31,7 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1, 2, 3, 4, 5)
-PRINTED = (1, 3)  # those of the ablations of WASP as printed, on the cars
+PRINTED = (1, 3)  # those of the ablations of WASP as printed on FormulaOne1, of which the claims are
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
@@ -183,8 +183,13 @@ def with_interval(made: Estimate | None, digits: int = 2) -> str:
     return f"{made.value:+.{digits}f} [{made.interval.low:+.{digits}f}, {made.interval.high:+.{digits}f}]"
 
 
+def short(label: str) -> str:
+    """Return a row's label in fewer words: of 20 cells it says [8/20]."""
+    return label.replace("WASP (as printed),", "As printed,").replace(" of 20 cells]", "/20]")
+
+
 def rows_alone(table: Table) -> str:
-    """Return the rows of a table, without its notes, columns of LEFT_OUT and rows without cells; of 20 cells it says [8/20]."""
+    """Return the rows of a table, without its notes, columns of LEFT_OUT and rows without cells."""
     head, rules, *rows = [
         [cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])] for line in markdown(table).splitlines() if line.startswith("|")
     ]
@@ -193,7 +198,7 @@ def rows_alone(table: Table) -> str:
     for row in rows:
         task = row[0] or task
         if "[0 of" not in row[1]:
-            lines.append(["" if task == shown else task, row[1].replace(" of 20 cells]", "/20]"), *row[2:]])
+            lines.append(["" if task == shown else task, short(row[1]), *row[2:]])
             shown = task
     return "\n".join(f"| {' | '.join(line[i] for i in kept)} |" for line in lines)
 
