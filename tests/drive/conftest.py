@@ -88,6 +88,14 @@ def patient() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def spec(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of the SPEC that a test module has."""
+    path = tmp_path_factory.mktemp("spec") / "spec.yaml"
+    path.write_text(request.module.SPEC)
+    return path
+
+
 @pytest.fixture(scope="session")
 def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with everything that WASP needs on Goal1, brought in from what is published."""

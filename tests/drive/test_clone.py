@@ -62,13 +62,6 @@ def two_are_enough() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("spec") / "beside.yaml"
-    path.write_text(SPEC)
-    return path
-
-
-@pytest.fixture(scope="module")
 def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The results folder of two episodes, and what `wasp clone` says of them."""
     results = tmp_path_factory.mktemp("clone") / "results"

@@ -45,13 +45,6 @@ study: {consent: "Agree?", consent_version: "3", practice: 1, speed: 4.0}
 
 
 @pytest.fixture(scope="module")
-def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("spec") / "trial.yaml"
-    path.write_text(SPEC)
-    return path
-
-
-@pytest.fixture(scope="module")
 def trial(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results folder of both participants; far faster than any person, so that most decisions of IDA are late."""
 

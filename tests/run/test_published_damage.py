@@ -14,6 +14,7 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load
+from wasp_cli.store import artifact
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import import_artifact, offers
@@ -113,6 +114,15 @@ def test_untrusted_results_can_make_us_compute_and_no_more(harm, here, fakes, sm
     assert {item.name for item in here.iterdir()} <= {
         "secret.bin", "away", "published", "store", "tmp", "runs", "failures", "work", "locks", "index.json",
     }  # fmt: skip
+
+
+def test_a_process_reads_a_manifest_once_and_again_when_it_changes(here, monkeypatch):
+    source, reads, read = Layout(here / "published"), [], artifact.read_manifest
+    (first, *_), _ = offers(source)
+    monkeypatch.setattr(artifact, "read_manifest", lambda *asked: reads.append(asked) or read(*asked))
+    rewrite(source.manifest(first.kind, first.key), lambda manifest: manifest["provenance"].update(started_at="2001-01-01"))
+    assert "2001-01-01" in {each.started_at for each in offers(source)[0]}
+    assert len(reads) == 1
 
 
 def test_two_artifacts_of_one_key_take_nobodys_place(here, fakes, small_spec):

@@ -17,11 +17,12 @@ from __future__ import annotations
 import gc
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import UsageError
+from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import LENGTH, Node
@@ -29,9 +30,9 @@ from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
-from wasp_cli.store.artifact import artifact_keys, exists, read_whole, stored_kinds
+from wasp_cli.store.artifact import artifact_keys, exists, stored_kinds
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import EARLIER, RECIPE, Offer, Reused, commit_of, not_used, offers, why_unusable
+from wasp_cli.store.published import EARLIER, RECIPE, Offer, Reused, commit_of, manifest_of, not_used, offers, why_unusable
 from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, without_steps
 
@@ -57,8 +58,12 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 def recipes_in(layer: Layout) -> list[bool]:
     """Return of each artifact whether its manifest is a published one: in an ordinary folder only what was itself reused has one."""
-    manifests = (read_whole(layer, kind, key)[0] for kind in stored_kinds(layer) for key in artifact_keys(layer, kind))
-    return [RECIPE in manifest for manifest in manifests if manifest]
+    found: list[bool] = []
+    for kind in stored_kinds(layer):
+        for key in artifact_keys(layer, kind):
+            with suppress(ArtifactError):
+                found.append(RECIPE in manifest_of(layer, kind, key))
+    return found
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:

@@ -80,10 +80,10 @@ class Layout:
         return self.store / _name(kind)
 
     def artifact(self, kind: str, key: str) -> Path:
-        return self.kind(kind) / _key(key)
+        return self.root.joinpath("store", _name(kind), _key(key))
 
     def manifest(self, kind: str, key: str) -> Path:
-        return self.artifact(kind, key) / MANIFEST
+        return self.root.joinpath("store", _name(kind), _key(key), MANIFEST)  # in one step: a plan asks for thousands
 
     def failure(self, key: str) -> Path:
         """Return the record of a node's last failure."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,9 +85,24 @@ def not_used(kind: str, key: str, why: str) -> str:
     return f"published {kind}/{key} is not used: {why}"
 
 
-def _offer(source: Layout, kind: str, key: str) -> Offer:
-    manifest = artifact.read_manifest(source, kind, key)
+_manifests: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by path, with time, size and inode: a sweep plans again and again
+
+
+def manifest_of(source: Layout, kind: str, key: str) -> Mapping[str, Any]:
+    """Return the manifest of a published artifact. A process reads it once, as long as its file stays the same."""
     path = source.manifest(kind, key)
+    with suppress(OSError):
+        state = path.lstat()
+        stamp = state.st_mtime_ns, state.st_size, state.st_ino
+        known = _manifests.get(str(path))
+        if known is None or known[0] != stamp:
+            known = _manifests[str(path)] = stamp, artifact.read_manifest(source, kind, key)
+        return known[1]
+    return artifact.read_manifest(source, kind, key)  # says what is wrong
+
+
+def _offer(source: Layout, kind: str, key: str) -> Offer:
+    manifest, path = manifest_of(source, kind, key), source.manifest(kind, key)
     if MANIFEST in artifact.listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
     recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
