@@ -69,9 +69,9 @@ def layers(session: nox.Session) -> None:
 @nox.session(venv_backend="none", requires=["project"])
 def tests(session: nox.Session) -> None:
     """The fast tests, as many side by side as there are cores; arguments go to pytest."""
-    # By file, since what a file's tests share is made once in each process.
+    # By file, since what a file's tests share is made once in each process; in their order, which ends with short ones.
     # A test that hangs is named after twenty minutes; none takes one.
-    options = ("-n", "auto", "--dist", "loadfile", "--timeout", "1200", "--durations=10")
+    options = ("-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder", "--timeout", "1200", "--durations=10")
     run(session, "python", "-m", "pytest", "-m", "not slow", *options, *session.posargs)
 
 

@@ -108,7 +108,7 @@ def chromium(folder: Path) -> Iterator[Browser]:
     assert CHROMIUM is not None
     options = [
         "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", f"--user-data-dir={folder}", "--no-first-run",
-        "--disable-background-networking", "--disable-dev-shm-usage", "about:blank",
+        "--disable-background-networking", "--disable-background-timer-throttling", "--disable-dev-shm-usage", "about:blank",
     ]  # fmt: skip
     process = subprocess.Popen([CHROMIUM, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
