@@ -195,7 +195,7 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     record = json.loads(manifest.read_text(encoding="utf-8"))
     record["provenance"]["processor"] = "Another One"
     manifest.write_text(json.dumps(record), encoding="utf-8")
-    answer = again(copy, key)
+    answer = again(copy, key, tmp_path)
     console = Console(file=StringIO(), width=80)
     show_answer(answer, console)
     assert answer.differing == ("return",)
@@ -205,4 +205,4 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     assert "(differ: return)  (computed on Another One, here " in console.file.getvalue()
     record["config"]["of_another_version"] = 1
     manifest.write_text(json.dumps(record), encoding="utf-8")
-    assert again(copy, key).differing[0].startswith("error: ValidationError: 1 validation error")
+    assert again(copy, key, tmp_path).differing[0].startswith("error: ValidationError: 1 validation error")
