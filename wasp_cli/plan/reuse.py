@@ -62,7 +62,8 @@ def recipes_in(layer: Layout) -> list[bool]:
     for kind in stored_kinds(layer):
         for key in artifact_keys(layer, kind):
             with suppress(ArtifactError):
-                found.append(RECIPE in manifest_of(layer, kind, key))
+                if manifest := manifest_of(layer, kind, key):  # an empty one is damaged
+                    found.append(RECIPE in manifest)
     return found
 
 
