@@ -33,6 +33,12 @@ def section(title: str) -> str:
     return PAGE.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0]
 
 
+def test_the_page_reads_rows_that_other_libraries_computed(monkeypatch):
+    rows = {key for cells in reproduction.grid() for _, key in cells if any(STORE.glob(f"*/{key}"))}
+    monkeypatch.setattr("wasp_cli.plan.node.libraries", lambda: {"numpy": "2.5"})
+    assert rows < {key for cells in reproduction.grid.__wrapped__() for _, key in cells}
+
+
 def test_the_tables_are_those_of_the_published_rows():
     for title, table in reproduction.tables().items():
         assert table in section(title), title
@@ -132,9 +138,8 @@ def test_what_table_1_says_of_all_trainings_is_published():
     words = " ".join(section("Table 1").split())
     rows: dict[tuple[str, str], dict[str, float]] = {}
     for each in (group for group in groups(reproduction.frame()) if group.variant == "full"):
-        rows[each.task, each.method] = {
-            key: statistics.mean(cell.pooled[key] for cell in each.cells) for key in ("return", "cost", "int_rate")
-        }
+        measures = ("return", "cost", "int_rate")
+        rows[each.task, each.method] = {key: statistics.mean(cell.pooled[key] for cell in each.cells) for key in measures}
     ours = {task: row for (task, method), row in rows.items() if method == "wasp"}
     others = {method for _, method in rows} - {"human", "expert"}
     kept = [row["return"] / max(rows[task, method]["return"] for method in others) for task, row in ours.items()]
@@ -244,9 +249,8 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
 
 
 def test_whom_the_safety_gate_alone_fails_is_published():
-    cells = {
-        cell.identity: cell for cell in reproduction.frame().cells if (cell.identity.task, cell.identity.method) == ("formula1", "wasp")
-    }
+    every = {cell.identity: cell for cell in reproduction.frame().cells}
+    cells = {identity: cell for identity, cell in every.items() if (identity.task, identity.method) == ("formula1", "wasp")}
     more: dict[str, list[float]] = {}
     fires: dict[tuple[str, str], list[float]] = {}
     for identity, whole in cells.items():
@@ -257,19 +261,17 @@ def test_whom_the_safety_gate_alone_fails_is_published():
                 fires.setdefault((identity.operator, which), []).append(100 * cell.pooled["safety_gate"])
     assert [operator for operator, each in more.items() if min(each) > 0.0] == ["laggy", "limited-skill"]
     means = [statistics.mean(more[operator]) for operator in ("laggy", "limited-skill")]
-    told = "on FormulaOne1 laggy operators and those of limited skill cost more in each training, {:.1f} and {:.1f} on average.".format(
-        *means
-    )
-    assert told.replace(" 0.", " .") in " ".join(PAGE.split())
+    told = "laggy operators and those of limited skill cost more in each training, {:.1f} and {:.1f} on average.".format(*means)
+    assert f"on FormulaOne1 {told}".replace(" 0.", " .") in " ".join(PAGE.split())
     rates = [statistics.mean(fires["limited-skill", which]) for which in ("alone", "whole")]
     assert "the safety gate fires in {:.1f} instead of {:.1f} % of the".format(*rates) in " ".join(PAGE.split())
 
 
 def test_commands_that_stepwise_correction_leaves_are_corners_of_the_box():
     counts = {method: Counter[bool]() for method in ("saferl", "diffusion")}
-    for cell, node in reproduction.grid().cells:
+    for cell, key in reproduction.grid()[0]:
         if cell.method in counts and cell.seed == 1:
-            steps = read_steps(STORE / "evaluate" / node.key / "episodes.parquet")
+            steps = read_steps(STORE / "evaluate" / key / "episodes.parquet")
             for command, deviation in zip(steps["a_h"].to_pylist(), steps["deviation"].to_pylist(), strict=True):
                 counts[cell.method][deviation > 0.0] += 1
                 assert deviation > 0.0 or {abs(number) for number in command} == {1.0}
@@ -316,23 +318,21 @@ def test_cells_of_two_processors_and_thresholds_of_two_are_told():
     """A key is of the code, the settings and the inputs: what a processor rounds is in none."""
     processors: dict[tuple[str, int], set[str]] = {}
     thresholds: dict[tuple[str, int], set[float]] = {}
-    for cell, node in reproduction.grid().cells:
-        if not (STORE / "evaluate" / node.key).is_dir():  # an ablation of WASP as printed that is to come
+    for cell, key in reproduction.grid()[0]:
+        if not (STORE / "evaluate" / key).is_dir():  # an ablation of WASP as printed that is to come
             continue
-        manifest = json.loads((STORE / "evaluate" / node.key / "_manifest.json").read_text())
+        manifest = json.loads((STORE / "evaluate" / key / "_manifest.json").read_text())
         kind = manifest["provenance"]["processor"].partition("(R)")[0].partition(" ")[0]
         processors.setdefault((cell.task, cell.seed), set()).add(kind)
         if cell.method == "wasp" and cell.assistant != "no-rollout":
-            rows = read_episodes([STORE / "evaluate" / node.key / "episodes.parquet"])
+            rows = read_episodes([STORE / "evaluate" / key / "episodes.parquet"])
             thresholds.setdefault((cell.task, cell.seed), set()).update(round(value, 4) for value in rows["tau_r"].to_pylist())
     tasks = ("race1", "formula1", "goal1")
     assert {place for place, kinds in processors.items() if kinds == {"AMD"}} == {*itertools.product(tasks, (3, 4, 5))} - {("formula1", 5)}
     assert {place for place, kinds in processors.items() if len(kinds) > 1} == {("race1", 1), ("formula1", 2)}
     assert {place: found for place, found in thresholds.items() if len(found) > 1} == {("formula1", 2): {0.0315, 0.0329}}
-    found = [
-        json.loads(path.read_text()) for path in sorted(STORE.glob("calibration/*/calibration.json")) if path.parent.name[:8] in FIRING
-    ]
-    assert sorted(f"{100 * each['safety_rate']:.1f}" for each in found) == ["0.3", "1.8", "4.6", "5.1"]
+    found = [path for path in STORE.glob("calibration/*/calibration.json") if path.parent.name[:8] in FIRING]
+    assert sorted(f"{100 * json.loads(path.read_text())['safety_rate']:.1f}" for path in found) == ["0.3", "1.8", "4.6", "5.1"]
     words = " ".join(section("Table 2").split())
     assert "tau_r .0329, its ablations on an AMD EPYC with .0315" in words
     assert "fires at 1.8 instead of .3 %, and at 4.6 instead of 5.1 % of the expert's decisions" in words

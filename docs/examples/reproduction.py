@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Cell, lay_out
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
@@ -27,6 +27,7 @@ from wasp_cli.report.tables.main import ablation_table, main_table
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.published import offers
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
@@ -44,10 +45,12 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
 @cache
-def grid() -> Grid:
-    """Return the cells of Tables 1 and 2, and the nodes of the branches of Figure 3."""
+def grid() -> tuple[list[tuple[Cell, str]], ...]:
+    """Return the cells of Tables 1 and 2, and those with branches of Figure 3, with the keys of what is published of them, by any code."""
     spec = load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec
-    return lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED))
+    keys = {offer.recipe: offer.key for offer in offers(Layout(PUBLISHED))[0]}
+    own = lay_out(spec)
+    return tuple([(cell, keys.get(node.recipe, node.key)) for cell, node in cells] for cells in (own.cells, own.branched))
 
 
 @cache
@@ -57,8 +60,7 @@ def frame(trainings: tuple[int, ...] = TRAININGS) -> Frame:
         whole = frame()
         cells, missing = ([row for row in rows if row.identity.seed in trainings] for rows in (whole.cells, whole.missing))
         return replace(whole, cells=tuple(cells), missing=tuple(missing), order=tuple(row for row in whole.order if row.seed in trainings))
-    spec, places = load(ROOT / "specs" / "table1.yaml").spec, (grid().cells, grid().branched)
-    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, *([(cell, node.key) for cell, node in cells] for cells in places))
+    wanted, _ = wanted_cells(Layout(PUBLISHED), load(ROOT / "specs" / "table1.yaml").spec, *grid())
     return with_branches(read_frame(wanted), wanted)
 
 
