@@ -33,7 +33,7 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1, 2, 3, 4, 5)
-PRINTED = (1, 3)  # those of the ablations of WASP as printed on FormulaOne1, of which the claims are
+PRINTED = (1, 2, 3)  # those of the ablations of WASP as printed on FormulaOne1, of which the claims are
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
 LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
