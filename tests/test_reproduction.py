@@ -241,7 +241,7 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
     printed = [group for group in groups(reproduction.frame((1, 2, 3))) if (group.task, group.method) == ("formula1", "printed")]
     kinds = [[cell.pooled for group in printed if group.variant == variant for cell in group.cells] for variant in ("no-rollout", "full")]
     gate, cost = ([statistics.mean(pooled[key] for pooled in each) for each in kinds] for key in ("task_gate", "cost"))
-    told = "it costs {:.2f}, not {:.2f}, on FormulaOne1: its task gate fires in {:.0f} instead of {:.0f} % of decisions."
+    told = "it costs {:.2f}, not {:.2f}, on FormulaOne1, and its task gate fires in {:.0f} instead of {:.0f} % of decisions."
     assert told.format(*cost, *(100 * rate for rate in gate)).replace(" 0.", " .") in " ".join(PAGE.split())
     left, right, more = re.match(r"Goal1 Succ. \(%\): WASP ([\d.]+), IDA ([\d.]+); \+([\d.]+)", reproduction.sentence(open_)).groups()
     assert f"({left} - {right} + 0.1 x {right} = {more})" in PAGE

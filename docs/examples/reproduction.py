@@ -13,7 +13,6 @@ from pathlib import Path
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Cell, lay_out
-from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
@@ -25,6 +24,7 @@ from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.report.tables.main import ablation_table, main_table
 from wasp_cli.spec.load import load
+from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import offers
@@ -44,13 +44,17 @@ LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
-@cache
-def grid() -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of Tables 1 and 2, and those with branches of Figure 3, with the keys of what is published of them, by any code."""
-    spec = load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec
+def published(spec: Spec) -> tuple[list[tuple[Cell, str]], ...]:
+    """Return the cells of a spec, and those with branches, with the keys of what is published of them, by any code and libraries."""
     keys = {offer.recipe: offer.key for offer in offers(Layout(PUBLISHED))[0]}
     own = lay_out(spec)
     return tuple([(cell, keys.get(node.recipe, node.key)) for cell, node in cells] for cells in (own.cells, own.branched))
+
+
+@cache
+def grid() -> tuple[list[tuple[Cell, str]], ...]:
+    """Return the cells of Tables 1 and 2, and those with branches of Figure 3."""
+    return published(load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec)
 
 
 @cache
@@ -127,8 +131,7 @@ def costs_more() -> str:
 def rows_of(name: str) -> list[Group]:
     """Return the published cells of a spec, grouped; those of references are left out."""
     spec = load(ROOT / "specs" / f"{name}.yaml").spec
-    cells = lay_out_over(spec, Layout(Path("nowhere")), str(PUBLISHED)).cells
-    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, [(cell, node.key) for cell, node in cells], [])
+    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, published(spec)[0], [])
     return [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
 
 

@@ -342,7 +342,7 @@ def pairs_of(cells: Iterable[CellNumbers], reference: Iterable[CellNumbers], key
         other = by_condition.get(condition(cell.identity))
         if other is not None:
             one, two = cell.episodes["world"], other.episodes["world"]
-            same = np.array_equal(one, two)  # as nearly always; to look for each takes ten times as long
+            same = np.array_equal(one, two)  # as nearly always; to look for each takes twenty times as long
             pairs.append((cell, other) if same else (of_episodes(cell, np.isin(one, two)), of_episodes(other, np.isin(two, one))))
     return [(own, other) for own, other in pairs if own and other and len(defining((own, other), key)) == 2]
 
