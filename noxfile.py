@@ -1,9 +1,11 @@
 # /// script
 # dependencies = ["nox>=2025.5.1"]
 # ///
-"""Everything that has to hold before a change goes in. `nox` runs it all, `nox -s tests` one session, `nox -l` lists them.
+"""Everything that has to hold before a change goes in. `nox` runs it all, `nox -s tests` one
+session, `nox -l` lists them.
 
-torch takes minutes to install, so all sessions but `lint` share one environment: `project` builds it, the others run in it.
+torch takes minutes to install, so all sessions but `lint` share one environment: `project` builds
+it, the others run in it.
 """
 
 from __future__ import annotations
@@ -20,12 +22,19 @@ nox.options.reuse_existing_virtualenvs = True
 
 SPECS = sorted(path.as_posix() for path in Path("specs").glob("*.yaml"))
 PEERS = (
-    "gymnasium==1.4.0", "torch==2.13.0", "stable-baselines3==2.9.2", "torchrl==0.14.1", "minari[create,hdf5]==0.5.4", "skrl==2.1.1",
-)  # fmt: skip
+    "gymnasium==1.4.0",
+    "torch==2.13.0",
+    "stable-baselines3==2.9.2",
+    "torchrl==0.14.1",
+    "minari[create,hdf5]==0.5.4",
+    "skrl==2.1.1",
+)
 """Packages of others whose suites and trainers run on the environments."""
 OMNISAFE = "omnisafe==0.5.0"
 OMNISAFE_NEEDS = ("tensorboard", "wandb", "moviepy", "gdown", "seaborn", "pandas", "pyyaml")
-"""What it imports. Its own requirements hold safety-gymnasium, whose gymnasium 0.28.1 and MuJoCo 2.3.3 exclude ours."""
+"""What it imports. Its own requirements hold safety-gymnasium, whose gymnasium 0.28.1 and
+MuJoCo 2.3.3 exclude ours.
+"""
 EXTERNAL = "gymnasium[box2d]==1.4.0"
 """The physics of Lunar Lander."""
 BIN = "Scripts" if sys.platform == "win32" else "bin"
@@ -35,7 +44,11 @@ def run(session: nox.Session, program: str, *arguments: str) -> None:
     """Run a program of the environment that the session `project` built."""
     environment = session.cache_dir.parent / "project"
     path = os.pathsep.join([str(environment / BIN), os.environ.get("PATH", "")])
-    env = {"VIRTUAL_ENV": str(environment), "PATH": path, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+    env = {
+        "VIRTUAL_ENV": str(environment),
+        "PATH": path,
+        "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1"),
+    }
     session.run(str(environment / BIN / program), *arguments, env=env, external=True)
 
 
@@ -69,9 +82,18 @@ def layers(session: nox.Session) -> None:
 @nox.session(venv_backend="none", requires=["project"])
 def tests(session: nox.Session) -> None:
     """The fast tests, as many side by side as there are cores; arguments go to pytest."""
-    # By file, since what a file's tests share is made once in each process; in their order, which ends with short ones.
-    # A test that hangs is named after twenty minutes; none takes one.
-    options = ("-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder", "--timeout", "1200", "--durations=10")
+    # By file, since what a file's tests share is made once in each process; in their order, which
+    # ends with short ones. A test that hangs is named after twenty minutes; none takes one.
+    options = (
+        "-n",
+        "auto",
+        "--dist",
+        "loadfile",
+        "--no-loadscope-reorder",
+        "--timeout",
+        "1200",
+        "--durations=10",
+    )
     run(session, "python", "-m", "pytest", "-m", "not slow", *options, *session.posargs)
 
 
@@ -84,7 +106,9 @@ def specs(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none", requires=["project"])
 def smoke(session: nox.Session) -> None:
-    """The main job end to end in a fresh folder; a second run must compute nothing; then the other tasks, and what shows results."""
+    """The main job end to end in a fresh folder; a second run must compute nothing; then the
+    other tasks, and what shows results.
+    """
     results = Path(session.create_tmp()).resolve() / "results"
     shutil.rmtree(results, ignore_errors=True)
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
@@ -92,13 +116,32 @@ def smoke(session: nox.Session) -> None:
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
     if not before or artifacts(results) != before:
         session.error("the second run of specs/smoke.yaml touched artifacts of the first one")
-    others = ("--set", "name=smoke-cars", "--set", "tasks=[race1, formula1]", "--set", "operators={laggy: {severe: 0.85}}")
+    others = (
+        "--set",
+        "name=smoke-cars",
+        "--set",
+        "tasks=[race1, formula1]",
+        "--set",
+        "operators={laggy: {severe: 0.85}}",
+    )
     run(session, "wasp", "run", "specs/smoke.yaml", *others, "--results", str(results))
     run(session, "wasp", "report", str(results), "--strict")
     run(session, "wasp", "compare", str(results), str(results), "--spec", "smoke", "--strict")
     for step in ((), ("--step", "3")):
         video = str(results.parent / f"replay{len(step)}.webp")
-        run(session, "wasp", "replay", "goal1 s0 wasp laggy=0.7", "--episode", "0", *step, "--results", str(results), "--out", video)
+        run(
+            session,
+            "wasp",
+            "replay",
+            "goal1 s0 wasp laggy=0.7",
+            "--episode",
+            "0",
+            *step,
+            "--results",
+            str(results),
+            "--out",
+            video,
+        )
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
@@ -109,8 +152,14 @@ def slow(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def gpu(session: nox.Session) -> None:
-    """The smoke spec on a GPU, and every assistant's decisions there held against those on the CPU; without a GPU nothing runs."""
-    asked = [str(session.cache_dir.parent / "project" / BIN / "python"), "-c", "import torch; print(torch.cuda.is_available())"]
+    """The smoke spec on a GPU, and every assistant's decisions there held against those on the
+    CPU; without a GPU nothing runs.
+    """
+    asked = [
+        str(session.cache_dir.parent / "project" / BIN / "python"),
+        "-c",
+        "import torch; print(torch.cuda.is_available())",
+    ]
     if "True" not in str(session.run(*asked, external=True, silent=True)):
         session.log("nothing was run: torch sees no GPU here")
         return
@@ -119,34 +168,72 @@ def gpu(session: nox.Session) -> None:
     session.env["WASP_DEVICE"] = "cuda"
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
     run(session, "wasp", "report", str(results), "--strict")
-    run(session, "python", "-m", "pytest", "tests/methods/test_device.py", "tests/learning/test_device.py", *session.posargs)
+    run(
+        session,
+        "python",
+        "-m",
+        "pytest",
+        "tests/methods/test_device.py",
+        "tests/learning/test_device.py",
+        *session.posargs,
+    )
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def ray(session: nox.Session) -> None:
     """The grid through a ray cluster, which is large to install."""
     run(session, "python", "-m", "pip", "install", "--quiet", "ray>=2.40")
-    run(session, "python", "-m", "pytest", "-m", "slow", "tests/faults/test_ray.py", *session.posargs)
+    run(
+        session,
+        "python",
+        "-m",
+        "pytest",
+        "-m",
+        "slow",
+        "tests/faults/test_ray.py",
+        *session.posargs,
+    )
 
 
 @nox.session(default=False)
 def peers(session: nox.Session) -> None:
-    """The checkers, collectors and trainers of others on our environments, in an environment of their own; results in docs/tasks.md."""
+    """The checkers, collectors and trainers of others on our environments, in an environment of
+    their own; results in docs/tasks.md.
+    """
     session.install("-e", ".", "pytest>=8", *PEERS, *OMNISAFE_NEEDS)
     session.install("--no-deps", OMNISAFE)
     options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
-    session.run("python", "-m", "pytest", "-o", options, "tests/peers", *session.posargs, env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"})
+    session.run(
+        "python",
+        "-m",
+        "pytest",
+        "-o",
+        options,
+        "tests/peers",
+        *session.posargs,
+        env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"},
+    )
 
 
 @nox.session(default=False)
 def external(session: nox.Session) -> None:
-    """Our Diffusion and IDA against the figures of their own papers: hours, in an environment of its own; results in docs/baselines.md.
+    """Our Diffusion and IDA against the figures of their own papers: hours, in an environment of
+    its own; results in docs/baselines.md.
 
-    What is trained and measured stays in the session's cache (an argument names another folder), and a second run goes on.
+    What is trained and measured stays in the session's cache (an argument names another folder),
+    and a second run goes on.
     """
     session.install("-e", ".", "pytest>=8", EXTERNAL)
-    folder = session.posargs[0] if session.posargs else str(session.cache_dir.resolve() / "external-worlds")
-    env = {"WASP_EXTERNAL": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join([".", "docs/examples"])}
+    folder = (
+        session.posargs[0]
+        if session.posargs
+        else str(session.cache_dir.resolve() / "external-worlds")
+    )
+    env = {
+        "WASP_EXTERNAL": "1",
+        "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join([".", "docs/examples"]),
+    }
     options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
     session.run("python", "-m", "pytest", "-o", options, "tests/external", env=env)
     session.run("python", "-m", "tests.external.measure", folder, env=env)
@@ -155,10 +242,23 @@ def external(session: nox.Session) -> None:
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def benchmarks(session: nox.Session) -> None:
     """Speed, as ratios to a limit measured in the same run."""
-    run(session, "python", "-m", "pytest", "-o", "addopts=--import-mode=importlib --benchmark-only", "tests/benchmarks", *session.posargs)
+    run(
+        session,
+        "python",
+        "-m",
+        "pytest",
+        "-o",
+        "addopts=--import-mode=importlib --benchmark-only",
+        "tests/benchmarks",
+        *session.posargs,
+    )
 
 
 def artifacts(results: Path) -> dict[str, int]:
     """Every file of the store and when it was written."""
     store = results / "store"
-    return {str(path.relative_to(store)): path.stat().st_mtime_ns for path in sorted(store.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(store)): path.stat().st_mtime_ns
+        for path in sorted(store.rglob("*"))
+        if path.is_file()
+    }

@@ -27,7 +27,9 @@ SETTINGS = {"action_repeat": REPEAT, "returns": ReturnsConfig(), "side_by_side":
 
 @contextmanager
 def short_episodes() -> Iterator[None]:
-    """Episodes of Race end after 200 instead of 500 env steps: physics takes most of the time of a cell."""
+    """Episodes of Race end after 200 instead of 500 env steps: physics takes most of the time
+    of a cell.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Race, "num_steps", REPEAT * DECISIONS)
         yield
@@ -51,14 +53,22 @@ class Evaluated(NamedTuple):
         return make_task(self.task, self.episodes, action_repeat=REPEAT, observe=("pixels",))
 
     def operator(self, world: VectorTask) -> Operator:
-        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(self.episodes)]
-        context = OperatorContext(load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds)
-        return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes)
+        mistakes = [
+            seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(self.episodes)
+        ]
+        context = OperatorContext(
+            load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds
+        )
+        return build_operator(
+            self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes
+        )
 
     def rerun(self, **changes: Any) -> Rerun:
         """What was recorded, carried out again."""
         world, recorded = self.world(), Recorded(**read_recorded(self.path))._replace(**changes)
-        return Rerun(world, load_world_model(self.inputs["world_model"]), self.operator(world), recorded)
+        return Rerun(
+            world, load_world_model(self.inputs["world_model"]), self.operator(world), recorded
+        )
 
 
 def evaluated(
@@ -77,8 +87,17 @@ def evaluated(
 ) -> Evaluated:
     """The cell of a method on `inputs`, see `tests.artifacts`; its table lies in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    axes = {"method": method, "method_config": dict(config or {}), "operator": variant, "value": value}
+    axes = {
+        "method": method,
+        "method_config": dict(config or {}),
+        "operator": variant,
+        "value": value,
+    }
     settings = {**SETTINGS, "side_by_side": side_by_side}
     own = EvaluateConfig(episodes=episodes)
-    summary = EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))
-    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs, summary)
+    summary = EvaluateStage().run(
+        Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier)
+    )
+    return Evaluated(
+        folder / "episodes.parquet", task, variant, value, episodes, seed, inputs, summary
+    )

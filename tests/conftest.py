@@ -10,13 +10,16 @@ import pytest
 
 from wasp_cli.store.packs import unpack
 
-# Before anything imports torch: two OpenMP pools on two cores slow a test down by an order of magnitude.
+# Before anything imports torch: two OpenMP pools on two cores slow a test down by an order of
+# magnitude.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# A shell starts what runs in its background with Ctrl-C ignored, and so would the commands be that the tests interrupt.
+# A shell starts what runs in its background with Ctrl-C ignored, and so would the commands be that
+# the tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-unpack(Path(__file__).parents[1] / "results" / "published")  # in a fresh clone its cells lie in packs alone
+# in a fresh clone its cells lie in packs alone
+unpack(Path(__file__).parents[1] / "results" / "published")
 
 with suppress(ImportError):  # the sessions `peers` and `external` of nox have no hypothesis
     from hypothesis import HealthCheck, settings
@@ -27,7 +30,9 @@ with suppress(ImportError):  # the sessions `peers` and `external` of nox have n
 
 
 def pytest_fixture_setup():
-    """No test depends on what others have drawn before it: neither a fixture nor a test begins in another state."""
+    """No test depends on what others have drawn before it: neither a fixture nor a test begins
+    in another state.
+    """
     if torch := sys.modules.get("torch"):
         torch.manual_seed(0)
 

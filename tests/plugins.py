@@ -28,7 +28,9 @@ def forget(package: str = "") -> None:
 
 @contextmanager
 def installed(site: Path, package: str) -> Iterator[None]:
-    """Nothing is compiled meanwhile: of two versions within a second Python would take the first."""
+    """Nothing is compiled meanwhile: of two versions within a second Python would take the
+    first.
+    """
     compiles, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     sys.path.insert(0, str(site))
     forget(package)

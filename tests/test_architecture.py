@@ -15,7 +15,9 @@ ROOMS = {path.parent.name for path in (ROOT / "wasp_cli").glob("*/__init__.py")}
 
 @pytest.fixture(scope="module")
 def picture() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs" / "pictures" / "architecture.py")
+    spec = importlib.util.spec_from_file_location(
+        "architecture", ROOT / "docs" / "pictures" / "architecture.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -43,14 +45,22 @@ def test_modules_and_files_on_the_page_are_there():
 
 def test_the_picture_has_the_layers_of_the_contract(picture):
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    (contract,) = (each for each in settings["tool"]["importlinter"]["contracts"] if each.get("exhaustive"))
-    layers = [[name for name in layer.split(" | ") if name in ROOMS] for layer in contract["layers"]]
-    assert [[name for name, _ in layer] for layer in picture.LAYERS] == [layer for layer in layers if layer]
+    (contract,) = (
+        each for each in settings["tool"]["importlinter"]["contracts"] if each.get("exhaustive")
+    )
+    layers = [
+        [name for name in layer.split(" | ") if name in ROOMS] for layer in contract["layers"]
+    ]
+    assert [[name for name, _ in layer] for layer in picture.LAYERS] == [
+        layer for layer in layers if layer
+    ]
     assert {where for where, _ in (*picture.SPEC_TO_TABLE, *picture.DECISION)} <= ROOMS
 
 
 def test_the_picture_is_the_drawn_one(picture):
-    assert (ROOT / "docs" / "pictures" / "architecture.svg").read_text(encoding="utf-8") == picture.draw()
+    assert (ROOT / "docs" / "pictures" / "architecture.svg").read_text(
+        encoding="utf-8"
+    ) == picture.draw()
 
 
 def test_rooms_in_no_key_are_those_of_the_closures(picture):

@@ -15,7 +15,10 @@ NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 
 def declared(*extras: str) -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = [*project["dependencies"], *(line for extra in extras for line in project["optional-dependencies"][extra])]
+    lines = [
+        *project["dependencies"],
+        *(line for extra in extras for line in project["optional-dependencies"][extra]),
+    ]
     names = [re.sub(r"[._-]+", "-", re.split(r"[ <>=!~\[;]", line)[0]).lower() for line in lines]
     return {NAMES.get(name, name.replace("-", "_")) for name in names}
 
@@ -23,7 +26,11 @@ def declared(*extras: str) -> set[str]:
 def test_every_import_is_declared():
     imported: dict[str, set[str]] = {}
     for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
-        for module in {name.partition(".")[0] for name in names_imported(path)} - set(sys.stdlib_module_names) - {"wasp_cli"}:
+        for module in (
+            {name.partition(".")[0] for name in names_imported(path)}
+            - set(sys.stdlib_module_names)
+            - {"wasp_cli"}
+        ):
             imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
     missing = {
         module: places
@@ -34,10 +41,24 @@ def test_every_import_is_declared():
     assert declared() <= set(imported), "each is imported somewhere"
 
 
-def test_the_lock_file_has_every_dependency_in_the_version_that_computed_what_is_published() -> None:
+def test_the_lock_file_has_every_dependency_in_the_version_that_computed_what_is_published() -> (
+    None
+):
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
-    locked = dict(re.findall(r"^([\w.-]+)==([\w.+]+)", line)[0] for line in reversed(lines) if "==" in line and not line.startswith("#"))
-    assert {NAMES.get(name, name.replace("-", "_")) for name in locked} >= declared("dask", "slurm", "export", "pandas", "drive")
+    locked = dict(
+        re.findall(r"^([\w.-]+)==([\w.+]+)", line)[0]
+        for line in reversed(lines)
+        if "==" in line and not line.startswith("#")
+    )
+    assert {NAMES.get(name, name.replace("-", "_")) for name in locked} >= declared(
+        "dask", "slurm", "export", "pandas", "drive"
+    )
     manifests = (ROOT / "results/published/store/evaluate").glob("*/_manifest.json")
-    newest = max((json.loads(path.read_bytes())["provenance"] for path in manifests), key=lambda told: told["started_at"])
-    assert locked.items() >= {name: version.partition("+")[0] for name, version in newest["versions"].items()}.items()
+    newest = max(
+        (json.loads(path.read_bytes())["provenance"] for path in manifests),
+        key=lambda told: told["started_at"],
+    )
+    assert (
+        locked.items()
+        >= {name: version.partition("+")[0] for name, version in newest["versions"].items()}.items()
+    )

@@ -31,11 +31,15 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
 
 
 def shown() -> list[tuple[str, str, str]]:
-    """(page, folder, command line) of every `$ wasp ...`; a block begins in the root, and `$ cd FOLDER` leaves it."""
+    """(page, folder, command line) of every `$ wasp ...`; a block begins in the root, and `$ cd
+    FOLDER` leaves it.
+    """
     found = []
     for page in PAGES:
         for block in blocks(page, "console"):
@@ -62,13 +66,30 @@ def parse(line: str) -> dict[str, Any]:
 def test_shown_commands_parse(page, folder, line):
     parameters = parse(line)
     if shlex.split(line)[1] == "ablate":
-        arguments = parameters["variant"], parameters["task"], parameters["preset"], parameters["set_"] or ()
+        arguments = (
+            parameters["variant"],
+            parameters["task"],
+            parameters["preset"],
+            parameters["set_"] or (),
+        )
         assert ablation(ROOT / parameters["spec"], *arguments)
     elif shlex.split(line)[1] == "sweep":
         (vary,) = parameters["vary"]
-        assert read_sweep(ROOT / folder / parameters["spec"], vary, parameters["method"] or (), parameters["set_"] or ())
+        assert read_sweep(
+            ROOT / folder / parameters["spec"],
+            vary,
+            parameters["method"] or (),
+            parameters["set_"] or (),
+        )
     elif shlex.split(line)[1] == "drive" and parameters["what"] in TASKS:
-        assert shipped(parameters["what"], ["wasp"], parameters["participant"] or 0, [0], parameters["preset"], parameters["set_"] or ())
+        assert shipped(
+            parameters["what"],
+            ["wasp"],
+            parameters["participant"] or 0,
+            [0],
+            parameters["preset"],
+            parameters["set_"] or (),
+        )
     elif parameters.get("set_"):
         assert load(ROOT / folder / parameters["spec"], parameters["set_"])
     for value in parameters.values():
@@ -78,7 +99,14 @@ def test_shown_commands_parse(page, folder, line):
 
 
 @pytest.mark.parametrize(
-    "text", [text for page in PAGES if page.name != PLUGIN for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))]
+    "text",
+    [
+        text
+        for page in PAGES
+        if page.name != PLUGIN
+        for text in blocks(page, "yaml")
+        if text.startswith(("name:", "extends:"))
+    ],
 )
 def test_shown_specs_are_valid(text, tmp_path):
     shutil.copytree(ROOT / "specs", tmp_path, dirs_exist_ok=True)  # which they may extend
@@ -88,14 +116,23 @@ def test_shown_specs_are_valid(text, tmp_path):
 
 @pytest.mark.parametrize(
     ("page", "name"),
-    [("extending.md", "halfway.py"), ("extending.md", "halfway.yaml"), ("own_task.md", "puddle.py"), ("own_task.md", "puddle.yaml")],
+    [
+        ("extending.md", "halfway.py"),
+        ("extending.md", "halfway.yaml"),
+        ("own_task.md", "puddle.py"),
+        ("own_task.md", "puddle.yaml"),
+    ],
 )
 def test_pages_show_the_files_of_examples_as_they_are(page, name):
     language = "python" if name.endswith(".py") else "yaml"
-    assert (ROOT / "docs/examples" / name).read_text(encoding="utf-8") in blocks(ROOT / "docs" / page, language)
+    assert (ROOT / "docs/examples" / name).read_text(encoding="utf-8") in blocks(
+        ROOT / "docs" / page, language
+    )
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md", ROOT / "REPRODUCTION.md"], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CHANGELOG.md", ROOT / "REPRODUCTION.md"], ids=lambda page: page.name
+)
 def test_links_and_pictures_lead_somewhere_and_no_gap_is_left_to_fill(page):
     text = page.read_text(encoding="utf-8")
     assert not re.search(r"^[A-Z_]{5,}$", text, re.MULTILINE)
@@ -104,29 +141,48 @@ def test_links_and_pictures_lead_somewhere_and_no_gap_is_left_to_fill(page):
 
 
 def test_the_quickstart_names_what_is_published_of_its_cells() -> None:
-    spec, layout = load(ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]"]).spec, Layout(Path("absent"))
-    keys = {node.key: METHODS[cell.method].title for cell, node in lay_out_over(spec, layout, str(PUBLISHED)).cells}
+    spec, layout = (
+        load(ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]"]).spec,
+        Layout(Path("absent")),
+    )
+    keys = {
+        node.key: METHODS[cell.method].title
+        for cell, node in lay_out_over(spec, layout, str(PUBLISHED)).cells
+    }
     rows = wasp_cli.results(PUBLISHED).episodes(key=[*keys]).to_pylist()
     for method, (*_, published) in quickstart_rows().items():
         episodes = [row for row in rows if keys[row["key"]] == method]
         assert len(episodes) == (30 if method == "Expert" else 120)
-        assert published == " / ".join(f"{mean(row[name] for row in episodes):.1f}" for name in ("return", "cost"))
+        assert published == " / ".join(
+            f"{mean(row[name] for row in episodes):.1f}" for name in ("return", "cost")
+        )
 
 
 @pytest.mark.slow
 def test_the_quickstart_prints_its_table(tmp_path: Path) -> None:
-    assert "Goal1: the operators alone return" in run_here("run", "quickstart", "--results", tmp_path, columns=200, code=0).stdout
+    assert (
+        "Goal1: the operators alone return"
+        in run_here("run", "quickstart", "--results", tmp_path, columns=200, code=0).stdout
+    )
     table = (tmp_path / "reports/quickstart/table1.csv").read_text(encoding="utf-8").splitlines()
     printed = {row["method"]: row for row in csv.DictReader(table)}
     for method, (returned, *_) in quickstart_rows().items():
-        assert float(printed[method]["return"]) == pytest.approx(float(returned), abs=1.5), "processors round differently"
+        assert float(printed[method]["return"]) == pytest.approx(float(returned), abs=1.5), (
+            "processors round differently"
+        )
     costs = {method: float(printed[method]["cost"]) for method in ("Human-only", "IDA", "WASP")}
-    assert costs["WASP"] < costs["IDA"] < costs["Human-only"], "few episodes have most of it, so that its size says little"
+    assert costs["WASP"] < costs["IDA"] < costs["Human-only"], (
+        "few episodes have most of it, so that its size says little"
+    )
 
 
 def quickstart_rows() -> dict[str, list[str]]:
     lines = (ROOT / "docs/quickstart.md").read_text(encoding="utf-8").splitlines()
-    rows = [line[2:-2].split(" | ") for line in lines if line.startswith("| ") and line.count(" | ") == 7][2:]
+    rows = [
+        line[2:-2].split(" | ")
+        for line in lines
+        if line.startswith("| ") and line.count(" | ") == 7
+    ][2:]
     assert len(rows) == 8
     return {name.removesuffix(" (reference)"): numbers for name, *numbers in rows}
 
@@ -135,23 +191,49 @@ def test_the_chain_of_concepts_has_the_order_of_what_stages_need():
     chain, _, below = blocks(ROOT / "docs/concepts.md", "")[0].splitlines()
     kinds = [word.strip(" -+").replace("-", "").replace(" ", "_") for word in chain.split("-->")]
     assert all(set(STAGES.load(kind).needs) <= set(kinds[:i]) for i, kind in enumerate(kinds))
-    assert chain.index("held-out") <= below.index("+-->") < chain.index("critics"), "IDA's ensemble is judged on held-out episodes"
+    assert chain.index("held-out") <= below.index("+-->") < chain.index("critics"), (
+        "IDA's ensemble is judged on held-out episodes"
+    )
 
 
 def test_contributing_names_what_keys_cover():
-    named = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("A change in")[2].partition("can change keys")[0]
-    manifests = [json.loads(path.read_text()) for path in PUBLISHED.glob("store/*/*/_manifest.json")]
-    assert set(re.findall(r"`(\w+)`", named)) == {module.split(".")[1] for each in manifests for module in each["sources"] if "." in module}
+    named = (
+        (ROOT / "CONTRIBUTING.md")
+        .read_text(encoding="utf-8")
+        .partition("A change in")[2]
+        .partition("can change keys")[0]
+    )
+    manifests = [
+        json.loads(path.read_text()) for path in PUBLISHED.glob("store/*/*/_manifest.json")
+    ]
+    assert set(re.findall(r"`(\w+)`", named)) == {
+        module.split(".")[1] for each in manifests for module in each["sources"] if "." in module
+    }
 
 
 def test_the_film_of_the_readme_moves_and_is_small():
-    (name,) = re.findall(r"\]\((docs/pictures/[^)]+\.webp)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    (name,) = re.findall(
+        r"\]\((docs/pictures/[^)]+\.webp)\)", (ROOT / "README.md").read_text(encoding="utf-8")
+    )
     assert (ROOT / name).stat().st_size < 1.5e6
     with Image.open(ROOT / name) as film:
         assert film.format == "WEBP"
         assert film.n_frames > 10
 
 
-@pytest.mark.parametrize(("page", "words", "most"), [("README.md", r"\w", 700), ("REPRODUCTION.md", "[A-Za-z]", 2500)], ids=str)
+@pytest.mark.parametrize(
+    ("page", "words", "most"),
+    [("README.md", r"\w", 700), ("REPRODUCTION.md", "[A-Za-z]", 2500)],
+    ids=str,
+)
 def test_pages_stay_short(page, words, most):
-    assert len([word for word in (ROOT / page).read_text(encoding="utf-8").split() if re.search(words, word)]) <= most
+    assert (
+        len(
+            [
+                word
+                for word in (ROOT / page).read_text(encoding="utf-8").split()
+                if re.search(words, word)
+            ]
+        )
+        <= most
+    )

@@ -1,4 +1,6 @@
-"""The whole chain through the command line on the smallest budgets: every stage runs, and every method really acts."""
+"""The whole chain through the command line on the smallest budgets: every stage runs, and every
+method really acts.
+"""
 
 import json
 import shutil
@@ -20,7 +22,8 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes, read_steps, same_rows, write_episodes
 
-# Of a change before it goes in, the nox session `smoke` and tests/test_own_task.py run the whole chain.
+# Of a change before it goes in, the nox session `smoke` and tests/test_own_task.py run the whole
+# chain.
 pytestmark = pytest.mark.slow
 
 SPEC = """
@@ -87,24 +90,46 @@ def test_every_method_and_variant_has_its_cell_of_whole_episodes(results):
 
 def test_methods_act_and_human_only_does_not(results):
     full = {name: path for (name, variant), path in cells(results).items() if variant == "full"}
-    rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
+    rates = {
+        name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()
+    }
     assert rates["human"] == 0
     assert rates["expert"] == 0
-    for name in ("ida", "diffusion", "saferl", "filter", "reach", "wasp", "printed", "ida-guarded", "mpmi", "planner"):
+    for name in (
+        "ida",
+        "diffusion",
+        "saferl",
+        "filter",
+        "reach",
+        "wasp",
+        "printed",
+        "ida-guarded",
+        "mpmi",
+        "planner",
+    ):
         assert rates[name] > 0, f"{name} never acted"
 
 
 def branches(results: Path) -> dict[str, Path]:
-    return {path.parent.name: path for path in (results / "store" / "counterfactual").glob("*/branches.parquet")}
+    return {
+        path.parent.name: path
+        for path in (results / "store" / "counterfactual").glob("*/branches.parquet")
+    }
 
 
 def test_the_interventions_of_every_method_that_acts_are_branched(results):
-    found = {(b.cell.identity.method, b.cell.identity.variant): b for b in map(read_branches, branches(results).values())}
+    found = {
+        (b.cell.identity.method, b.cell.identity.variant): b
+        for b in map(read_branches, branches(results).values())
+    }
     assert set(found) == {name for name in cells(results) if METHODS[name[0]].intervenes}
     for name, judged in found.items():
         steps = read_steps(cells(results)[name]).to_pylist()
         interventions = [(step["episode"], step["t"]) for step in steps if step["deviation"] > 0]
-        assert list(zip(judged.episode.tolist(), judged.t.tolist(), strict=True)) == interventions[:: judged.cell.stride]
+        assert (
+            list(zip(judged.episode.tolist(), judged.t.tolist(), strict=True))
+            == interventions[:: judged.cell.stride]
+        )
         assert len(judged.t) <= 3
     # How often an untrained method acts depends on the machine, but Diffusion always does.
     assert len(found["diffusion", "full"].t) > 0
@@ -113,7 +138,8 @@ def test_the_interventions_of_every_method_that_acts_are_branched(results):
 
 
 def test_no_two_methods_have_the_same_rows(results):
-    # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action.
+    # Ablations of an untrained model may coincide, and an untrained IDA may always choose the
+    # expert's action.
     compared = {
         name: path
         for (name, variant), path in cells(results).items()
@@ -127,7 +153,10 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
     def steps(variant: str) -> pa.Table:
         return read_steps(cells(results)["wasp", variant])
 
-    gates = {variant: set(steps(variant)["gate"].to_pylist()) for variant in ("full", "safety-only", "task-only")}
+    gates = {
+        variant: set(steps(variant)["gate"].to_pylist())
+        for variant in ("full", "safety-only", "task-only")
+    }
     assert 2 not in gates["safety-only"]
     assert 1 not in gates["task-only"]
     assert gates["full"] & {1, 2}
@@ -135,7 +164,15 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
     for step in full:
         assert step["g_cost"] is not None
         assert step["g_return"] is not None
-        for name in ("safe", "case2", "plan", "plan_cost", "plan_return", "alone_cost", "alone_return"):
+        for name in (
+            "safe",
+            "case2",
+            "plan",
+            "plan_cost",
+            "plan_return",
+            "alone_cost",
+            "alone_return",
+        ):
             assert (step[name] is not None) == (step["gate"] in (1, 2))
         if step["gate"] == 0:
             assert step["deviation"] == 0
@@ -145,12 +182,25 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
 
 def test_report_needs_the_results_folder_alone(results):
     shown = wasp("report", str(results)).stdout
-    for said in (*(info.title for info in METHODS.values()), "Trained parts", "World model, imagined steps ahead"):
+    for said in (
+        *(info.title for info in METHODS.values()),
+        "Trained parts",
+        "World model, imagined steps ahead",
+    ):
         assert said in shown
-    parts = {path.parent.name.split("-")[2]: path for path in (results / "reports" / "chain" / "trained").glob("*/*")}
+    parts = {
+        path.parent.name.split("-")[2]: path
+        for path in (results / "reports" / "chain" / "trained").glob("*/*")
+    }
     assert {kind for kind in EVIDENCE if (results / "store" / kind).is_dir()} == set(parts)
     files = {path.name for path in (results / "reports" / "chain" / "trained").glob("*/*")}
-    assert {"contents.md", "open_loop.png", "reconstruction.png", "curve.png", "critics.png"} <= files
+    assert {
+        "contents.md",
+        "open_loop.png",
+        "reconstruction.png",
+        "curve.png",
+        "critics.png",
+    } <= files
 
 
 def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
@@ -160,7 +210,9 @@ def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
     mine, theirs = cells(results), cells(tmp_path)
     assert set(theirs) == set(mine)
     for name in theirs:
-        assert mine[name].parent.name == theirs[name].parent.name, "the same content has the same key"
+        assert mine[name].parent.name == theirs[name].parent.name, (
+            "the same content has the same key"
+        )
         assert same_rows(mine[name], theirs[name]), name
     judged, branched = branches(results), branches(tmp_path)
     assert branched
@@ -174,7 +226,9 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_
     assert "0 computed, 0 computed before" in done.stderr
     assert "published with this code" in done.stderr
     ours, theirs = cells(here), cells(results)
-    assert {name: path.read_bytes() for name, path in ours.items()} == {name: path.read_bytes() for name, path in theirs.items()}
+    assert {name: path.read_bytes() for name, path in ours.items()} == {
+        name: path.read_bytes() for name, path in theirs.items()
+    }
     for shown in (done.stdout, wasp("report", str(here)).stdout):
         assert "their own code and libraries are the present ones" in shown
         assert "INCOMPLETE" not in shown
@@ -183,12 +237,19 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_
 
 
 def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
-    assert "2 of 2 cells are the same to the bit" in wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1").stdout
+    assert (
+        "2 of 2 cells are the same to the bit"
+        in wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1").stdout
+    )
     copy = shutil.copytree(results, tmp_path / "results")
     key = next(path.parent.name for name, path in cells(copy).items() if name == ("human", "full"))
     rows = copy / "store" / "evaluate" / key / "episodes.parquet"
     table = read_episodes([rows])
-    wrong = table.set_column(table.column_names.index("return"), "return", [[value + 1e-6 for value in table["return"].to_pylist()]])
+    wrong = table.set_column(
+        table.column_names.index("return"),
+        "return",
+        [[value + 1e-6 for value in table["return"].to_pylist()]],
+    )
     write_episodes(wrong.replace_schema_metadata(pq.read_schema(rows).metadata), rows)
     assert differences(rows.parent, results / "store" / "evaluate" / key) == ["return"]
     manifest = rows.parent / "_manifest.json"
@@ -205,4 +266,8 @@ def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
     assert "(differ: return)  (computed on Another One, here " in console.file.getvalue()
     record["config"]["of_another_version"] = 1
     manifest.write_text(json.dumps(record), encoding="utf-8")
-    assert again(copy, key, tmp_path).differing[0].startswith("error: ValidationError: 1 validation error")
+    assert (
+        again(copy, key, tmp_path)
+        .differing[0]
+        .startswith("error: ValidationError: 1 validation error")
+    )

@@ -1,4 +1,6 @@
-"""A results folder of somebody else as the working directory: modules that lie there are imported by no process of ours."""
+"""A results folder of somebody else as the working directory: modules that lie there are
+imported by no process of ours.
+"""
 
 import json
 import os
@@ -23,12 +25,40 @@ from wasp_cli.store.layout import Layout
 ROOT = Path(__file__).parents[1]
 CELL = "goal1 s1 csa noisy=0.45"  # its models ship
 DECOYS = (
-    "numpy", "joblib", "pickle", "typing", "torch", "mujoco", "pyarrow", "PIL", "matplotlib", "gymnasium", "uvicorn", "rich", "json",
-    "multiprocessing", "random", "struct", "signal", "threading", "subprocess", "tempfile", "cloudpickle", "runner_up",
-)  # fmt: skip
+    "numpy",
+    "joblib",
+    "pickle",
+    "typing",
+    "torch",
+    "mujoco",
+    "pyarrow",
+    "PIL",
+    "matplotlib",
+    "gymnasium",
+    "uvicorn",
+    "rich",
+    "json",
+    "multiprocessing",
+    "random",
+    "struct",
+    "signal",
+    "threading",
+    "subprocess",
+    "tempfile",
+    "cloudpickle",
+    "runner_up",
+)
 """Modules of Python, of libraries, and one that nothing names."""
-SETTINGS = ("preset=smoke", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=1")
-SPEC = "name: tiny\npreset: smoke\ntasks: [goal1]\nmethods: [human]\noperators: {noisy: {moderate: 0.4}}\nseeds: [0]\n"
+SETTINGS = (
+    "preset=smoke",
+    "expert.interactions=400",
+    "expert.envs=4",
+    "expert.evaluation_episodes=1",
+)
+SPEC = (
+    "name: tiny\npreset: smoke\ntasks: [goal1]\nmethods: [human]\noperators: {noisy: "
+    "{moderate: 0.4}}\nseeds: [0]\n"
+)
 
 
 @pytest.fixture
@@ -36,7 +66,9 @@ def theirs(tmp_path) -> Path:
     """Results with a module of every name in DECOYS; each notes when it is imported."""
     folder = brought(tmp_path / "results", CELL)
     for name in DECOYS:
-        (folder / f"{name}.py").write_text(f"open({str(tmp_path)!r} + '/imported-{name}', 'w').close()\n", encoding="utf-8")
+        (folder / f"{name}.py").write_text(
+            f"open({str(tmp_path)!r} + '/imported-{name}', 'w').close()\n", encoding="utf-8"
+        )
     (folder / "tiny.yaml").write_text(SPEC, encoding="utf-8")
     found, layout = load(folder / "tiny.yaml"), Layout(folder)
     new_run(layout, found, plan_against(lay_out(found.spec), layout))
@@ -48,10 +80,22 @@ def imported(folder: Path) -> list[str]:
 
 
 def started(folder: Path, *arguments: str, safe: bool = True) -> subprocess.Popen[str]:
-    """Start `wasp` as its console script does, which does not search the working directory; or as `python -m wasp_cli`, which does."""
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {"COLUMNS": "200", "NO_COLOR": "1"}
+    """Start `wasp` as its console script does, which does not search the working directory; or
+    as `python -m wasp_cli`, which does.
+    """
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {
+        "COLUMNS": "200",
+        "NO_COLOR": "1",
+    }
     command = [sys.executable, *(["-P"] if safe else []), "-m", "wasp_cli", *arguments]
-    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables)
+    return subprocess.Popen(
+        command,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=variables,
+    )
 
 
 def done(folder: Path, *arguments: str, safe: bool = True) -> str:
@@ -62,9 +106,18 @@ def done(folder: Path, *arguments: str, safe: bool = True) -> str:
 
 
 RUN = (
-    "run", "tiny.yaml", "-j", "1", "--results", ".", "--reuse", "none", "--select", "stage=expert",
+    "run",
+    "tiny.yaml",
+    "-j",
+    "1",
+    "--results",
+    ".",
+    "--reuse",
+    "none",
+    "--select",
+    "stage=expert",
     *(part for each in SETTINGS for part in ("--set", each)),
-)  # fmt: skip
+)
 
 
 @pytest.mark.slow
@@ -74,7 +127,19 @@ RUN = (
         ["view", ".", "--bundle", "../b", "--cell", CELL, "--episodes", "0"],
         RUN,
         ["replay", CELL, "-e", "0", "-o", "../a.gif", "--results", "."],
-        ["drive", "goal1", "--method", "human", "--simulate", "--episodes", "1", "--speed", "4", "--results", "."],
+        [
+            "drive",
+            "goal1",
+            "--method",
+            "human",
+            "--simulate",
+            "--episodes",
+            "1",
+            "--speed",
+            "4",
+            "--results",
+            ".",
+        ],
     ],
     ids=lambda arguments: arguments[0],
 )
@@ -86,7 +151,9 @@ def test_no_command_imports_what_lies_there(arguments, theirs):
 
 
 def test_neither_does_python_m(theirs):
-    """What Python itself imports before the first line of ours is beyond us; none of DECOYS is among it."""
+    """What Python itself imports before the first line of ours is beyond us; none of DECOYS is
+    among it.
+    """
     done(theirs, "report", ".", "--no-films", "--no-trained", safe=False)
     assert imported(theirs) == []
 
@@ -100,7 +167,9 @@ def test_a_film_on_demand_imports_nothing_from_there(theirs):
         def ask(method: str, place: str, **headers: str) -> tuple[str, str]:
             connection.request(method, place, headers=headers)
             answer = connection.getresponse()
-            return (answer.getheader("set-cookie") or "").partition(";")[0], answer.read().decode(errors="replace")
+            return (answer.getheader("set-cookie") or "").partition(";")[0], answer.read().decode(
+                errors="replace"
+            )
 
         cookie, _ = ask("GET", found[2])
         (key,) = (path.name for path in (theirs / "store" / "evaluate").iterdir())

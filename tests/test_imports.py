@@ -1,4 +1,6 @@
-"""Imports of the package: no circle between its modules, lazy imports included, and imports by string only where a name is data."""
+"""Imports of the package: no circle between its modules, lazy imports included, and imports by
+string only where a name is data.
+"""
 
 import ast
 from collections.abc import Iterator, Mapping
@@ -12,23 +14,40 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = "wasp_cli"
 
 BY_STRING = frozenset(
-    {"import_here", "load_target", "import_module", "__import__", "entry_points", "find_spec", "module_from_spec", "run_module", "run_path",
-     "exec_module", "resolve_name", "iter_modules", "walk_packages"}
-)  # fmt: skip
+    {
+        "import_here",
+        "load_target",
+        "import_module",
+        "__import__",
+        "entry_points",
+        "find_spec",
+        "module_from_spec",
+        "run_module",
+        "run_path",
+        "exec_module",
+        "resolve_name",
+        "iter_modules",
+        "walk_packages",
+    }
+)
 """Calls that import, or look for, a module whose name is a value."""
 RUNS_TEXT = frozenset({"exec", "eval", "compile"})
 ALLOWED: Mapping[str, str] = {
     "registry.py": "the one place that imports what registries and plugins name",
-    "methods/registry.py": "the config model that a method's registry entry names: its section of the spec",
+    "methods/registry.py": "the config model that a method's registry entry "
+    "names: its section of the spec",
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/verify.py": "the stage that evaluates cells, in the process that runs it",
     "run/worker.py": "the stage that a node names, in the process that runs it",
     "run/pool.py": "whether dask or ray is installed, without importing it",
-    "learning/configs/__init__.py": "the file of a section that is asked for, so that a stage's closure has its own group alone",
+    "learning/configs/__init__.py": "the file of a section that is asked for, so that "
+    "a stage's closure has its own group "
+    "alone",
     "plan/node.py": "where the source of a package lies, without importing it",
     "cli/options.py": "the registry whose names are offered, imported when it is asked for",
     "cli/doctor.py": "whether each library imports is what the command reports",
-    "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a package that nobody has imported",
+    "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a "
+    "package that nobody has imported",
 }
 """Files that import by string, and why the name has to be a value there."""
 
@@ -45,18 +64,29 @@ def sources(package: Path = ROOT / PACKAGE) -> dict[str, tuple[Path, ast.Module]
 
 
 def statements(tree: ast.Module, typing: bool) -> Iterator[ast.AST]:
-    """Every statement; without `typing` those that may run: all but those below `if TYPE_CHECKING`."""
+    """Every statement; without `typing` those that may run: all but those below `if
+    TYPE_CHECKING`.
+    """
     pending: list[ast.AST] = [tree]
     while pending:
         node = pending.pop()
         yield node
-        if not typing and isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        if (
+            not typing
+            and isinstance(node, ast.If)
+            and isinstance(node.test, ast.Name)
+            and node.test.id == "TYPE_CHECKING"
+        ):
             pending.extend(node.orelse)
         else:
-            pending.extend(part for part in ast.iter_child_nodes(node) if not isinstance(part, ast.expr))
+            pending.extend(
+                part for part in ast.iter_child_nodes(node) if not isinstance(part, ast.expr)
+            )
 
 
-def imports(name: str, path: Path, tree: ast.Module, known: Mapping[str, object], typing: bool) -> set[str]:
+def imports(
+    name: str, path: Path, tree: ast.Module, known: Mapping[str, object], typing: bool
+) -> set[str]:
     """The modules among `known` that a module imports anywhere, functions included."""
     found = set()
     for node in statements(tree, typing):
@@ -75,7 +105,9 @@ def imports(name: str, path: Path, tree: ast.Module, known: Mapping[str, object]
 def graph(package: Path = ROOT / PACKAGE, typing: bool = False) -> dict[str, set[str]]:
     """What each module imports."""
     modules = sources(package)
-    return {name: imports(name, path, tree, modules, typing) for name, (path, tree) in modules.items()}
+    return {
+        name: imports(name, path, tree, modules, typing) for name, (path, tree) in modules.items()
+    }
 
 
 def circle(edges: Mapping[str, set[str]]) -> list[str]:
@@ -93,7 +125,13 @@ def by_string(tree: ast.Module) -> list[ast.Call]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             bare = isinstance(node.func, ast.Name)
-            name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            name = (
+                node.func.id
+                if isinstance(node.func, ast.Name)
+                else node.func.attr
+                if isinstance(node.func, ast.Attribute)
+                else ""
+            )
             if name in BY_STRING or (bare and name in RUNS_TEXT):
                 found.append(node)
     return found
@@ -105,8 +143,14 @@ def test_no_modules_import_each_other(typing):
 
 
 def test_imports_by_string_are_those_that_are_listed():
-    found = {path.relative_to(ROOT / PACKAGE).as_posix() for path, tree in sources().values() if by_string(tree)}
-    assert sorted(found - {*ALLOWED}) == [], "use an import statement, within a function where it has to be lazy"
+    found = {
+        path.relative_to(ROOT / PACKAGE).as_posix()
+        for path, tree in sources().values()
+        if by_string(tree)
+    }
+    assert sorted(found - {*ALLOWED}) == [], (
+        "use an import statement, within a function where it has to be lazy"
+    )
     assert sorted({*ALLOWED} - found) == [], "listed, and no longer there"
 
 
@@ -121,7 +165,10 @@ def test_what_can_be_imported_by_a_statement_is():
 
 
 TRIED = "def f():\n    try:\n        from ..b import f\n    except ImportError: ...\n"
-TYPED = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a import g\nelse:\n    import json\n"
+TYPED = (
+    "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house.a import g\nelse:\n   "
+    " import json\n"
+)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +192,12 @@ def test_circles_are_found_wherever_the_import_stands(files, typing, expected, t
 
 
 def test_an_import_by_string_is_seen():
-    seen = ["load_target('a:b')", "importlib.import_module('a')", "__import__('a')", "exec('import a')", "runpy.run_module('a')"]
+    seen = [
+        "load_target('a:b')",
+        "importlib.import_module('a')",
+        "__import__('a')",
+        "exec('import a')",
+        "runpy.run_module('a')",
+    ]
     for text in (*seen, "import a", "re.compile('a')", "model.eval()"):
         assert len(by_string(ast.parse(f"def f():\n    {text}\n"))) == (text in seen), text

@@ -29,14 +29,34 @@ def nodes(home: Path) -> dict[str, dict[str, str]]:
 def test_it_stands_beside_wasp_on_published_worlds(home):
     before = nodes(home)
     own = {label for label in before if NAME in label}
-    assert {label for label, node in before.items() if node["state"] == "missing" and node["kind"] == "evaluate"} == own
-    done = wasp(home, "run", "halfway.yaml", "-j", "0", "--limit", "2", "--select", f"method={NAME},operator=laggy", code=0)
+    assert {
+        label
+        for label, node in before.items()
+        if node["state"] == "missing" and node["kind"] == "evaluate"
+    } == own
+    done = wasp(
+        home,
+        "run",
+        "halfway.yaml",
+        "-j",
+        "0",
+        "--limit",
+        "2",
+        "--select",
+        f"method={NAME},operator=laggy",
+        code=0,
+    )
     assert "Halfway" in done.stdout
     # Results are read without importing what they name.
     text = (home / "halfway.py").read_text(encoding="utf-8")
     (home / "halfway.py").write_text("open('imported', 'w')\n1 / 0\n", encoding="utf-8")
-    for command in (["explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0"], ["report", "results", "--no-films", "--no-trained"]):
-        assert ("Halfway is a class of the module halfway" if command[0] == "explain" else "Halfway") in wasp(home, *command, code=0).stdout
+    for command in (
+        ["explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0"],
+        ["report", "results", "--no-films", "--no-trained"],
+    ):
+        assert (
+            "Halfway is a class of the module halfway" if command[0] == "explain" else "Halfway"
+        ) in wasp(home, *command, code=0).stdout
     assert not (home / "imported").exists()
     # A changed constant is another assistant, and nobody else's cell.
     (home / "halfway.py").write_text(text.replace("> 0.7", "> 0.5"), encoding="utf-8")
@@ -46,9 +66,12 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
 
 MISTAKES = {
     "1 / 0\n": "module 'halfway' does not import: ZeroDivisionError: division by zero",
-    "class Other: ...\n": "the assistant 'halfway:Halfway' is not in <module 'halfway' from '{home}/halfway.py'>",
-    "class Halfway:\n    def reset(self, rows, seeds): ...\n": "the assistant 'halfway:Halfway' has no decide",
-    "class Halfway:\n    needs = 'critics'\n    reset = decide = print\n": "`needs` of 'halfway:Halfway' is 'critics', no tuple of stages",
+    "class Other: ...\n": "the assistant 'halfway:Halfway' is not in "
+    "<module 'halfway' from '{home}/halfway.py'>",
+    "class Halfway:\n    def reset(self, rows, "
+    "seeds): ...\n": "the assistant 'halfway:Halfway' has no decide",
+    "class Halfway:\n    needs = 'critics'\n    reset "
+    "= decide = print\n": "`needs` of 'halfway:Halfway' is 'critics', no tuple of stages",
     None: "module 'halfway' does not import: ModuleNotFoundError",
 }
 CHECK = """

@@ -1,4 +1,6 @@
-"""The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and `wasp run`."""
+"""The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and
+`wasp run`.
+"""
 
 import json
 import re
@@ -13,9 +15,15 @@ from wasp_cli.store.tables import read_episodes
 
 EXAMPLES = ROOT / "docs" / "examples"
 SETTINGS = (
-    "preset=smoke", "episodes=2", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=2", "dataset.steps=300",
-    "policies.evaluation_episodes=2", "policies.reinforce.interactions=0",
-)  # fmt: skip
+    "preset=smoke",
+    "episodes=2",
+    "expert.interactions=400",
+    "expert.envs=4",
+    "expert.evaluation_episodes=2",
+    "dataset.steps=300",
+    "policies.evaluation_episodes=2",
+    "policies.reinforce.interactions=0",
+)
 SMALL = [part for setting in SETTINGS for part in ("--set", setting)]
 """One round and few episodes: every stage runs, and nothing is learned."""
 
@@ -26,7 +34,17 @@ def home(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     for name in ("puddle.py", "puddle.yaml"):
         shutil.copy(EXAMPLES / name, folder)
-    done = wasp(folder, "run", "puddle.yaml", "-j", "2", *SMALL, "--set", "stages=[diagnostics, counterfactual]", code=0)
+    done = wasp(
+        folder,
+        "run",
+        "puddle.yaml",
+        "-j",
+        "2",
+        *SMALL,
+        "--set",
+        "stages=[diagnostics, counterfactual]",
+        code=0,
+    )
     (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
     return folder
 
@@ -41,7 +59,10 @@ def test_a_run_prints_the_tables_of_ones_own_task(home):
 
 @pytest.mark.slow
 def test_its_snapshots_serve_to_judge_interventions(home):
-    found = [read_branches(path) for path in (home / "results" / "store" / "counterfactual").glob("*/branches.parquet")]
+    found = [
+        read_branches(path)
+        for path in (home / "results" / "store" / "counterfactual").glob("*/branches.parquet")
+    ]
     assert {branches.cell.identity.method for branches in found} == {"wasp"}
     assert sum(len(branches.t) for branches in found) > 0
     assert "Were the interventions necessary?" in (home / "printed.txt").read_text(encoding="utf-8")
@@ -49,7 +70,10 @@ def test_its_snapshots_serve_to_judge_interventions(home):
 
 @pytest.mark.slow
 def test_its_costs_and_episodes_are_its_own(home):
-    cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/episodes.parquet")]
+    cells = [
+        read_episodes([path]).to_pylist()
+        for path in (home / "results" / "store" / "evaluate").glob("*/episodes.parquet")
+    ]
     assert len(cells) == 5
     rows = [row for cell in cells for row in cell]
     assert {row["task"] for row in rows} == {"puddle:Puddle-v0"}
@@ -66,7 +90,9 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
     assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
     text = module.read_text(encoding="utf-8")
-    module.write_text(text.replace("WET, REACHED, STEP = 0.3", "WET, REACHED, STEP = 0.35"), encoding="utf-8")
+    module.write_text(
+        text.replace("WET, REACHED, STEP = 0.3", "WET, REACHED, STEP = 0.35"), encoding="utf-8"
+    )
     try:
         planned = wasp(home, "plan", "puddle.yaml", *SMALL)
     finally:

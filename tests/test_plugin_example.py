@@ -1,4 +1,6 @@
-"""The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
+"""The package of docs/extending.md, as its author runs it: installed by pip, checked, planned,
+run, reported and explained.
+"""
 
 import json
 import re
@@ -14,10 +16,16 @@ from tests.plugins import forget, installed
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
 PAGE = ROOT / "docs" / "extending.md"
 SMALL = (
-    "preset=smoke", "episodes=2", "stages=[]", "operators={sluggish: {moderate: 0.8}}", "expert.interactions=1000",
+    "preset=smoke",
+    "episodes=2",
+    "stages=[]",
+    "operators={sluggish: {moderate: 0.8}}",
+    "expert.interactions=1000",
     "careful.limit=0.02",
-)  # fmt: skip
-"""Everything runs, nothing is learned; an untrained network warns of any command, so that the assistant acts."""
+)
+"""Everything runs, nothing is learned; an untrained network warns of any command, so that the
+assistant acts.
+"""
 CELL = "goal1 s0 careful sluggish=0.8"
 
 
@@ -35,11 +43,21 @@ class Home:
         return python(self.folder, *arguments, path=(self.site,), code=0).stdout
 
     def wasp(self, *arguments: str, sets: tuple[str, ...] = ()) -> str:
-        return self.python("-m", "wasp_cli", *arguments, *(part for each in sets for part in ("--set", each)))
+        return self.python(
+            "-m", "wasp_cli", *arguments, *(part for each in sets for part in ("--set", each))
+        )
 
     def keys(self) -> dict[str, str]:
         forget("wasp_example")
-        done = run_here("plan", self.folder / "careful.yaml", "--results", self.folder / "results", "--json", columns=80, code=0)
+        done = run_here(
+            "plan",
+            self.folder / "careful.yaml",
+            "--results",
+            self.folder / "results",
+            "--json",
+            columns=80,
+            code=0,
+        )
         return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
 
 
@@ -56,30 +74,55 @@ def here(home) -> Iterator[Home]:
 
 
 def files() -> list[Path]:
-    return sorted(path for path in EXAMPLE.rglob("*") if path.suffix in {".py", ".toml", ".yaml"} and path.name != "__init__.py")
+    return sorted(
+        path
+        for path in EXAMPLE.rglob("*")
+        if path.suffix in {".py", ".toml", ".yaml"} and path.name != "__init__.py"
+    )
 
 
 def blocks() -> list[tuple[str, str]]:
     """(language, text) of every block of the page that is a file."""
-    return re.findall(r"^```(python|toml|yaml)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return re.findall(
+        r"^```(python|toml|yaml)\n(.*?)^```",
+        PAGE.read_text(encoding="utf-8"),
+        re.MULTILINE | re.DOTALL,
+    )
 
 
 def test_the_page_links_every_file_and_shows_them_as_they_are():
     text = PAGE.read_text(encoding="utf-8")
-    assert [path.name for path in files() if f"]({path.relative_to(PAGE.parent).as_posix()})" not in text] == []
-    known = {path.read_text(encoding="utf-8") for path in [*files(), *EXAMPLE.parent.glob("halfway.*")]}
+    assert [
+        path.name
+        for path in files()
+        if f"]({path.relative_to(PAGE.parent).as_posix()})" not in text
+    ] == []
+    known = {
+        path.read_text(encoding="utf-8") for path in [*files(), *EXAMPLE.parent.glob("halfway.*")]
+    }
     assert {text for _, text in blocks()} <= known
 
 
 @pytest.mark.slow
 def test_its_own_tests_pass(home):
-    assert " passed" in home.python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests"))
+    assert " passed" in home.python(
+        "-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests")
+    )
 
 
 def test_its_spec_is_checked_and_keys_cover_what_its_nodes_run(here):
     spec = here.folder / "careful.yaml"
     assert "ok, 5 cells" in run_here("check", spec, columns=400).stdout
-    wrong = run_here("check", spec, "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3", columns=400, code=3)
+    wrong = run_here(
+        "check",
+        spec,
+        "--set",
+        "careful.limit=2",
+        "--set",
+        "operators.sluggish.wild=3",
+        columns=400,
+        code=3,
+    )
     assert "careful.limit: should be less than 1" in wrong.stderr
     assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
     before = here.keys()

@@ -4,7 +4,12 @@ from hypothesis import strategies as st
 
 from wasp_cli.seeds import derive, layout_seed, method_seed, operator_seed
 
-PARTS = st.lists(st.one_of(st.none(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text()), max_size=5)
+PARTS = st.lists(
+    st.one_of(
+        st.none(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text()
+    ),
+    max_size=5,
+)
 
 
 def test_known_values_never_change():

@@ -1,4 +1,6 @@
-"""Analytic worlds with known answers, as test doubles of the world-model contract, and small random artifacts."""
+"""Analytic worlds with known answers, as test doubles of the world-model contract, and small
+random artifacts.
+"""
 
 from typing import Any
 
@@ -11,19 +13,25 @@ from wasp_cli.operators.base import EpisodeNoise, Operator
 
 
 class Corridor:
-    """A point on a line: h = [x], z = [cost at x]. Actions move it by 0.1 a; it pays reward 0.1 a and costs between `low` and `high`.
+    """A point on a line: h = [x], z = [cost at x]. Actions move it by 0.1 a; it pays reward 0.1 a
+    and costs between `low` and `high`.
 
-    The noise input shifts the position by `jitter` times its first variable, so that rollouts differ.
+    The noise input shifts the position by `jitter` times its first variable, so that rollouts
+    differ.
     """
 
     action_size = 1
     noise_size = 2
 
-    def __init__(self, low: float, high: float, jitter: float = 0.0, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, low: float, high: float, jitter: float = 0.0, dtype: torch.dtype = torch.float32
+    ) -> None:
         self.low, self.high, self.jitter, self.dtype = low, high, jitter, dtype
 
     def initial(self, batch: int) -> Latent:
-        return Latent(torch.zeros(batch, 1, dtype=self.dtype), torch.zeros(batch, 1, dtype=self.dtype))
+        return Latent(
+            torch.zeros(batch, 1, dtype=self.dtype), torch.zeros(batch, 1, dtype=self.dtype)
+        )
 
     def at(self, *positions: float) -> Latent:
         x = torch.tensor(positions, dtype=self.dtype).unsqueeze(-1)
@@ -48,7 +56,9 @@ class Corridor:
 
 
 class Slope:
-    """A step adds `gain` * a_0 to h, and costs with probability h (within [0, 1]); noise moves h by `shake` times its first variable."""
+    """A step adds `gain` * a_0 to h, and costs with probability h (within [0, 1]); noise moves
+    h by `shake` times its first variable.
+    """
 
     action_size, noise_size = 2, 3
 
@@ -81,9 +91,13 @@ def decided(assistant: Any, h: Tensor, a_h: Tensor) -> tuple[Tensor, Any]:
 
 
 def calibrated(assistant: Any, h: Tensor, a_h: Tensor, ahead: Tensor) -> dict[str, float]:
-    """What an assistant finds on held-out rows of the expert, behind which so much cost was ahead."""
+    """What an assistant finds on held-out rows of the expert, behind which so much cost was
+    ahead.
+    """
     zeros = torch.zeros(len(h))
-    found: dict[str, float] = assistant.calibrate(Heldout(at(h), a_h, zeros, zeros, zeros.long(), zeros), ahead, anybody(len(h)), 3)
+    found: dict[str, float] = assistant.calibrate(
+        Heldout(at(h), a_h, zeros, zeros, zeros.long(), zeros), ahead, anybody(len(h)), 3
+    )
     return found
 
 

@@ -1,4 +1,5 @@
-"""wasp: an experiment orchestrator for safety-aware shared autonomy with world-model constrained planning.
+"""wasp: an experiment orchestrator for safety-aware shared autonomy with world-model constrained
+planning.
 
     import wasp_cli
 
@@ -8,7 +9,9 @@
 docs/results.md shows what they can do.
 """
 
-TYPE_CHECKING = False  # nothing is imported here, `typing` neither: `wasp_cli.__main__` first says where modules are looked for
+# nothing is imported here, `typing` neither: `wasp_cli.__main__` first says where modules are
+# looked for
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
@@ -20,7 +23,8 @@ __all__ = ["__version__", "load_world_model", "results"]
 
 
 def __getattr__(name: str) -> "Any":
-    # Imported when they are asked for: importing the package must take no time, and the command line needs neither.
+    # Imported when they are asked for: importing the package must take no time, and the command
+    # line needs neither.
     if name == "results":
         from wasp_cli.notebook import open_results
 

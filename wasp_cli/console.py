@@ -1,4 +1,6 @@
-"""The two consoles: results go to stdout, everything else to stderr. Rich is imported when something is printed."""
+"""The two consoles: results go to stdout, everything else to stderr. Rich is imported when
+something is printed.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +29,23 @@ def out() -> Console:
 @cache
 def err() -> Console:
     """Return the console for progress, notes and errors."""
-    # The stream of the start: what a stage prints in this process is redirected to its log, progress is not.
+    # The stream of the start: what a stage prints in this process is redirected to its log,
+    # progress is not.
     return _console(sys.stderr, file=sys.stderr)
 
 
-ENDLESS = 10_000  # columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room
+# columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of
+# room
+ENDLESS = 10_000
 
 
 def _console(stream: TextIO, **options: Any) -> Console:
     from rich.console import Console
 
     class Lasting(Console):
-        """Rich would end the program with 1 when the reader goes away: a run goes on, and its exit code tells how it ended."""
+        """Rich would end the program with 1 when the reader goes away: a run goes on, and its
+        exit code tells how it ended.
+        """
 
         def on_broken_pipe(self) -> None:
             self.quiet = True
@@ -51,7 +58,8 @@ def _console(stream: TextIO, **options: Any) -> Console:
 
 def silence(stream: TextIO) -> None:
     """Send what a stream still holds, and gets from now on, to nowhere."""
-    with suppress(OSError, ValueError):  # no file descriptor: nothing that could be closed behind our back
+    # no file descriptor: nothing that could be closed behind our back
+    with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         try:
             os.dup2(nowhere, stream.fileno())
@@ -124,21 +132,26 @@ def size(count: int | None) -> str:
     return "?" if count is None else decimal(count)
 
 
-# Ctrl-C or SIGTERM before a command begins and after it has ended ends the process at once, since nothing could be lost. As an exception it
-# would pass through imports and the end of Python, and some of these print it or turn it into another one.
+# Ctrl-C or SIGTERM before a command begins and after it has ended ends the process at once, since
+# nothing could be lost. As an exception it would pass through imports and the end of Python, and
+# some of these print it or turn it into another one.
 INTERRUPTED = 130
 ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_at_once() -> None:
-    """Let these signals end this process with an interruption's exit code; not one that is ignored or has another handler."""
+    """Let these signals end this process with an interruption's exit code; not one that is
+    ignored or has another handler.
+    """
     for number in ENDING:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
             signal.signal(number, _end)
 
 
 def end_in_order() -> None:
-    """Let these signals be an exception, for a command that has begun: what it made for itself goes with it."""
+    """Let these signals be an exception, for a command that has begun: what it made for itself
+    goes with it.
+    """
     for number in ENDING:
         if signal.getsignal(number) is _end:
             signal.signal(number, signal.default_int_handler)

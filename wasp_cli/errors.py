@@ -1,4 +1,5 @@
-"""The expected errors of `wasp`, each with the exit code that the command line returns for it: 1, where it names no other.
+"""The expected errors of `wasp`, each with the exit code that the command line returns for it: 1,
+where it names no other.
 
 An expected error prints as one message and a hint, never as a traceback.
 """
@@ -63,11 +64,22 @@ class UsageError(WaspError):
 
 
 class UnknownName(UsageError):
-    """A name that no registry knows; the hint suggests close ones, or is `otherwise` (all that is known) where none is close."""
+    """A name that no registry knows; the hint suggests close ones, or is `otherwise` (all that
+    is known) where none is close.
+    """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], message: str | None = None, otherwise: str | None = None) -> None:
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        known: Iterable[str],
+        message: str | None = None,
+        otherwise: str | None = None,
+    ) -> None:
         known = sorted(known)
-        super().__init__(message or f"unknown {kind} '{name}'", did_you_mean(name, known, otherwise))
+        super().__init__(
+            message or f"unknown {kind} '{name}'", did_you_mean(name, known, otherwise)
+        )
         self.kind, self.name, self.known, self._otherwise = kind, name, known, otherwise
 
     def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str], str, str | None]]:  # type: ignore[override]
@@ -75,14 +87,17 @@ class UnknownName(UsageError):
 
 
 class UnknownOption(UsageError, TypeError):
-    """An environment is made with an option that it does not have: a `TypeError` in Python's words, on which others retry without it.
+    """An environment is made with an option that it does not have: a `TypeError` in Python's words,
+    on which others retry without it.
 
     `gymnasium.make` raises it anew from its text alone, so the message says all of it.
     """
 
 
 class SpecError(WaspError):
-    """A spec file does not read or does not validate. `message` holds every problem with its position."""
+    """A spec file does not read or does not validate. `message` holds every problem with its
+    position.
+    """
 
     exit_code = 3
 
@@ -93,12 +108,16 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
-LONGEST_NAME = 300  # characters of a name that is compared with others, which takes as long as both are, multiplied
+# characters of a name that is compared with others, which takes as long as both are, multiplied
+LONGEST_NAME = 300
 
 
 def refusal(error: OSError) -> WaspError:
     reason = (error.strerror or str(error) or type(error).__name__).lower()
-    return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
+    return WaspError(
+        reason if error.filename is None else f"'{error.filename}': {reason}",
+        "wasp --debug COMMAND shows where",
+    )
 
 
 def first(lines: Sequence[str], most: int) -> list[str]:
@@ -107,7 +126,8 @@ def first(lines: Sequence[str], most: int) -> list[str]:
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
-    """Write a hint that names the closest known names; when none is close, `otherwise`, or all of them.
+    """Write a hint that names the closest known names; when none is close, `otherwise`, or all of
+    them.
 
     Capitals do not count, and of `space/Name` the namespace may be missing.
     """
@@ -123,8 +143,14 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
 
 
 def closeness(name: str, known: Iterable[str]) -> float:
-    """Measure how close the closest of some names is, from 0 to 1, with namespaces or without them."""
-    pairs = [(name.lower(), other.lower()) for other in known if max(len(name), len(other)) <= LONGEST_NAME]
+    """Measure how close the closest of some names is, from 0 to 1, with namespaces or without
+    them.
+    """
+    pairs = [
+        (name.lower(), other.lower())
+        for other in known
+        if max(len(name), len(other)) <= LONGEST_NAME
+    ]
     pairs += [(one.rpartition("/")[2], other.rpartition("/")[2]) for one, other in pairs]
     return max((difflib.SequenceMatcher(None, *pair).ratio() for pair in pairs), default=0.0)
 

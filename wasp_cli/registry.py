@@ -32,7 +32,9 @@ E = TypeVar("E", bound=Entry)
 
 
 class Registry(Mapping[str, E], Generic[E]):
-    """The entries of one package. `group` is the entry-point group through which others add theirs."""
+    """The entries of one package. `group` is the entry-point group through which others add
+    theirs.
+    """
 
     def __init__(self, kind: str, group: str, entries: tuple[E, ...]) -> None:
         self.kind = kind
@@ -47,7 +49,9 @@ class Registry(Mapping[str, E], Generic[E]):
         return self._own
 
     def plugins(self) -> Iterator[tuple[EntryPoint, E | WaspError]]:
-        """Yield each entry point of another package, with its entry or with why it cannot be used."""
+        """Yield each entry point of another package, with its entry or with why it cannot be
+        used.
+        """
         names: set[str] = set()
         for point in entry_points(group=self.group):
             try:
@@ -60,16 +64,23 @@ class Registry(Mapping[str, E], Generic[E]):
                 yield point, entry
 
     def _require_new(self, entry: E, point: EntryPoint, names: set[str]) -> None:
-        """Check that an entry point names an entry of this registry, with a name that nobody else has."""
+        """Check that an entry point names an entry of this registry, with a name that nobody
+        else has.
+        """
         if not isinstance(entry, self._type):
             raise WaspError(
-                f"the entry point '{point.name}' of group '{point.group}' is of type {type(entry).__name__}",
+                f"the entry point '{point.name}' of group '{point.group}' is of type "
+                f"{type(entry).__name__}",
                 f"it should be of type {self._type.__name__}",
             )
         if entry.name in self._own:
-            raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
+            raise WaspError(
+                f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'"
+            )
         if entry.name in names:
-            raise WaspError(f"two plugins name a {self.kind} '{entry.name}'", "uninstall one of them")
+            raise WaspError(
+                f"two plugins name a {self.kind} '{entry.name}'", "uninstall one of them"
+            )
 
     def _entries(self) -> dict[str, E]:
         if self._all is None:
@@ -97,33 +108,46 @@ class Registry(Mapping[str, E], Generic[E]):
         return len(self._entries())
 
     def load(self, name: str) -> Any:
-        return load_target(self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin")
+        return load_target(
+            self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin"
+        )
 
 
 def _loaded(point: EntryPoint) -> Any:
     """What a plugin's entry point names; its code is another's, and may do anything."""
-    source = f"plugin '{point.dist.name if point.dist else point.module}' (entry point '{point.name}' of group '{point.group}')"
+    source = (
+        f"plugin '{point.dist.name if point.dist else point.module}' (entry point "
+        f"'{point.name}' of group '{point.group}')"
+    )
     try:
         return point.load()
     except Exception as error:
-        raise WaspError(f"{source} does not load: {described(error)}", "repair the plugin, or uninstall it") from error
+        raise WaspError(
+            f"{source} does not load: {described(error)}", "repair the plugin, or uninstall it"
+        ) from error
 
 
 def load_target(target: str, whose: str = "") -> Any:
-    """Import and return what an import string names; where it is the code of others, `whose` begins the message of a failure."""
+    """Import and return what an import string names; where it is the code of others, `whose`
+    begins the message of a failure.
+    """
     module, _, attribute = target.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)
     except Exception as error:
         if not whose:
             raise
-        raise WaspError(f"{whose} does not load: {described(error)}", f"see '{target}'; wasp doctor names the package") from error
+        raise WaspError(
+            f"{whose} does not load: {described(error)}",
+            f"see '{target}'; wasp doctor names the package",
+        ) from error
 
 
 def import_here(module: str) -> ModuleType:
     """Import a module that a spec names; it may lie in the folder that the process was started in.
 
-    No process of ours searches that folder otherwise. It comes last, so that nothing installed is hidden.
+    No process of ours searches that folder otherwise. It comes last, so that nothing installed is
+    hidden.
     """
     top = module.partition(".")[0]
     try:
@@ -133,9 +157,19 @@ def import_here(module: str) -> ModuleType:
             importlib.invalidate_caches()
         return importlib.import_module(module)
     except (Exception, SystemExit) as error:  # the code is another's
-        absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
-        hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
-        hint = f"write '{module.removesuffix('.py')}', without .py" if module.endswith(".py") else hint
+        absent = (
+            isinstance(error, ModuleNotFoundError)
+            and error.name is not None
+            and f"{module}.".startswith(f"{error.name}.")
+        )
+        hint = (
+            f"run in the folder that holds '{top}', or install it: pip install -e ."
+            if absent
+            else "repair the module"
+        )
+        hint = (
+            f"write '{module.removesuffix('.py')}', without .py" if module.endswith(".py") else hint
+        )
         raise WaspError(f"module '{module}' does not import: {described(error)}", hint) from error
 
 

@@ -1,8 +1,11 @@
-"""Random streams named by role: the same identity gives the same seed on every machine, in every order of work.
+"""Random streams named by role: the same identity gives the same seed on every machine, in every
+order of work.
 
-The name of the method enters `method_seed` alone, so that all methods face the same worlds and the same mistakes of the operator,
-and differences between them can be tested in pairs. The severity enters none: the severities of an operator share their draws, so that
-where the rule compares a draw with the severity (`noisy`, `laggy`), a severer operator makes every mistake of a milder one, and more.
+The name of the method enters `method_seed` alone, so that all methods face the same worlds and the
+same mistakes of the operator, and differences between them can be tested in pairs. The severity
+enters none: the severities of an operator share their draws, so that where the rule compares a draw
+with the severity (`noisy`, `laggy`), a severer operator makes every mistake of a milder one, and
+more.
 """
 
 from __future__ import annotations
@@ -16,8 +19,12 @@ Part = str | float | SupportsIndex | None
 
 
 def derive(*parts: Part) -> int:
-    """Derive a seed in [0, 2**31) from the parts. Types count: 1, 1.0 and "1" are different parts; any integer type is an `int`."""
-    canonical = json.dumps([_plain(part) for part in parts], ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+    """Derive a seed in [0, 2**31) from the parts. Types count: 1, 1.0 and "1" are different
+    parts; any integer type is an `int`.
+    """
+    canonical = json.dumps(
+        [_plain(part) for part in parts], ensure_ascii=True, separators=(",", ":"), allow_nan=False
+    )
     return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big") & 0x7FFFFFFF
 
 
@@ -27,7 +34,9 @@ def layout_seed(task: str, seed: int, episode: int) -> int:
 
 
 def operator_seed(task: str, operator: str, seed: int, episode: int) -> int:
-    """Derive the seed of the operator's mistakes in one evaluation episode, the same at every severity."""
+    """Derive the seed of the operator's mistakes in one evaluation episode, the same at every
+    severity.
+    """
     return derive("operator", task, operator, seed, episode)
 
 

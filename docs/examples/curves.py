@@ -1,7 +1,9 @@
-"""What does each assistant give for how often it acts? Vary its one knob, print the curves and the operating points, and draw the figure.
+"""What does each assistant give for how often it acts? Vary its one knob, print the curves and the
+operating points, and draw the figure.
 
 python docs/examples/curves.py                          from the published rows of `field`
-python docs/examples/curves.py field RESULTS TASK ...   measure what is not in RESULTS yet, with the published models of that spec
+python docs/examples/curves.py field RESULTS TASK ...   measure what is not in RESULTS yet, with the
+published models of that spec
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ OPERATORS = {"noisy": 0.45, "laggy": 0.7, "limited-skill": 0.25, "reaction-time"
 
 @dataclass(frozen=True)
 class Knob:
-    """What is varied of an assistant, and the values; `used` is that of `specs/field.yaml` and of Table 1."""
+    """What is varied of an assistant, and the values; `used` is that of `specs/field.yaml` and
+    of Table 1.
+    """
 
     symbol: str
     values: tuple[float, ...]
@@ -67,10 +71,13 @@ KNOBS = {
     "wasp": Knob("tau_r, times", (0.0, 0.25, 0.5, 0.7, 1.0, 1.4, 2.0)),
 }
 THRESHOLDS = {"filter": "tau_c", "mpmi": "tau_c", "reach": "gamma", "wasp": "tau_r"}
-"""What is multiplied. tau_Q is of its default, the 95th percentile: at the quantile .5 of `specs/field.yaml` it is 0."""
+"""What is multiplied. tau_Q is of its default, the 95th percentile: at the quantile .5 of
+`specs/field.yaml` it is 0.
+"""
 LEAST_RETURN = 0.98
-"""The operating point is the value of least effective intervention rate among those that keep this share of the best return of the curve;
-both are means over the tasks. Where none keeps it on all tasks together, the value that keeps most."""
+"""The operating point is the value of least effective intervention rate among those that keep this
+share of the best return of the curve; both are means over the tasks. Where none keeps it on all
+tasks together, the value that keeps most."""
 
 
 class Scaled:
@@ -103,82 +110,143 @@ def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> A
 
 
 def measure(name: str, results: Path, tasks: Sequence[str]) -> None:
-    """Run every assistant with every value of its knob on the same episodes, and write a row for each episode: a file each."""
+    """Run every assistant with every value of its knob on the same episodes, and write a row
+    for each episode: a file each.
+    """
     torch.set_num_threads(1)
     (results / "curves").mkdir(parents=True, exist_ok=True)
-    spec = load(ROOT / "specs" / f"{name}.yaml", ["variants=[full]", f"tasks=[{', '.join(tasks)}]"]).spec
+    spec = load(
+        ROOT / "specs" / f"{name}.yaml", ["variants=[full]", f"tasks=[{', '.join(tasks)}]"]
+    ).spec
     layout = Layout(PUBLISHED)
     grid = lay_out_over(spec, layout, str(PUBLISHED))
-    nodes = {(cell.task, cell.method): node for cell, node in grid.cells if cell.operator in OPERATORS and cell.method in KNOBS}
+    nodes = {
+        (cell.task, cell.method): node
+        for cell, node in grid.cells
+        if cell.operator in OPERATORS and cell.method in KNOBS
+    }
     for (task, method), node in nodes.items():
         path = results / "curves" / f"{task}-{method}.parquet"
         rows: list[dict[str, Any]] = pq.read_table(path).to_pylist() if path.exists() else []
-        missing = [value for value in KNOBS[method].values if value not in {row["value"] for row in rows}]
+        missing = [
+            value for value in KNOBS[method].values if value not in {row["value"] for row in rows}
+        ]
         if not missing:
             continue
-        inputs = {kind: layout.artifact(needed.kind, needed.key) for kind, needed in node.needs.items()}
+        inputs = {
+            kind: layout.artifact(needed.kind, needed.key) for kind, needed in node.needs.items()
+        }
         parts = load_parts(inputs, spec.returns, motors=TASKS[task].motors)
         for value in missing:
             assistant = turned(method, value, parts, node.axes["method_config"])
-            rows += [{"value": value, **row} for row in driven(task, method, assistant, parts, spec.action_repeat)]
+            rows += [
+                {"value": value, **row}
+                for row in driven(task, method, assistant, parts, spec.action_repeat)
+            ]
         pq.write_table(pa.Table.from_pylist(rows), path)
 
 
-def driven(name: str, method: str, assistant: Assistant, parts: Parts, action_repeat: int) -> Iterator[dict[str, Any]]:
+def driven(
+    name: str, method: str, assistant: Assistant, parts: Parts, action_repeat: int
+) -> Iterator[dict[str, Any]]:
     """Yield a row for each episode of an assistant under every operator."""
     worlds = [seeds.layout_seed(name, SEED, e) for e in range(EPISODES)]
     for operator, severity in OPERATORS.items():
-        task = make_task(name, EPISODES, action_repeat=action_repeat, observe=("pixels",), threads=1)
-        mistakes = EpisodeNoise([seeds.operator_seed(name, operator, SEED, e) for e in range(EPISODES)])
+        task = make_task(
+            name, EPISODES, action_repeat=action_repeat, observe=("pixels",), threads=1
+        )
+        mistakes = EpisodeNoise(
+            [seeds.operator_seed(name, operator, SEED, e) for e in range(EPISODES)]
+        )
         context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
         impaired = build_operator(operator, severity, context, mistakes, EPISODES)
         own = [seeds.method_seed(name, operator, SEED, e, method) for e in range(EPISODES)]
         loop = run_episodes(task, parts.world_model, impaired, assistant, worlds, own)
         for e, episode in enumerate(trajectories(loop)[0]):
-            forces = np.linalg.norm(parts.motors.force(episode.a) - parts.motors.force(episode.a_h), axis=1)
+            forces = np.linalg.norm(
+                parts.motors.force(episode.a) - parts.motors.force(episode.a_h), axis=1
+            )
             yield {
-                "task": name, "method": method, "operator": operator, "episode": e, "steps": episode.steps,
-                "return": float(episode.reward.sum()), "cost": int(episode.cost_env.sum()),
-                "interventions": int((episode.deviation > 0).sum()), "effective": int((forces > 1e-6).sum()),
+                "task": name,
+                "method": method,
+                "operator": operator,
+                "episode": e,
+                "steps": episode.steps,
+                "return": float(episode.reward.sum()),
+                "cost": int(episode.cost_env.sum()),
+                "interventions": int((episode.deviation > 0).sum()),
+                "effective": int((forces > 1e-6).sum()),
                 "deviation": float(episode.deviation.sum()),
-            }  # fmt: skip
+            }
 
 
 def point(rows: pa.Table, task: str, method: str, value: float) -> dict[str, float]:
     """Return means over operators at one value of a knob."""
-    here = rows.filter((pc.field("task") == task) & (pc.field("method") == method) & (pc.field("value") == value))
-    found: dict[str, list[float]] = {name: [] for name in ("return", "cost", "interventions", "effective", "deviation")}
+    here = rows.filter(
+        (pc.field("task") == task) & (pc.field("method") == method) & (pc.field("value") == value)
+    )
+    found: dict[str, list[float]] = {
+        name: [] for name in ("return", "cost", "interventions", "effective", "deviation")
+    }
     for operator in OPERATORS:
         part = here.filter(pc.field("operator") == operator)
         steps = pc.sum(part["steps"]).as_py()
         for name, values in found.items():
-            values.append(pc.mean(part[name]).as_py() if name in ("return", "cost") else pc.sum(part[name]).as_py() / steps)
+            values.append(
+                pc.mean(part[name]).as_py()
+                if name in ("return", "cost")
+                else pc.sum(part[name]).as_py() / steps
+            )
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
 def chosen(curves: Sequence[Mapping[float, Mapping[str, float]]]) -> float:
-    """Return the operating point of an assistant by the rule of LEAST_RETURN, from its points on every task."""
+    """Return the operating point of an assistant by the rule of LEAST_RETURN, from its points
+    on every task.
+    """
 
-    def mean(value: float, name: str, unit: Callable[[Mapping[float, Mapping[str, float]]], float]) -> float:
+    def mean(
+        value: float, name: str, unit: Callable[[Mapping[float, Mapping[str, float]]], float]
+    ) -> float:
         return float(np.mean([points[value][name] / unit(points) for points in curves]))
 
-    shares = {value: mean(value, "return", lambda points: max(each["return"] for each in points.values())) for value in curves[0]}
+    shares = {
+        value: mean(value, "return", lambda points: max(each["return"] for each in points.values()))
+        for value in curves[0]
+    }
     enough = min(LEAST_RETURN, max(shares.values()))
-    return min((mean(value, "effective", lambda points: 1.0), value) for value, share in shares.items() if share >= enough)[1]
+    return min(
+        (mean(value, "effective", lambda points: 1.0), value)
+        for value, share in shares.items()
+        if share >= enough
+    )[1]
 
 
 def shown(rows: pa.Table) -> str:
-    """Write the values in use and those that the rule chooses: return / cost / effective intervention rate on every task."""
+    """Write the values in use and those that the rule chooses: return / cost / effective
+    intervention rate on every task.
+    """
     tasks = shown_tasks(rows)
-    lines = [f"| Assistant | knob | {' | '.join(TASKS[task].title for task in tasks)} | |", f"| --- | --- |{' ---: |' * len(tasks)} --- |"]
+    lines = [
+        f"| Assistant | knob | {' | '.join(TASKS[task].title for task in tasks)} | |",
+        f"| --- | --- |{' ---: |' * len(tasks)} --- |",
+    ]
     for method, knob in measured_in(rows):
-        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in tasks}
+        curves = {
+            task: {value: point(rows, task, method, value) for value in knob.values}
+            for task in tasks
+        }
         rule = chosen(list(curves.values()))
         for value in sorted({knob.used, rule}):
             each = [curves[task][value] for task in tasks]
-            numbers = " | ".join(f"{at['return']:.1f} / {at['cost']:.1f} / {at['effective']:.2f}" for at in each)
+            numbers = " | ".join(
+                f"{at['return']:.1f} / {at['cost']:.1f} / {at['effective']:.2f}" for at in each
+            )
             marks = ["used"] * (value == knob.used) + ["by the rule"] * (value == rule)
-            lines.append(f"| {METHODS[method].title} | {knob.symbol} {value:g} | {numbers} | {', '.join(marks)} |")
+            lines.append(
+                f"| {METHODS[method].title} | {knob.symbol} {value:g} | {numbers} | "
+                f"{', '.join(marks)} |"
+            )
     return "\n".join(lines)
 
 
@@ -190,14 +258,28 @@ def shown_tasks(rows: pa.Table) -> list[str]:
 
 def measured_in(rows: pa.Table) -> list[tuple[str, Knob]]:
     """Return the assistants that there are, with the values that were measured."""
-    there = {method: tuple(sorted(set(rows.filter(pc.field("method") == method)["value"].to_pylist()))) for method in KNOBS}
-    return [(method, replace(KNOBS[method], values=values)) for method, values in there.items() if values]
+    there = {
+        method: tuple(sorted(set(rows.filter(pc.field("method") == method)["value"].to_pylist())))
+        for method in KNOBS
+    }
+    return [
+        (method, replace(KNOBS[method], values=values))
+        for method, values in there.items()
+        if values
+    ]
 
 
 def draw(rows: pa.Table, path: Path) -> None:
     """Draw return and cost against the effective intervention rate: a column for each task."""
     tasks = shown_tasks(rows)
-    figure, axes = plt.subplots(2, len(tasks), figsize=(1 + 3.3 * len(tasks), 6), sharex="col", squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        2,
+        len(tasks),
+        figsize=(1 + 3.3 * len(tasks), 6),
+        sharex="col",
+        squeeze=False,
+        layout="constrained",
+    )
     for column, task in enumerate(tasks):
         for row, measure in enumerate(("return", "cost")):
             panel = axes[row, column]
@@ -205,14 +287,30 @@ def draw(rows: pa.Table, path: Path) -> None:
                 points = {value: point(rows, task, method, value) for value in knob.values}
                 x, y = ([each[name] for each in points.values()] for name in ("effective", measure))
                 colour, marker = style_of(method)
-                panel.plot(x, y, "-", marker=marker, ms=4, lw=1.2, color=colour, label=METHODS[method].title)
+                panel.plot(
+                    x,
+                    y,
+                    "-",
+                    marker=marker,
+                    ms=4,
+                    lw=1.2,
+                    color=colour,
+                    label=METHODS[method].title,
+                )
                 at = points[knob.used]
                 panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=colour)
             panel.set(
-                title=TASKS[task].title if not row else "", ylabel=measure if not column else "", xlabel="effective Int." if row else ""
+                title=TASKS[task].title if not row else "",
+                ylabel=measure if not column else "",
+                xlabel="effective Int." if row else "",
             )
             panel.spines[["top", "right"]].set_visible(False)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside right upper")
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(),
+        frameon=False,
+        fontsize=8,
+        loc="outside right upper",
+    )
     figure.savefig(path, dpi=110)
 
 
@@ -226,7 +324,9 @@ if __name__ == "__main__":
         results, *tasks = measured
         measure(spec, Path(results), tasks)
         files = sorted((Path(results) / "curves").glob("*.parquet"))
-        pq.write_table(pa.concat_tables([pq.read_table(path) for path in files]), source, compression="zstd")
+        pq.write_table(
+            pa.concat_tables([pq.read_table(path) for path in files]), source, compression="zstd"
+        )
     rows = pq.read_table(source)
     print(shown(rows))
     draw(rows, PICTURE)

@@ -1,6 +1,8 @@
-"""Which experts are accepted? Prints the last round of every expert with bars, and draws how they learned.
+"""Which experts are accepted? Prints the last round of every expert with bars, and draws how they
+learned.
 
-`python docs/examples/experts.py` reads the published rows; with a results folder, the experts in it are added to these rows first.
+`python docs/examples/experts.py` reads the published rows; with a results folder, the experts in it
+are added to these rows first.
 """
 
 from __future__ import annotations
@@ -26,10 +28,19 @@ PICTURE = ROOT / "docs" / "pictures" / "experts.png"
 TABLE1 = load(ROOT / "specs" / "table1.yaml").spec
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00")
 SCHEMA = pa.schema(
-    [("task", pa.string()), ("training", pa.int8()), ("interactions", pa.int32()), ("return", pa.float32()), ("cost", pa.float32()),
-     ("success", pa.float32()), ("accepted", pa.bool_())]
-)  # fmt: skip
-"""A row is a round on 256 fresh layouts, or, without success and accepted, the mean of the training episodes since the row before."""
+    [
+        ("task", pa.string()),
+        ("training", pa.int8()),
+        ("interactions", pa.int32()),
+        ("return", pa.float32()),
+        ("cost", pa.float32()),
+        ("success", pa.float32()),
+        ("accepted", pa.bool_()),
+    ]
+)
+"""A row is a round on 256 fresh layouts, or, without success and accepted, the mean of the
+training episodes since the row before.
+"""
 
 Rows = dict[tuple[str, int], list[dict[str, Any]]]
 """By task and training."""
@@ -44,14 +55,21 @@ def published() -> Rows:
 
 
 def add(results: Path) -> None:
-    """Take the experts of a results folder into the published rows, those in place of earlier ones of their task and training."""
+    """Take the experts of a results folder into the published rows, those in place of earlier
+    ones of their task and training.
+    """
     rows: Rows = {(task, seed): [] for task in TABLE1.tasks for seed in TABLE1.seeds} | published()
     for path in sorted((results / "store" / "expert").glob("*/acceptance.json")):
         manifest = _read(path.with_name("_manifest.json"))
         if (manifest["task"], manifest["seed"]) in rows:
-            measured = [*_read(path), *(row for row in _read(path.with_name("curve.json")) if row["return"] is not None)]
+            measured = [
+                *_read(path),
+                *(row for row in _read(path.with_name("curve.json")) if row["return"] is not None),
+            ]
             who = {"task": manifest["task"], "training": manifest["seed"]}
-            rows[manifest["task"], manifest["seed"]] = [{name: {**row, **who}.get(name) for name in SCHEMA.names} for row in measured]
+            rows[manifest["task"], manifest["seed"]] = [
+                {name: {**row, **who}.get(name) for name in SCHEMA.names} for row in measured
+            ]
     table = pa.Table.from_pylist([row for key in sorted(rows) for row in rows[key]], SCHEMA)
     pq.write_table(table, ROWS, compression="zstd", compression_level=19)
 
@@ -66,7 +84,8 @@ def table() -> str:
         rounds = [row for row in rows if row["accepted"] is not None]
         last = rounds[-1]
         numbers = (
-            f"{last['interactions']:,} | {len(rounds)} | {last['return']:.1f} | {last['cost']:.1f} | {100 * last['success']:.0f}"
+            f"{last['interactions']:,} | {len(rounds)} | {last['return']:.1f} | "
+            f"{last['cost']:.1f} | {100 * last['success']:.0f}"
             f" | {'yes' if last['accepted'] else 'no'}"
         )
         lines.append(f"| {TASKS[task].title} | {seed} | {numbers} |")
@@ -74,22 +93,40 @@ def table() -> str:
 
 
 def draw() -> None:
-    """Draw return and cost of the training episodes against interactions, a line for each training."""
+    """Draw return and cost of the training episodes against interactions, a line for each
+    training.
+    """
     experts = published()
     tasks = list(dict.fromkeys(task for task, _ in experts))
-    figure, axes = plt.subplots(2, len(tasks), figsize=(3.4 * len(tasks), 4.4), squeeze=False, layout="constrained", sharex="col")
+    figure, axes = plt.subplots(
+        2,
+        len(tasks),
+        figsize=(3.4 * len(tasks), 4.4),
+        squeeze=False,
+        layout="constrained",
+        sharex="col",
+    )
     for (task, seed), rows in experts.items():
         curve = [row for row in rows if row["accepted"] is None]
         x = [row["interactions"] / 1000 for row in curve]
         for axis, measure in zip(axes[:, tasks.index(task)], ("return", "cost"), strict=True):
-            axis.plot(x, [row[measure] for row in curve], color=COLOURS[seed - 1], lw=1, label=f"training {seed}")
+            axis.plot(
+                x,
+                [row[measure] for row in curve],
+                color=COLOURS[seed - 1],
+                lw=1,
+                label=f"training {seed}",
+            )
     for column, task in enumerate(tasks):
         axes[0, column].set_title(TASKS[task].title)
         axes[1, column].set_xlabel("interactions (thousands)")
     axes[0, 0].set_ylabel("return")
     axes[1, 0].set_ylabel("cost")
-    lines = {line.get_label(): line for axis in axes[0] for line in axis.get_lines()}  # a task may lack a training
-    figure.legend(lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False)
+    # a task may lack a training
+    lines = {line.get_label(): line for axis in axes[0] for line in axis.get_lines()}
+    figure.legend(
+        lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False
+    )
     figure.savefig(PICTURE, dpi=110)
 
 

@@ -20,5 +20,7 @@ class Halfway:
         expert = self.expert(latent.features).clamp(-1, 1)  # [B, A]
         distance = (expert - a_h).norm(dim=-1)  # [B]
         fired = distance > 0.7
-        record = blank_record(len(a_h), device=a_h.device)._replace(gate=(GATE_METHOD * fired).to(torch.int8), signal=distance)
+        record = blank_record(len(a_h), device=a_h.device)._replace(
+            gate=(GATE_METHOD * fired).to(torch.int8), signal=distance
+        )
         return Decision(torch.where(fired.unsqueeze(-1), (a_h + expert) / 2, a_h), record)

@@ -1,4 +1,5 @@
-"""Print the tables of REPRODUCTION.md from the published rows, the paper's claims first: nothing is computed anew.
+"""Print the tables of REPRODUCTION.md from the published rows, the paper's claims first: nothing is
+computed anew.
 
 python docs/examples/reproduction.py
 """
@@ -17,7 +18,15 @@ from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import CellNumbers, Frame, Group, groups, pairs_of, read_frame, with_branches
+from wasp_cli.report.stats import (
+    CellNumbers,
+    Frame,
+    Group,
+    groups,
+    pairs_of,
+    read_frame,
+    with_branches,
+)
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
@@ -33,10 +42,14 @@ from wasp_cli.tasks.registry import TASKS
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
 TRAININGS = (1, 2, 3, 4, 5)
-PRINTED = (1, 2, 3)  # those of the ablations of WASP as printed on FormulaOne1, of which the claims are
+# those of the ablations of WASP as printed on FormulaOne1, of which the claims are
+PRINTED = (1, 2, 3)
 VARIANTS = "variants=[full, safety-only, task-only, no-case2, no-rollout]"
 STAGES = ("stages=[counterfactual]", "counterfactual.stride=10")
-LEVELS, MEASURED = ("mild", "moderate", "severe"), {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"}
+LEVELS, MEASURED = (
+    ("mild", "moderate", "severe"),
+    {"return": "Return {} ↑", "cost": "Cost {} ↓", "int_rate": "Int. {} ↓"},
+)
 
 SEARCHED = {"return": "Return ↑", "cost": "Cost ↓", "int_rate": "Int. ↓"}
 
@@ -45,16 +58,23 @@ HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
 def published(spec: Spec) -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of a spec, and those with branches, with the keys of what is published of them, by any code and libraries."""
+    """Return the cells of a spec, and those with branches, with the keys of what is published
+    of them, by any code and libraries.
+    """
     keys = {offer.recipe: offer.key for offer in offers(Layout(PUBLISHED))[0]}
     own = lay_out(spec)
-    return tuple([(cell, keys.get(node.recipe, node.key)) for cell, node in cells] for cells in (own.cells, own.branched))
+    return tuple(
+        [(cell, keys.get(node.recipe, node.key)) for cell, node in cells]
+        for cells in (own.cells, own.branched)
+    )
 
 
 @cache
 def grid() -> tuple[list[tuple[Cell, str]], ...]:
     """Return the cells of Tables 1 and 2, and those with branches of Figure 3."""
-    return published(load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec)
+    return published(
+        load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec
+    )
 
 
 @cache
@@ -62,8 +82,16 @@ def frame(trainings: tuple[int, ...] = TRAININGS) -> Frame:
     """Return those that are published."""
     if trainings != TRAININGS:
         whole = frame()
-        cells, missing = ([row for row in rows if row.identity.seed in trainings] for rows in (whole.cells, whole.missing))
-        return replace(whole, cells=tuple(cells), missing=tuple(missing), order=tuple(row for row in whole.order if row.seed in trainings))
+        cells, missing = (
+            [row for row in rows if row.identity.seed in trainings]
+            for rows in (whole.cells, whole.missing)
+        )
+        return replace(
+            whole,
+            cells=tuple(cells),
+            missing=tuple(missing),
+            order=tuple(row for row in whole.order if row.seed in trainings),
+        )
     wanted, _ = wanted_cells(Layout(PUBLISHED), load(ROOT / "specs" / "table1.yaml").spec, *grid())
     return with_branches(read_frame(wanted), wanted)
 
@@ -76,7 +104,9 @@ def word(judged: Judged | None) -> str:
 
 
 def decides(judged: Judged) -> str:
-    """Put the first comparison with the claim's outcome into words, and count those that share it."""
+    """Put the first comparison with the claim's outcome into words, and count those that share
+    it.
+    """
     deciding = [answers for answers in judged.answers if any_of(answers) == judged.outcome]
     if not deciding or judged.outcome == "untested":
         return ""
@@ -87,43 +117,86 @@ def decides(judged: Judged) -> str:
 
 @cache
 def verdicts() -> list[tuple[Judged, Judged | None]]:
-    """Return of every claim the verdict with WASP, and the one with WASP (as printed), whose ablations have fewer trainings."""
-    whole, of_ablations = (judge(frame(trainings), load_paper()) for trainings in (TRAININGS, PRINTED))
+    """Return of every claim the verdict with WASP, and the one with WASP (as printed), whose
+    ablations have fewer trainings.
+    """
+    whole, of_ablations = (
+        judge(frame(trainings), load_paper()) for trainings in (TRAININGS, PRINTED)
+    )
     printed = [who.method for who in whole.others].index("printed")
     found: list[tuple[Judged, Judged | None]] = []
     for ours, fewer in zip(whole.claims, of_ablations.claims, strict=True):
         theirs = (each.others[printed] for each in (ours, fewer))
-        found.append((ours, next((other for other in theirs if other is not None and other.outcome != "untested"), None)))
+        found.append(
+            (
+                ours,
+                next(
+                    (
+                        other
+                        for other in theirs
+                        if other is not None and other.outcome != "untested"
+                    ),
+                    None,
+                ),
+            )
+        )
     return found
 
 
 def claims() -> str:
     """Return the table of all claims in Markdown."""
-    rows = [(f"{ours.claim.says} (`{ours.claim.id}`)", word(ours), word(theirs), decides(ours)) for ours, theirs in verdicts()]
+    rows = [
+        (f"{ours.claim.says} (`{ours.claim.id}`)", word(ours), word(theirs), decides(ours))
+        for ours, theirs in verdicts()
+    ]
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
 
 
 def tables() -> dict[str, str]:
     """Return every table of the page in Markdown, by its heading there."""
-    made = {"Table 1": main_table(frame()), "Table 2": ablation_table(frame()), "Figure 3": necessity_table(frame())}
+    made = {
+        "Table 1": main_table(frame()),
+        "Table 2": ablation_table(frame()),
+        "Figure 3": necessity_table(frame()),
+    }
     alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
-    texts = {"The 21 claims": claims(), "What the others cost more": costs_more(), "As printed, with the paper's search": more_search()}
+    texts = {
+        "The 21 claims": claims(),
+        "What the others cost more": costs_more(),
+        "As printed, with the paper's search": more_search(),
+    }
     return texts | {"Mild and severe operators": severities()} | alone
 
 
 def costs_more() -> str:
-    """Return in Markdown what each assistant costs more than WASP, with 95 % intervals over trainings and worlds; bold without 0 in it."""
+    """Return in Markdown what each assistant costs more than WASP, with 95 % intervals over
+    trainings and worlds; bold without 0 in it.
+    """
     told: dict[str, dict[str, str]] = {}
-    rows = [group for group in groups(frame()) if group.cells and group.variant == "full" and METHODS[group.method].impaired]
+    rows = [
+        group
+        for group in groups(frame())
+        if group.cells and group.variant == "full" and METHODS[group.method].impaired
+    ]
     wholes = {group.task: group for group in rows if group.method == "wasp"}
     for group in rows:
         contrast = contrast_of(group.cells, wholes[group.task].cells, "cost")
-        if group.method not in ("human", "wasp") and contrast is not None and contrast.bootstrap is not None:
+        if (
+            group.method not in ("human", "wasp")
+            and contrast is not None
+            and contrast.bootstrap is not None
+        ):
             low, high = contrast.bootstrap
             bold = "**" if low * high > 0 else ""
-            told.setdefault(METHODS[group.method].title, {})[group.task] = f"{bold}{contrast.value:+.1f} [{low:+.1f}, {high:+.1f}]{bold}"
+            told.setdefault(METHODS[group.method].title, {})[group.task] = (
+                f"{bold}{contrast.value:+.1f} [{low:+.1f}, {high:+.1f}]{bold}"
+            )
     head = ("Method", *(TASKS[task].title for task in wholes))
-    lines = (head, ("---", *["---:"] * len(wholes)), *((method, *row.values()) for method, row in told.items()))
+    lines = (
+        head,
+        ("---", *["---:"] * len(wholes)),
+        *((method, *row.values()) for method, row in told.items()),
+    )
     return "\n".join(markdown_row(line) for line in lines)
 
 
@@ -138,50 +211,93 @@ def rows_of(name: str) -> list[Group]:
 def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
     """Return the cells of `specs/severity.yaml` by task, method and severity."""
     rows = rows_of("severity")
-    return {(row.task, row.method, level): [cell for cell in row.cells if cell.severity == level] for row in rows for level in LEVELS}
+    return {
+        (row.task, row.method, level): [cell for cell in row.cells if cell.severity == level]
+        for row in rows
+        for level in LEVELS
+    }
 
 
 def more_search() -> str:
-    """Return in Markdown what WASP as printed comes to with our search and with the paper's on the same worlds, with paired differences."""
-    lines: list[Sequence[str]] = [("Task", "Search", *SEARCHED.values()), ("---", "---", *["---:"] * len(SEARCHED))]
-    ours = {row.task: row.cells for row in groups(frame((1,))) if (row.method, row.variant) == ("printed", "full")}
+    """Return in Markdown what WASP as printed comes to with our search and with the paper's on
+    the same worlds, with paired differences.
+    """
+    lines: list[Sequence[str]] = [
+        ("Task", "Search", *SEARCHED.values()),
+        ("---", "---", *["---:"] * len(SEARCHED)),
+    ]
+    ours = {
+        row.task: row.cells
+        for row in groups(frame((1,)))
+        if (row.method, row.variant) == ("printed", "full")
+    }
     for row in rows_of("paper-size"):
         small, large = [TASKS[row.task].title, "N = 64"], ["", "N = 300"]
         for measure in SEARCHED:
             more, less = zip(*pairs_of(row.cells, ours[row.task], measure), strict=True)
             small.append(f"{summarise(less, measure).mean:.2f}")
-            large.append(f"{summarise(more, measure).mean:.2f} ({with_interval(difference_of(more, less, measure))})")
+            large.append(
+                f"{summarise(more, measure).mean:.2f} "
+                f"({with_interval(difference_of(more, less, measure))})"
+            )
         lines += [small, large]
     return "\n".join(markdown_row(line) for line in lines)
 
 
 def severities() -> str:
-    """Return in Markdown what each assistant comes to under mild, moderate and severe operators: means over the operators."""
+    """Return in Markdown what each assistant comes to under mild, moderate and severe
+    operators: means over the operators.
+    """
     columns = [(measure, level) for measure in MEASURED for level in LEVELS]
-    lines: list[Sequence[str]] = [("Task", "Method", *(MEASURED[measure].format(level) for measure, level in columns))]
+    lines: list[Sequence[str]] = [
+        ("Task", "Method", *(MEASURED[measure].format(level) for measure, level in columns))
+    ]
     lines.append(("---", "---", *["---:"] * len(columns)))
     for task, method in dict.fromkeys((task, method) for task, method, _ in by_severity()):
-        means = (summarise(by_severity()[task, method, level], measure).mean for measure, level in columns)
+        means = (
+            summarise(by_severity()[task, method, level], measure).mean
+            for measure, level in columns
+        )
         shown = "" if any(line[0] == TASKS[task].title for line in lines) else TASKS[task].title
-        lines.append((shown, METHODS[method].title, *("n/a" if mean is None else f"{mean:.2f}" for mean in means)))
+        lines.append(
+            (
+                shown,
+                METHODS[method].title,
+                *("n/a" if mean is None else f"{mean:.2f}" for mean in means),
+            )
+        )
     return "\n".join(markdown_row(line) for line in lines)
 
 
 @cache
 def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
-    """Return by task and row what it has more than WASP, and an ablation more than the whole method: paired means with 95 % intervals."""
+    """Return by task and row what it has more than WASP, and an ablation more than the whole
+    method: paired means with 95 % intervals.
+    """
     texts: dict[str, str] = {}
-    rows = [group for group in groups(frame(trainings)) if group.cells and METHODS[group.method].impaired]
+    rows = [
+        group
+        for group in groups(frame(trainings))
+        if group.cells and METHODS[group.method].impaired
+    ]
     wholes = {(group.task, group.method): group for group in rows if group.variant == "full"}
     for group in rows:
         ablated = group.variant != "full"
         whole = wholes[group.task, group.method if ablated else "wasp"]
-        name = group.method if not ablated else group.variant if group.method == "wasp" else f"{group.method}/{group.variant}"
+        name = (
+            group.method
+            if not ablated
+            else group.variant
+            if group.method == "wasp"
+            else f"{group.method}/{group.variant}"
+        )
         keys = () if group is whole else ("return", "success", "cost", "int_rate")
         made = {key: difference_of(group.cells, whole.cells, key) for key in keys}
         if made:
             texts[f"{group.task} {name}"] = ", ".join(
-                f"{key} {with_interval(each, 3)}" for key, each in made.items() if each is not None and each.interval is not None
+                f"{key} {with_interval(each, 3)}"
+                for key, each in made.items()
+                if each is not None and each.interval is not None
             )
     return texts
 
@@ -190,7 +306,10 @@ def with_interval(made: Estimate | None, digits: int = 2) -> str:
     """Write a difference with its 95 % interval."""
     if made is None or made.interval is None:
         return "n/a"
-    return f"{made.value:+.{digits}f} [{made.interval.low:+.{digits}f}, {made.interval.high:+.{digits}f}]"
+    return (
+        f"{made.value:+.{digits}f} [{made.interval.low:+.{digits}f}, "
+        f"{made.interval.high:+.{digits}f}]"
+    )
 
 
 def short(label: str) -> str:
@@ -201,7 +320,9 @@ def short(label: str) -> str:
 def rows_alone(table: Table) -> str:
     """Return the rows of a table, without its notes, columns of LEFT_OUT and rows without cells."""
     head, rules, *rows = [
-        [cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])] for line in markdown(table).splitlines() if line.startswith("|")
+        [cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])]
+        for line in markdown(table).splitlines()
+        if line.startswith("|")
     ]
     kept = [i for i, heading in enumerate(head) if heading not in LEFT_OUT]
     lines, task, shown = [head, rules], "", ""

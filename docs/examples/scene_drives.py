@@ -1,6 +1,8 @@
-"""Episodes in the worlds of `scene_worlds`: a driver alone or with WASP, and what is imagined on the way.
+"""Episodes in the worlds of `scene_worlds`: a driver alone or with WASP, and what is imagined on
+the way.
 
-Dimension letters: B rows, A action size, T decision steps, K imagined rollouts, H horizon, L residual steps.
+Dimension letters: B rows, A action size, T decision steps, K imagined rollouts, H horizon, L
+residual steps.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ TAU_C, TAU_R = 0.3, 0.5
 
 
 def settings(variant: str = "full", **changes: object) -> PrintedConfig:
-    """WASP as printed in these scenes: its defaults but for what belongs to a world: thresholds, size and weight of residuals."""
+    """WASP as printed in these scenes: its defaults but for what belongs to a world:
+    thresholds, size and weight of residuals.
+    """
     world = {"tau_c": TAU_C, "tau_r": TAU_R, "alpha": 0.02, "initial_std": 1.0}
     return PrintedConfig.model_validate({"variant": variant, "rollouts": 1, **world, **changes})
 
@@ -51,7 +55,14 @@ class NoCritics:
 
 def imagination(world: PointWorld) -> Imagination:
     """Imagined returns in a world that is known exactly."""
-    return Imagination(world, NoCritics(), lambda features: features.new_zeros(len(features), world.action_size), GAMMA_R, GAMMA_C, LAM)
+    return Imagination(
+        world,
+        NoCritics(),
+        lambda features: features.new_zeros(len(features), world.action_size),
+        GAMMA_R,
+        GAMMA_C,
+        LAM,
+    )
 
 
 def assistant(world: PointWorld, config: PrintedConfig | None) -> Assistant:
@@ -117,14 +128,22 @@ class Drive(NamedTuple):
 
 
 Watch = Callable[[Latent, Tensor, Operator], None]
-"""Called before every decision with the latents, the commands [B, A] just issued and the operator that issued them."""
+"""Called before every decision with the latents, the commands [B, A] just issued and the
+operator that issued them.
+"""
 
 
 @torch.inference_mode()
 def drive(
-    world: PointWorld, operator: Operator, config: PrintedConfig | None, steps: int, *,
-    start: Latent | None = None, seed: int = 0, watch: Watch | None = None,
-) -> Drive:  # fmt: skip
+    world: PointWorld,
+    operator: Operator,
+    config: PrintedConfig | None,
+    steps: int,
+    *,
+    start: Latent | None = None,
+    seed: int = 0,
+    watch: Watch | None = None,
+) -> Drive:
     """The closed loop in a world that is its own truth, for all rows of an operator side by side.
 
     Args:
@@ -143,7 +162,13 @@ def drive(
     truth = [np.random.default_rng((seed, row)) for row in range(batch)]
     alive = torch.ones(batch, dtype=torch.bool)
     undefined = torch.full((batch,), torch.nan)
-    blank = (torch.full((batch,), GATE_NONE), undefined, undefined, undefined.view(-1, 1, 1), torch.zeros(batch))
+    blank = (
+        torch.full((batch,), GATE_NONE),
+        undefined,
+        undefined,
+        undefined.view(-1, 1, 1),
+        torch.zeros(batch),
+    )
     states, found = [latent.h], []
     for _ in range(steps):
         a_h = operator.command(latent.features).clamp(-1, 1)
@@ -152,11 +177,20 @@ def drive(
         action, record, planned = helper.decide(latent, a_h, operator)
         latent = world.imagine(latent, action, gumbel(truth, world.noise_size))
         gates = blank[:3] if record is None else (record.gate, record.g_cost, record.delta_g)
-        plans = blank[3:] if planned is None else (planned.residuals, planned.case2.to(torch.float32).mean(-1))
-        found.append((a_h, action, world.reward(latent), world.inside(latent), *gates, *plans, alive))
+        plans = (
+            blank[3:]
+            if planned is None
+            else (planned.residuals, planned.case2.to(torch.float32).mean(-1))
+        )
+        found.append(
+            (a_h, action, world.reward(latent), world.inside(latent), *gates, *plans, alive)
+        )
         alive = alive & (world.continues(latent) > 0)
         states.append(latent.h)
-    return Drive(torch.stack(states).numpy(), *(torch.stack(column).numpy() for column in zip(*found, strict=True)))
+    return Drive(
+        torch.stack(states).numpy(),
+        *(torch.stack(column).numpy() for column in zip(*found, strict=True)),
+    )
 
 
 @torch.inference_mode()
@@ -171,7 +205,8 @@ def imagined(
     plan: Tensor | None = None,
     seed: int = 0,
 ) -> Array:
-    """K imagined rollouts from one row, of the driver alone as the safety gate sees them, or of a plan and him (Eq. 13).
+    """K imagined rollouts from one row, of the driver alone as the safety gate sees them, or of a
+    plan and him (Eq. 13).
 
     Args:
         world: what is imagined.
@@ -188,7 +223,11 @@ def imagined(
     """
     source = [np.random.default_rng(seed)]
     gusts = gumbel(source, horizon, copies, world.noise_size)[0]  # [H, K, Z]
-    forked = operator.fork(torch.zeros(1, dtype=torch.long), copies, DrawnNoise(uniform(source, horizon, copies, operator.draws)[0]))
+    forked = operator.fork(
+        torch.zeros(1, dtype=torch.long),
+        copies,
+        DrawnNoise(uniform(source, horizon, copies, operator.draws)[0]),
+    )
     latent, now = latent.expand_rows(copies), a_h.repeat_interleave(copies, 0)
     states = [latent.h]
     for k in range(horizon):

@@ -1,11 +1,14 @@
-"""Does an operator without assistance do worse at every severity? The simulated operators are made so; this checks it.
+"""Does an operator without assistance do worse at every severity? The simulated operators are made
+so; this checks it.
 
 python docs/examples/severities.py                      the published cells of specs/severity.yaml
-python docs/examples/severities.py SPEC.yaml RESULTS    those of a run; `wasp run SPEC.yaml -m human -m expert` computes no others
+python docs/examples/severities.py SPEC.yaml RESULTS    those of a run; `wasp run SPEC.yaml -m human
+-m expert` computes no others
 
-An operator is accepted if its return falls from every severity to the next, in the order of the spec, and its severity `moderate` (if there
-is one) keeps at most three quarters of the expert's return. Worlds of the same seed and episode are the same, so episodes are compared in
-pairs. What speaks against the rule by less than two standard errors of these pairs is undecided.
+An operator is accepted if its return falls from every severity to the next, in the order of the
+spec, and its severity `moderate` (if there is one) keeps at most three quarters of the expert's
+return. Worlds of the same seed and episode are the same, so episodes are compared in pairs. What
+speaks against the rule by less than two standard errors of these pairs is undecided.
 """
 
 from __future__ import annotations
@@ -45,12 +48,18 @@ def against(mean: float, error: float) -> str:
 
 
 def returns_of(spec: Path, folder: Path) -> dict[tuple[str, str, float | None], Returns]:
-    """Read the returns of Human-only and of the Expert, by task, operator and value of the severity; the Expert has no value."""
+    """Read the returns of Human-only and of the Expert, by task, operator and value of the
+    severity; the Expert has no value.
+    """
     laid_out = lay_out_over(load(spec).spec, Layout(folder), str(PUBLISHED))
     keys = [node.key for cell, node in laid_out.cells if cell.method in ("human", "expert")]
     found: dict[tuple[str, str, float | None], Returns] = {}
     results = wasp_cli.results(folder)
-    for row in wasp_cli.results(folder, spec=results.specs).episodes(key=keys, columns=["episode", "return"]).to_pylist():
+    for row in (
+        wasp_cli.results(folder, spec=results.specs)
+        .episodes(key=keys, columns=["episode", "return"])
+        .to_pylist()
+    ):
         returns = found.setdefault((row["task"], row["operator"], row["value"]), {})
         returns[row["seed"], row["episode"]] = row["return"]
     return found
@@ -62,16 +71,31 @@ def check(spec: Path, folder: Path) -> Iterator[tuple[str, str, str, str]]:
     for task in asked.tasks:
         expert = found[task, UNIMPAIRED, None]
         for operator, severities in asked.operators.items():
-            levels = {name: found[task, operator, value] for name, value in severities.items() if (task, operator, value) in found}
-            verdicts = [against(*difference(severer, milder)) for milder, severer in pairwise(levels.values())]
+            levels = {
+                name: found[task, operator, value]
+                for name, value in severities.items()
+                if (task, operator, value) in found
+            }
+            verdicts = [
+                against(*difference(severer, milder))
+                for milder, severer in pairwise(levels.values())
+            ]
             if MODERATE in levels:
                 verdicts.append(against(*difference(levels[MODERATE], expert, KEPT)))
-            worst = next((word for word in ("not accepted", "undecided") if word in verdicts), "accepted")
-            told = [f"{name} {np.mean(list(returns.values())):.1f}" for name, returns in {"expert": expert, **levels}.items()]
+            worst = next(
+                (word for word in ("not accepted", "undecided") if word in verdicts), "accepted"
+            )
+            told = [
+                f"{name} {np.mean(list(returns.values())):.1f}"
+                for name, returns in {"expert": expert, **levels}.items()
+            ]
             yield task, operator, worst, ", ".join(told)
 
 
 if __name__ == "__main__":
-    arguments = [Path(argument) for argument in sys.argv[1:]] or [ROOT / "specs" / "severity.yaml", PUBLISHED]
+    arguments = [Path(argument) for argument in sys.argv[1:]] or [
+        ROOT / "specs" / "severity.yaml",
+        PUBLISHED,
+    ]
     for line in check(*arguments):
         print("  ".join(line))

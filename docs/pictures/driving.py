@@ -1,4 +1,5 @@
-"""Takes the pictures of `wasp drive` for the docs, with the real page in a real Chromium: `python docs/pictures/driving.py`.
+"""Takes the pictures of `wasp drive` for the docs, with the real page in a real Chromium: `python
+docs/pictures/driving.py`.
 
 It needs Chromium on the path, the extra `drive`, and the published models; a few minutes.
 """
@@ -18,7 +19,9 @@ sys.path.insert(0, str(ROOT))
 
 
 def main() -> None:
-    """Drive a practice episode and one condition of the study, and a free drive with everything shown."""
+    """Drive a practice episode and one condition of the study, and a free drive with everything
+    shown.
+    """
     from tests.drive.browser import chromium
 
     with tempfile.TemporaryDirectory() as folder:
@@ -28,17 +31,24 @@ def main() -> None:
                 take(browser, results)
     for path in Path(__file__).parent.glob("driving_*.png"):
         with Image.open(path) as image:
-            # Thin lines keep their colours: few pixels have them, so that the most frequent colours would leave them out.
-            image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+            # Thin lines keep their colours: few pixels have them, so that the most frequent colours
+            # would leave them out.
+            image.convert("RGB").quantize(
+                256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+            ).save(path, optimize=True)
 
 
-def served(what: str, results: Path, participant: int, method: str | None, episodes: int, speed: float):
+def served(
+    what: str, results: Path, participant: int, method: str | None, episodes: int, speed: float
+):
     """Prepare a session and serve it; returns server and clock."""
     from wasp_cli.drive.command import Wanted
     from wasp_cli.drive.desk import Desk
     from wasp_cli.drive.server import Server
 
-    session = Wanted(what, method, participant, episodes, None, speed, (), None, (), results, 1).prepared()
+    session = Wanted(
+        what, method, participant, episodes, None, speed, (), None, (), results, 1
+    ).prepared()
     desk = Desk()
     server = Server(desk)
     server.start()
@@ -98,7 +108,10 @@ def study(browser, results: Path) -> None:
         tab.until("phase === 'driving'")
         tab.until("phase !== 'driving'", 90)
     tab.until("phase === 'form'", 60)
-    tab.value("document.querySelectorAll('.scale input').forEach((each, i) => { each.value = 20 + 9 * i; each.oninput(); })")
+    tab.value(
+        "document.querySelectorAll('.scale input').forEach((each, i) => { each.value = 20 "
+        "+ 9 * i; each.oninput(); })"
+    )
     picture(tab, "questions")
     tab.close()
     server.stop()

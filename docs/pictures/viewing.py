@@ -1,6 +1,8 @@
-"""Takes the pictures of `wasp view` for the docs, with the real pages in a real Chromium: `python docs/pictures/viewing.py`.
+"""Takes the pictures of `wasp view` for the docs, with the real pages in a real Chromium: `python
+docs/pictures/viewing.py`.
 
-It needs Chromium on the path, the extra `web` and the packages for tests, and reads published results; a minute.
+It needs Chromium on the path, the extra `web` and the packages for tests, and reads published
+results; a minute.
 """
 
 from __future__ import annotations
@@ -43,7 +45,11 @@ def main() -> None:
         tab.size(1280, 1000)
         tab.open(server.opening(f"{EPISODE}?step={step}"))
         tab.until(f"document.querySelector('.step').dataset.shown === '{step}'")
-        tab.until("document.querySelector('.told').textContent === '' && document.querySelector('.screen img').naturalWidth > 0", 120)
+        tab.until(
+            "document.querySelector('.told').textContent === '' && "
+            "document.querySelector('.screen img').naturalWidth > 0",
+            120,
+        )
         picture(tab, "step")
         tab.close()
         server.stop()
@@ -54,7 +60,9 @@ def picture(tab, name: str) -> None:
     path = Path(__file__).with_name(f"viewing_{name}.png")
     tab.picture(path)
     with Image.open(path) as image:
-        image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+        image.convert("RGB").quantize(
+            256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+        ).save(path, optimize=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Decisions of WASP, and the floating-point operations of their matrix products.
 
-Untrained weights: the arithmetic does not depend on them. Both gates are opened or shut by their thresholds, so that each kind of decision
-is timed as it runs in the closed loop.
+Untrained weights: the arithmetic does not depend on them. Both gates are opened or shut by their
+thresholds, so that each kind of decision is timed as it runs in the closed loop.
 """
 
 import time
@@ -50,11 +50,22 @@ class Configs(NamedTuple):
 def configs(planner: str) -> Configs:
     """Return the configurations of the preset `cpu`; of `paper` with the paper's search."""
     operators = {"laggy": {"moderate": 0.7}}
-    spec = validate({"name": "bench", "tasks": ["goal1"], "methods": ["wasp"], "operators": operators, "seeds": [0]})
+    spec = validate(
+        {
+            "name": "bench",
+            "tasks": ["goal1"],
+            "methods": ["wasp"],
+            "operators": operators,
+            "seeds": [0],
+        }
+    )
     wasp = cast(WASPConfig, spec.method("wasp"))
     if planner == "paper":
         wasp = WASPConfig.model_validate({**wasp.model_dump(), **PAPER})
-    models = cast(WorldModelConfig, spec.stage("world_model")), cast(PoliciesConfig, spec.stage("policies"))
+    models = (
+        cast(WorldModelConfig, spec.stage("world_model")),
+        cast(PoliciesConfig, spec.stage("policies")),
+    )
     return Configs(*models, cast(CriticsConfig, spec.stage("critics")), wasp, spec.returns)
 
 
@@ -62,16 +73,27 @@ class Setup:
     """An assistant of untrained models and a laggy operator."""
 
     def __init__(
-        self, world_model: WorldModelConfig, policies: PoliciesConfig, critics: CriticsConfig, wasp: WASPConfig, returns: ReturnsConfig,
+        self,
+        world_model: WorldModelConfig,
+        policies: PoliciesConfig,
+        critics: CriticsConfig,
+        wasp: WASPConfig,
+        returns: ReturnsConfig,
         batch: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         torch.manual_seed(0)
         model = build(world_model, ACTIONS).eval().requires_grad_(False)
-        values = LatentCritics(model.feature_size, critics.hidden, critics.bins, critics.reach).requires_grad_(False)
+        values = LatentCritics(
+            model.feature_size, critics.hidden, critics.bins, critics.reach
+        ).requires_grad_(False)
         skills = Skills([1.0], model.feature_size, policies.hidden, ACTIONS).requires_grad_(False)
         context = OperatorContext(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
-        self.imagination = Imagination(model, values, skills.expert, returns.gamma_r, returns.gamma_c, returns.lam)
-        self.operator: Operator = build_operator("laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch)
+        self.imagination = Imagination(
+            model, values, skills.expert, returns.gamma_r, returns.gamma_c, returns.lam
+        )
+        self.operator: Operator = build_operator(
+            "laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch
+        )
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)
         self.assistant = WASP(wasp, self.imagination, {}, UNKNOWN)
@@ -81,7 +103,8 @@ class Setup:
     def decision(self, kind: str, *, reference: bool = False) -> Callable[[], Any]:
         """Return a call that makes one decision of a kind, each time the same one.
 
-        `reference`: by the world model's own steps, every one-hot row a product, whose floating-point operations are counted.
+        `reference`: by the world model's own steps, every one-hot row a product, whose
+        floating-point operations are counted.
         """
         assistant = self.reference if reference else self.assistant
         seeds = list(range(self.batch))
@@ -96,7 +119,9 @@ class Setup:
 
 
 def products(setup: Setup, kind: str) -> int:
-    """Count the floating-point operations of a decision's matrix products, as the world model's own steps multiply."""
+    """Count the floating-point operations of a decision's matrix products, as the world model's
+    own steps multiply.
+    """
     with FlopCounterMode(display=False) as counter:
         setup.decision(kind, reference=True)()
     total: int = counter.get_total_flops()
@@ -104,7 +129,9 @@ def products(setup: Setup, kind: str) -> int:
 
 
 def matrix_rate(shapes: Sequence[tuple[int, int, int]] = ROOF_SHAPES, repeats: int = 20) -> float:
-    """Measure the floating-point operations per second of plain matrix products [M, K] x [K, N]: the fastest shape."""
+    """Measure the floating-point operations per second of plain matrix products [M, K] x [K,
+    N]: the fastest shape.
+    """
     best = 0.0
     for m, k, n in shapes:
         a, b, out = torch.randn(m, k), torch.randn(k, n), torch.empty(m, n)

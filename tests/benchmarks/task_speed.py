@@ -21,7 +21,9 @@ COLUMNS = ("task", "env steps/s, batch 32", "env steps/s, single", "image pairs/
 
 
 def measure(name: str) -> tuple[float, float, float, float]:
-    """Measure one task: env steps per second in a batch and of one episode, pairs of images per second, and a reset in ms."""
+    """Measure one task: env steps per second in a batch and of one episode, pairs of images per
+    second, and a reset in ms.
+    """
     seen, one = made(name, 16, ("pixels",), 4), made(name, 1, (), 1)
     camera, scene, seeds = Camera(seen.appearance()), seen.scene(np.arange(16)), iter(range(10**9))
     return (
@@ -35,7 +37,9 @@ def measure(name: str) -> tuple[float, float, float, float]:
 def made(name: str, batch: int, observe: Sequence[str], repeat: int) -> Navigation:
     task = make_task(name, batch, action_repeat=repeat, observe=observe)
     if not isinstance(task, Navigation):
-        raise WaspError(f"task '{name}' cannot be driven by the script", "measure one of the built-in tasks")
+        raise WaspError(
+            f"task '{name}' cannot be driven by the script", "measure one of the built-in tasks"
+        )
     task.reset(range(batch))
     return task
 

@@ -1,4 +1,6 @@
-"""A decision of WASP beside the same floating-point operations as plain matrix products, measured in the same run."""
+"""A decision of WASP beside the same floating-point operations as plain matrix products,
+measured in the same run.
+"""
 
 import os
 

@@ -1,4 +1,6 @@
-"""Reading cells for a report, as a ratio to what has to be read at least, measured in the same run."""
+"""Reading cells for a report, as a ratio to what has to be read at least, measured in the same
+run.
+"""
 
 import json
 import subprocess
@@ -22,7 +24,9 @@ def many_cells(tmp_path_factory) -> Path:
 def measured(*arguments: object) -> dict[str, float]:
     """What `tests.benchmarks.many` prints, in a process of its own."""
     command = [sys.executable, "-m", "tests.benchmarks.many", *map(str, arguments)]
-    found: dict[str, float] = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout)
+    found: dict[str, float] = json.loads(
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    )
     return found
 
 

@@ -1,8 +1,10 @@
 """What nodes take, as `wasp plan` estimates from it: the figures of `wasp_cli/plan/times.json`.
 
-python -m tests.benchmarks.times RESULTS...                        of results computed on this machine, while nothing else ran
-python -m tests.benchmarks.times --published specs/table1.yaml   of what is published of a spec: the least time of each kind of node,
-                                                                   since other work ran beside most of them
+python -m tests.benchmarks.times RESULTS...                        of results computed on this
+machine, while nothing else ran python -m tests.benchmarks.times --published specs/table1.yaml   of
+what is published of a spec: the least time of each kind of node,
+                                                                   since other work ran beside most
+                                                                   of them
 """
 
 import json
@@ -35,7 +37,10 @@ def times(folders: Sequence[Path]) -> Any:
     return figures_of(found.values())
 
 
-def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]], typical: Callable[[list[float]], float] = median) -> dict[str, Any]:
+def figures_of(
+    manifests: Iterable[tuple[str, Mapping[str, Any]]],
+    typical: Callable[[list[float]], float] = median,
+) -> dict[str, Any]:
     """Return the figures of what was computed on this machine.
 
     Args:
@@ -47,8 +52,13 @@ def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]], typical: Call
         kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
         if "earlier" not in provenance:  # what took rows over says nothing of its like
             seconds = float(provenance["seconds"]) / estimates.units(kind, manifest["config"])
-            times.setdefault(preset, {}).setdefault(estimates.figures_like(kind, manifest["task"], axes)[0], []).append(seconds)
-    seconds_of = {preset: {name: _short(typical(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
+            times.setdefault(preset, {}).setdefault(
+                estimates.figures_like(kind, manifest["task"], axes)[0], []
+            ).append(seconds)
+    seconds_of = {
+        preset: {name: _short(typical(values)) for name, values in sorted(found.items())}
+        for preset, found in times.items()
+    }
     return {"speed": _short(estimates.speed()), "seconds": seconds_of}
 
 
@@ -57,7 +67,13 @@ def published(spec: Path) -> Any:
     loaded = load(spec).spec
     grid = lay_out_over(loaded, Layout(Path("results")), "published")
     reused = [reused.offer for reused in grid.reused.values()]
-    return figures_of([(loaded.preset, read_manifest(Layout(Path("results/published")), offer.kind, offer.key)) for offer in reused], min)
+    return figures_of(
+        [
+            (loaded.preset, read_manifest(Layout(Path("results/published")), offer.kind, offer.key))
+            for offer in reused
+        ],
+        min,
+    )
 
 
 def _short(number: float) -> float:
@@ -65,5 +81,9 @@ def _short(number: float) -> float:
 
 
 if __name__ == "__main__":
-    made = published(Path(sys.argv[2])) if sys.argv[1] == "--published" else times([Path(folder) for folder in sys.argv[1:]])
+    made = (
+        published(Path(sys.argv[2]))
+        if sys.argv[1] == "--published"
+        else times([Path(folder) for folder in sys.argv[1:]])
+    )
     print(json.dumps(made, indent=1))

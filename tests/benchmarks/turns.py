@@ -18,10 +18,13 @@ def running(*commands: Sequence[object]) -> Iterator[list[subprocess.Popen[str]]
     processes = [
         subprocess.Popen(
             [sys.executable, *map(str, [HERE / "tests/benchmarks" / str(script), *arguments])],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
         )
         for script, *arguments in commands
-    ]  # fmt: skip
+    ]
     try:
         for process in processes:
             answer(process)

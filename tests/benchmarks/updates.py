@@ -1,6 +1,8 @@
-"""Updates of a world model at the sizes of `cpu`, on random images: of this project (any checkout of it) or of dreamerv3-torch.
+"""Updates of a world model at the sizes of `cpu`, on random images: of this project (any checkout
+of it) or of dreamerv3-torch.
 
-`python updates.py wasp|dreamer CHECKOUT`: for every line that it reads it trains UPDATES times and writes the CPU time of one, in ms.
+`python updates.py wasp|dreamer CHECKOUT`: for every line that it reads it trains UPDATES times and
+writes the CPU time of one, in ms.
 """
 
 import sys
@@ -48,13 +50,24 @@ def wasp(report: Any) -> None:
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as work:
         learning.train(
-            model, recording, rows, config, config.updates, 0, Path(work), lambda *_: report(),
-            readout=readout, mirror=matrix, privileged_mirror=turned,
-        )  # fmt: skip
+            model,
+            recording,
+            rows,
+            config,
+            config.updates,
+            0,
+            Path(work),
+            lambda *_: report(),
+            readout=readout,
+            mirror=matrix,
+            privileged_mirror=turned,
+        )
 
 
 def dreamer(report: Any) -> None:
-    """The update of dreamerv3-torch's world model with the sizes of ours; it decodes every step and imagines nothing."""
+    """The update of dreamerv3-torch's world model with the sizes of ours; it decodes every step
+    and imagines nothing.
+    """
     # What its tools import beside the update.
     sys.modules["torch.utils.tensorboard"] = types.SimpleNamespace(SummaryWriter=None)
     import models
@@ -67,17 +80,50 @@ def dreamer(report: Any) -> None:
     keep_memory()
     ours = WorldModelConfig()
     head = {"layers": 2, "dist": "symlog_disc", "loss_scale": 1.0, "outscale": 0.0}
-    images = {"mlp_keys": "$^", "cnn_keys": "image", "act": "SiLU", "norm": True, "cnn_depth": ours.depth, "kernel_size": 4, "minres": 4,
-              "mlp_layers": 2, "mlp_units": ours.head}  # fmt: skip
+    images = {
+        "mlp_keys": "$^",
+        "cnn_keys": "image",
+        "act": "SiLU",
+        "norm": True,
+        "cnn_depth": ours.depth,
+        "kernel_size": 4,
+        "minres": 4,
+        "mlp_layers": 2,
+        "mlp_units": ours.head,
+    }
     config = types.SimpleNamespace(
-        precision=32, device="cpu", num_actions=2, act="SiLU", norm=True, units=ours.head, initial="learned",
+        precision=32,
+        device="cpu",
+        num_actions=2,
+        act="SiLU",
+        norm=True,
+        units=ours.head,
+        initial="learned",
         encoder=images | {"symlog_inputs": True},
-        decoder=images | {"cnn_sigmoid": False, "image_dist": "mse", "vector_dist": "symlog_mse", "outscale": 1.0},
-        dyn_stoch=ours.variables, dyn_deter=ours.deter, dyn_hidden=ours.hidden, dyn_rec_depth=1, dyn_discrete=ours.classes,
-        dyn_mean_act="none", dyn_std_act="sigmoid2", dyn_min_std=0.1, unimix_ratio=ours.unimix, reward_head=head, cont_head=head,
-        grad_heads=["decoder", "reward", "cont"], model_lr=1e-4, opt_eps=1e-8, grad_clip=1000, weight_decay=0.0, opt="adam",
-        kl_free=1.0, dyn_scale=0.5, rep_scale=0.1, discount=0.997,
-    )  # fmt: skip
+        decoder=images
+        | {"cnn_sigmoid": False, "image_dist": "mse", "vector_dist": "symlog_mse", "outscale": 1.0},
+        dyn_stoch=ours.variables,
+        dyn_deter=ours.deter,
+        dyn_hidden=ours.hidden,
+        dyn_rec_depth=1,
+        dyn_discrete=ours.classes,
+        dyn_mean_act="none",
+        dyn_std_act="sigmoid2",
+        dyn_min_std=0.1,
+        unimix_ratio=ours.unimix,
+        reward_head=head,
+        cont_head=head,
+        grad_heads=["decoder", "reward", "cont"],
+        model_lr=1e-4,
+        opt_eps=1e-8,
+        grad_clip=1000,
+        weight_decay=0.0,
+        opt="adam",
+        kl_free=1.0,
+        dyn_scale=0.5,
+        rep_scale=0.1,
+        discount=0.997,
+    )
     space = spaces.Dict({"image": spaces.Box(0, 255, (64, 64, 6), np.uint8)})
     random = np.random.default_rng(0)
     print_, sys.stdout = sys.stdout, sys.stderr
@@ -85,10 +131,13 @@ def dreamer(report: Any) -> None:
     sys.stdout = print_
     shape = (BATCH, LENGTH)
     data = {
-        "image": random.integers(0, 256, (*shape, 64, 64, 6), np.uint8), "action": random.uniform(-1, 1, (*shape, 2)).astype(np.float32),
-        "reward": random.standard_normal(shape, np.float32), "is_first": np.zeros(shape, np.float32),
-        "is_terminal": np.zeros(shape, np.float32), "discount": np.ones(shape, np.float32),
-    }  # fmt: skip
+        "image": random.integers(0, 256, (*shape, 64, 64, 6), np.uint8),
+        "action": random.uniform(-1, 1, (*shape, 2)).astype(np.float32),
+        "reward": random.standard_normal(shape, np.float32),
+        "is_first": np.zeros(shape, np.float32),
+        "is_terminal": np.zeros(shape, np.float32),
+        "discount": np.ones(shape, np.float32),
+    }
     while True:
         for _ in range(UPDATES):
             model._train(dict(data))

@@ -1,4 +1,6 @@
-"""The command line from outside: exit codes, messages, what goes to which stream, what is imported."""
+"""The command line from outside: exit codes, messages, what goes to which stream, what is
+imported.
+"""
 
 import signal
 import subprocess
@@ -57,7 +59,8 @@ def test_version() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "package", "extra"), [(("view", "results/published"), "starlette", "web"), (("drive", "goal1"), "uvicorn", "drive")]
+    ("arguments", "package", "extra"),
+    [(("view", "results/published"), "starlette", "web"), (("drive", "goal1"), "uvicorn", "drive")],
 )
 def test_without_its_packages_a_command_says_what_to_install(
     arguments: tuple[str, ...], package: str, extra: str, monkeypatch: pytest.MonkeyPatch
@@ -88,26 +91,56 @@ def test_light_commands_import_nothing_heavy(layout: Layout, tmp_path: Path) -> 
     run_id = "20260501-120000-small-0001"
     write_run(layout, run_id, [planned(1, "a")], [(0.0, "run started", {})])
     layout.log(run_id, "a", key(1)).write_text("log\n")
-    manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
+    manifest = {
+        "label": "a",
+        "config": {"updates": 7},
+        "axes": {"method": "wasp", "method_config": {"horizon": 7}},
+        "files": {},
+    }
     write_record(layout.manifest("world_model", key(1)), manifest)
     commands = [
         (["--help"], [*heavy, "pydantic", "ruamel.yaml", "numpy"]),
-        *((arguments, heavy) for arguments in (
-            ["drive", "--help"], ["view", "--help"], ["note", "no such cell", "text", "--results", results],
-            ["plan", "specs/table1.yaml", "--results", "/nowhere"], ["check", "specs/table1.yaml"], ["schema"],
-            ["run", str(invalid), "--results", results], ["report", "/nowhere"],
-            ["status", results], ["logs", "a", "--results", results], ["show", "a", "--results", results], ["gc", results, "--dry-run"],
-        )),
-    ]  # fmt: skip
-    done = subprocess.run([sys.executable, "-c", LIGHT % commands], cwd=ROOT, capture_output=True, text=True, check=False)
+        *(
+            (arguments, heavy)
+            for arguments in (
+                ["drive", "--help"],
+                ["view", "--help"],
+                ["note", "no such cell", "text", "--results", results],
+                ["plan", "specs/table1.yaml", "--results", "/nowhere"],
+                ["check", "specs/table1.yaml"],
+                ["schema"],
+                ["run", str(invalid), "--results", results],
+                ["report", "/nowhere"],
+                ["status", results],
+                ["logs", "a", "--results", results],
+                ["show", "a", "--results", results],
+                ["gc", results, "--dry-run"],
+            )
+        ),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT % commands],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     told = [line for line in done.stdout.splitlines() if line.startswith("IMPORTED")]
     assert told == [f"IMPORTED {arguments} []" for arguments, _ in commands], done.stderr
 
 
-def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
-    methods = "methods: [human, ida, ida-least, ida-guarded, diffusion, csa, saferl, filter, reach, mpmi, wasp, printed, planner, expert]"
+def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(
+    fakes: Fakes, tmp_path: Path
+) -> None:
+    methods = (
+        "methods: [human, ida, ida-least, ida-guarded, diffusion, csa, saferl, filter, reach, "
+        "mpmi, wasp, printed, planner, expert]"
+    )
     spec, results = spec_with(tmp_path, methods, "methods: []"), tmp_path / "out"
-    spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"), encoding="utf-8")
+    spec.write_text(
+        spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"),
+        encoding="utf-8",
+    )
     assert here("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in here("plan", spec, "--results", results).stdout
     done = here("run", spec, "--results", results, "-j", "0", code=0)
@@ -130,10 +163,17 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
         ("name: smoke", "name: [", "not valid YAML"),
     ],
 )
-def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
+def test_bad_specs_end_with_3_and_a_place(
+    old: str, new: str, expected: str, tmp_path: Path
+) -> None:
     path = spec_with(tmp_path, old, new)
     for command in ("run", "plan", "check"):
-        done = here(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]), code=3)
+        done = here(
+            command,
+            path,
+            *([] if command == "check" else ["--results", tmp_path / "results"]),
+            code=3,
+        )
         assert expected in done.stderr
         assert f"error: {path}:" in done.stderr
         assert done.stdout == ""
@@ -148,15 +188,27 @@ def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp
         (["run", SMOKE, "--task", "goal7"], "unknown task of this spec 'goal7'"),
         (["plan", SMOKE, "--set", "seeds"], "--set #1: 'seeds' is not of the form key=value"),
         (["ablate", "--variant", "no-case"], "did you mean 'no-case2'?"),
-        (["ablate", "--variant", "no-case2", "--task", "goal"], "did you mean 'goal0', 'goal1' or 'goal2'?"),
+        (
+            ["ablate", "--variant", "no-case2", "--task", "goal"],
+            "did you mean 'goal0', 'goal1' or 'goal2'?",
+        ),
         (["ablate", "--variant", "no-case2", "--preset", "smok"], "did you mean 'smoke'?"),
     ],
 )
 def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: Path) -> None:
-    assert expected in here(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]), code=2).stderr
+    assert (
+        expected
+        in here(
+            *arguments,
+            *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]),
+            code=2,
+        ).stderr
+    )
 
 
-def test_a_folder_that_was_removed_under_the_shell_ends_with_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_was_removed_under_the_shell_ends_with_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     tmp_path.rmdir()
     assert "the current folder is not there any more" in here("status", code=2).stderr
@@ -166,11 +218,16 @@ def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for place in (tmp_path / "file", Path("/proc/results")):
         told = here("run", SMOKE, "--results", place, code=1).stderr
-        assert (told.startswith(f"error: cannot write results to '{place}'"), "--results DIR" in told) == (True, True)
+        assert (
+            told.startswith(f"error: cannot write results to '{place}'"),
+            "--results DIR" in told,
+        ) == (True, True)
 
 
 @pytest.mark.parametrize("record", ["plan.json", "spec.json"])
-def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, results: Path, tmp_path: Path) -> None:
+def test_one_damaged_run_does_not_hide_the_others(
+    record: str, fakes: Fakes, small_spec: Path, results: Path, tmp_path: Path
+) -> None:
     for path in (small_spec, written(tmp_path / "other.yaml", "name: small", "name: other")):
         loaded, layout, plan = prepared(path, results)
         new_run(layout, loaded, plan)
@@ -182,15 +239,23 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
     assert (results / "reports" / "other" / "report.md").is_file()
 
 
-def test_the_report_is_written_though_the_terminal_is_gone(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_is_written_though_the_terminal_is_gone(
+    small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    monkeypatch.setattr("wasp_cli.report.summarize.Report.terminal", Mock(side_effect=BrokenPipeError))
+    monkeypatch.setattr(
+        "wasp_cli.report.summarize.Report.terminal", Mock(side_effect=BrokenPipeError)
+    )
     with pytest.raises(BrokenPipeError):
-        show_report(layout, Recorded("run", loaded.spec, with_keys(plan.grid.cells), []), load_paper())
+        show_report(
+            layout, Recorded("run", loaded.spec, with_keys(plan.grid.cells), []), load_paper()
+        )
     assert (layout.reports("small") / "report.md").is_file()
 
 
-def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_cells_without_readable_rows_fail_the_run(
+    fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
     from wasp_cli.cli.run import run_and_report
     from wasp_cli.run.session import RunOptions
 
@@ -211,25 +276,47 @@ def test_debug_shows_the_traceback_before_the_command_and_after_it() -> None:
 def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(
     fakes: Fakes, small_spec: Path, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wasp_cli.cli.run.show_report", Mock(side_effect=NotWritten("the report cannot be written")))
+    monkeypatch.setattr(
+        "wasp_cli.cli.run.show_report", Mock(side_effect=NotWritten("the report cannot be written"))
+    )
     fakes.set(behave={"s1 critics": "refuse"})
     done = here("run", small_spec, "--results", results, "-j", "0", code=1)
-    assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
+    assert (
+        "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning "
+        "rate\n      log: " in done.stderr
+    )
     assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
     assert "the report cannot be written" in done.stderr
     log = done.stderr.partition("log: ")[2].split()[0]
     assert "the loss is not finite" in Path(log).read_text(encoding="utf-8")
     assert done.stdout == ""
-    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
+    monkeypatch.setattr(
+        "wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=())
+    )
     fakes.set()
-    assert "4 computed, 32 computed before" in here("run", small_spec, "--results", results, "-j", "0", code=0).stderr
+    assert (
+        "4 computed, 32 computed before"
+        in here("run", small_spec, "--results", results, "-j", "0", code=0).stderr
+    )
 
 
 @pytest.mark.parametrize("module", ["wasp_cli.console", "torch._C"])
 def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_path: Path) -> None:
-    """The signal comes when Python says that it has imported `module`; more is imported after each."""
-    command = [sys.executable, "-P", "-X", "importtime", "-c", "import wasp_cli.__main__ as program; program.main()", "doctor"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    """The signal comes when Python says that it has imported `module`; more is imported after
+    each.
+    """
+    command = [
+        sys.executable,
+        "-P",
+        "-X",
+        "importtime",
+        "-c",
+        "import wasp_cli.__main__ as program; program.main()",
+        "doctor",
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
     sent, said = False, []
     for line in process.stderr:
         if not line.startswith("import time:"):
@@ -242,7 +329,9 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
     assert (process.returncode, said) == (130, ["interrupted\n"])
 
 
-def test_ctrl_c_at_a_question_is_an_interruption(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ctrl_c_at_a_question_is_an_interruption(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr("wasp_cli.run.record.results_of", Mock(side_effect=typer.Abort))
     done = here("gc", tmp_path)
     assert (done.exit_code, done.stderr) == (130, "interrupted\n")
@@ -251,16 +340,26 @@ def test_ctrl_c_at_a_question_is_an_interruption(monkeypatch: pytest.MonkeyPatch
 def test_who_was_started_to_ignore_ctrl_c_goes_on(tmp_path: Path) -> None:
     """As under `nohup` in a script."""
     program = (
-        "import os, signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import wasp_cli.__main__ as program; "
+        "import os, signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import "
+        "wasp_cli.__main__ as program; "
         "os.kill(os.getpid(), signal.SIGINT); program.main()"
     )
-    done = subprocess.run([sys.executable, "-P", "-c", program, "--version"], capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program, "--version"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
     assert (done.returncode, done.stdout[:5]) == (0, "wasp ")
 
 
 def test_what_a_run_suggests_can_be_explained(monkeypatch):
     """Of the published cells one has no steps; another is not there."""
-    cells = [("wasp", "empty", "0f90b6fff576de2b8175"), ("wasp", "missing", "0" * 20), ("ida", "whole", "bc484850ba1f80f0a26a")]
+    cells = [
+        ("wasp", "empty", "0f90b6fff576de2b8175"),
+        ("wasp", "missing", "0" * 20),
+        ("ida", "whole", "bc484850ba1f80f0a26a"),
+    ]
     told: list[str] = []
     monkeypatch.setattr("wasp_cli.cli.run.plain", told.append)
     say_next(ROOT / "results" / "published", cells)

@@ -1,4 +1,6 @@
-"""What `--help` shows: all commands on one screen, and examples that can be typed after the quickstart."""
+"""What `--help` shows: all commands on one screen, and examples that can be typed after the
+quickstart.
+"""
 
 import os
 import re
@@ -31,7 +33,9 @@ COMMANDS = [[], *([name] for name in sorted(get_command(app).commands))]  # type
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_help_has_no_type_behind_a_switch_and_labels_that_the_quickstart_has(command: list[str], labels: set[str]) -> None:
+def test_help_has_no_type_behind_a_switch_and_labels_that_the_quickstart_has(
+    command: list[str], labels: set[str]
+) -> None:
     shown = run_here(*command, "--help", columns=200).stdout
     assert "--help" in shown
     assert "<bool>" not in shown
@@ -48,24 +52,33 @@ def test_all_commands_fit_on_a_screen_each_on_a_line(arguments: list[str]) -> No
     for name, line in listed(lines).items():
         assert re.search(rf" {name} +[A-Z].*[.]$", line), line
     options = next(line for line in lines if line.startswith("Options: "))
-    assert {"--debug", "--version", "--install-completion", "--help"} <= set(options.removeprefix("Options: ").split(", "))
+    assert {"--debug", "--version", "--install-completion", "--help"} <= set(
+        options.removeprefix("Options: ").split(", ")
+    )
 
 
 def test_the_list_has_every_command_once_and_begins_with_the_readme() -> None:
     names = [name for group in GROUPS.values() for name in group]
     assert sorted(names) == sorted(get_command(app).commands)  # type: ignore[attr-defined]
     assert len(set(names)) == len(names)
-    start = re.findall(r"^\$ wasp (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    start = re.findall(
+        r"^\$ wasp (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert names[: len(start)] == start == ["run", "report"]
 
 
 def listed(lines: list[str]) -> dict[str, str]:
     """The line of each command."""
     names = [name for group in GROUPS.values() for name in group]
-    return {name: next(line.rstrip() for line in lines if re.search(rf"(^| ) *{name} {{2,}}", line)) for name in names}
+    return {
+        name: next(line.rstrip() for line in lines if re.search(rf"(^| ) *{name} {{2,}}", line))
+        for name in names
+    }
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/running.md", "docs/commands.md", "docs/guide.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/running.md", "docs/commands.md", "docs/guide.md"]
+)
 def test_commands_of_the_pages_name_what_the_quickstart_has(page: str, labels: set[str]) -> None:
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
     assert not strangers("\n".join(line for line in lines if line.startswith("$ wasp")), labels)
@@ -77,7 +90,9 @@ def labels() -> set[str]:
 
 
 def strangers(text: str, labels: set[str]) -> set[str]:
-    """What an example names that is not there after the quickstart: another label, or a key, which differs on every machine."""
+    """What an example names that is not there after the quickstart: another label, or a key,
+    which differs on every machine.
+    """
     named = {*re.findall(r"['\"]([a-z]+\d s\d [^'\"]+)['\"]", text)}
     return (named - labels) | {*re.findall(r"\b(?=[a-f]*\d)(?=\d*[a-f])[0-9a-f]{8}\b", text)}
 
@@ -86,8 +101,14 @@ def strangers(text: str, labels: set[str]) -> set[str]:
 
 
 SHARED = [
-    (["run", "ablate", "sweep"], {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"}),
-    (["run", "plan", "ablate", "sweep", "publish", "clone"], {"--task", "--preset", "--set", "--results"}),
+    (
+        ["run", "ablate", "sweep"],
+        {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"},
+    ),
+    (
+        ["run", "plan", "ablate", "sweep", "publish", "clone"],
+        {"--task", "--preset", "--set", "--results"},
+    ),
     (["logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
 ]
 NO_PICTURES = ("--no-films", "--no-trained")
@@ -108,7 +129,9 @@ def results(written: Path, tmp_path: Path) -> Path:
 @pytest.mark.usefixtures("without_figures")
 def test_a_pipe_gets_every_column(results: Path) -> None:
     done = run_here("report", results, *NO_PICTURES, columns=None, code=0)
-    heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
+    heading = next(
+        line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line
+    )
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout
 
@@ -122,11 +145,17 @@ def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path)
 
 
 @pytest.mark.parametrize(("commands", "options"), SHARED, ids=lambda part: " ".join(sorted(part)))
-def test_commands_of_a_kind_have_the_same_options_with_the_same_words(commands: list[str], options: set[str]) -> None:
+def test_commands_of_a_kind_have_the_same_options_with_the_same_words(
+    commands: list[str], options: set[str]
+) -> None:
     texts: list[dict[str, tuple[str, str]]] = []
     for command in commands:
         parameters = get_command(app).commands[command].params  # type: ignore[attr-defined]
-        words = {parameter.opts[0]: (parameter.help, parameter.metavar) for parameter in parameters if parameter.opts[0] in options}
+        words = {
+            parameter.opts[0]: (parameter.help, parameter.metavar)
+            for parameter in parameters
+            if parameter.opts[0] in options
+        }
         assert words.keys() == options, command
         texts.append(words)
     assert all(words == texts[0] for words in texts)
@@ -156,7 +185,8 @@ HEAVY = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", "pyarrow
 WASP = (
     "import atexit, sys\n"
     "sys.argv[0] = 'wasp'\n"
-    f"atexit.register(lambda: print('HEAVY', [name for name in {HEAVY} if name in sys.modules], file=sys.stderr))\n"
+    f"atexit.register(lambda: print('HEAVY', [name for name in {HEAVY} if name in "
+    "sys.modules], file=sys.stderr))\n"
     "from wasp_cli.cli import main\n"
     "main()\n"
 )
@@ -164,15 +194,36 @@ WASP = (
 
 def test_a_shell_asks_through_its_environment_and_nothing_heavy_is_imported() -> None:
     line = "wasp run specs/smoke.yaml --set wasp.ca"
-    asked = {"_WASP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": "4", "PYTHONPATH": str(ROOT)}
+    asked = {
+        "_WASP_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": "4",
+        "PYTHONPATH": str(ROOT),
+    }
     command = [sys.executable, "-c", WASP]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False, env={**os.environ, **asked})
-    assert (done.returncode, done.stdout.split(), done.stderr) == (0, ["wasp.candidates="], "HEAVY []\n")
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+        env={**os.environ, **asked},
+    )
+    assert (done.returncode, done.stdout.split(), done.stderr) == (
+        0,
+        ["wasp.candidates="],
+        "HEAVY []\n",
+    )
 
 
 def offered(line: str) -> list[str]:
     """What bash is offered for the last word of a line, which may be empty."""
-    asked = {"_WASP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    asked = {
+        "_WASP_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(line.count(" ")),
+    }
     return CliRunner().invoke(app, [], env=asked).stdout.split()
 
 
@@ -195,13 +246,18 @@ def test_what_is_offered(line: str, names: list[str]) -> None:
     assert sorted(offered(line)) == sorted(names)
 
 
-def test_specs_are_offered_from_here_and_from_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_specs_are_offered_from_here_and_from_their_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("mine.yaml", "notes.txt", "specs/quick.yaml", "specs/deep/far.yaml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     assert offered("wasp run ") == ["mine.yaml", "specs/quick.yaml", *shipped_names()]
-    assert offered("wasp check mine.yaml s") == ["specs/quick.yaml", *(name for name in shipped_names() if name[0] == "s")]
+    assert offered("wasp check mine.yaml s") == [
+        "specs/quick.yaml",
+        *(name for name in shipped_names() if name[0] == "s"),
+    ]
     assert offered("wasp check specs/deep/") == ["specs/deep/far.yaml"]
     assert offered(f"wasp plan {tmp_path}/m") == [f"{tmp_path}/mine.yaml"]
 

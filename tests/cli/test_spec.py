@@ -37,17 +37,45 @@ def test_check_tells_machines_every_problem_of_every_file(good: Path) -> None:
     bad.write_text("extends: good.yaml\nname: bad\nsedes: [1]\npreset: smok\n", encoding="utf-8")
     assert checked(good, bad, good.parent / "absent.yaml", code=3) == [
         {"file": str(good), "ok": True, "cells": 2, "problems": []},
-        {"file": str(bad), "ok": False, "cells": None, "problems": [
-            {"file": str(bad), "line": 3, "column": 1, "message": "unknown key 'sedes'", "hint": "did you mean 'seeds'?",
-             "excerpt": "sedes: [1]"},
-            {"file": str(bad), "line": 4, "column": 9, "message": "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'",
-             "hint": "did you mean 'smoke'?", "excerpt": "preset: smok"},
-        ]},
-        {"file": str(good.parent / "absent.yaml"), "ok": False, "cells": None, "problems": [
-            {"file": str(good.parent / "absent.yaml"), "line": 1, "column": 1, "message": "no such file",
-             "hint": f"known: bad, good, {', '.join(shipped_names())}", "excerpt": None},
-        ]},
-    ]  # fmt: skip
+        {
+            "file": str(bad),
+            "ok": False,
+            "cells": None,
+            "problems": [
+                {
+                    "file": str(bad),
+                    "line": 3,
+                    "column": 1,
+                    "message": "unknown key 'sedes'",
+                    "hint": "did you mean 'seeds'?",
+                    "excerpt": "sedes: [1]",
+                },
+                {
+                    "file": str(bad),
+                    "line": 4,
+                    "column": 9,
+                    "message": "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'",
+                    "hint": "did you mean 'smoke'?",
+                    "excerpt": "preset: smok",
+                },
+            ],
+        },
+        {
+            "file": str(good.parent / "absent.yaml"),
+            "ok": False,
+            "cells": None,
+            "problems": [
+                {
+                    "file": str(good.parent / "absent.yaml"),
+                    "line": 1,
+                    "column": 1,
+                    "message": "no such file",
+                    "hint": f"known: bad, good, {', '.join(shipped_names())}",
+                    "excerpt": None,
+                },
+            ],
+        },
+    ]
 
 
 def test_a_problem_of_a_base_or_an_option_is_told_as_such(good: Path) -> None:
@@ -55,9 +83,14 @@ def test_a_problem_of_a_base_or_an_option_is_told_as_such(good: Path) -> None:
     over = good.parent / "over.yaml"
     over.write_text("extends: good.yaml\nname: over\n", encoding="utf-8")
     (entry,) = checked(over, "--set", "seeds=x", code=3)
-    assert [(problem["file"], problem["line"]) for problem in entry["problems"]] == [(str(good), 3), ("--set seeds=x", None)]
+    assert [(problem["file"], problem["line"]) for problem in entry["problems"]] == [
+        (str(good), 3),
+        ("--set seeds=x", None),
+    ]
     # People read once what is wrong with both.
-    assert run_here("check", good, over, columns=200, code=3).stderr.count("unknown task 'gaol1'") == 1
+    assert (
+        run_here("check", good, over, columns=200, code=3).stderr.count("unknown task 'gaol1'") == 1
+    )
 
 
 def test_errors_are_read_from_top_to_bottom(good: Path) -> None:

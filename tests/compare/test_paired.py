@@ -1,4 +1,6 @@
-"""Two evaluations of one cell: the test against every flip written out, and the corrections against their definitions."""
+"""Two evaluations of one cell: the test against every flip written out, and the corrections
+against their definitions.
+"""
 
 from itertools import product
 
@@ -20,12 +22,18 @@ def cell(rows: Floats, worlds: Floats | None = None) -> CellNumbers:
     episodes = {name: rows[:, i].astype(np.float64) for i, name in enumerate(MEASURES)}
     pooled = {name: float(values.mean()) for name, values in episodes.items()}
     place = np.arange(len(rows)) + 100.0 if worlds is None else worlds
-    return CellNumbers(IDENTITY, None, pooled, episodes | {"world": place, "decisions": np.ones(len(rows))})
+    return CellNumbers(
+        IDENTITY, None, pooled, episodes | {"world": place, "decisions": np.ones(len(rows))}
+    )
 
 
 def rows(seed: int, n: int, shift: float = 0.0) -> Floats:
     draws = np.random.default_rng(seed)
-    found: Floats = np.round(draws.normal(0, 1, (n, len(MEASURES))) * [5, 20, 0.1, 0.2, 1] + shift * np.array([1, 4, 0, 0, 0]), 3)
+    found: Floats = np.round(
+        draws.normal(0, 1, (n, len(MEASURES))) * [5, 20, 0.1, 0.2, 1]
+        + shift * np.array([1, 4, 0, 0, 0]),
+        3,
+    )
     return found
 
 
@@ -35,7 +43,10 @@ def by_every_flip(before: Floats, after: Floats) -> list[float]:
     size = [sum(value**2 for value in column) ** 0.5 for column in change.T]
 
     def standardised(signs: tuple[int, ...]) -> list[float]:
-        sums = [abs(sum(sign * value for sign, value in zip(signs, column, strict=True))) for column in change.T]
+        sums = [
+            abs(sum(sign * value for sign, value in zip(signs, column, strict=True)))
+            for column in change.T
+        ]
         return [total / scale if scale else 0.0 for total, scale in zip(sums, size, strict=True)]
 
     own = standardised((1,) * len(change))
@@ -47,7 +58,9 @@ def by_every_flip(before: Floats, after: Floats) -> list[float]:
 def test_p_values_against_every_flip_in_loops(n: int, shift: float) -> None:
     before, after = rows(1, n), rows(2, n, shift)
     found = paired_episodes(cell(before), cell(after))
-    assert [found.differences[name].p for name in MEASURES] == pytest.approx(by_every_flip(before, after))
+    assert [found.differences[name].p for name in MEASURES] == pytest.approx(
+        by_every_flip(before, after)
+    )
     assert (found.worlds, found.episodes, found.least) == (n, (n, n), 2.0 ** (1 - n))
     assert all(each.p >= found.least for each in found.differences.values())
 
@@ -72,7 +85,9 @@ def test_differences_and_intervals_are_those_of_the_bootstrap() -> None:
         estimate = difference_of([after], [before], name)
         each = found.differences[name]
         assert each.value == pytest.approx(estimate.value)
-        assert (each.interval.low, each.interval.high) == pytest.approx((estimate.interval.low, estimate.interval.high))
+        assert (each.interval.low, each.interval.high) == pytest.approx(
+            (estimate.interval.low, estimate.interval.high)
+        )
         assert (each.interval.unit, each.interval.clusters) == ("world", 9)
 
 
@@ -81,7 +96,10 @@ def test_only_worlds_in_common_are_paired_in_any_order() -> None:
     places = np.array([5.0, 3.0, 1.0, 4.0, 2.0, 9.0])
     order = np.array([2, 4, 1, 3, 0, 5])
     shuffled = cell(after[order], np.where(places[order] == 9, 77.0, places[order]))
-    found, plain = paired_episodes(cell(before, places), shuffled), paired_episodes(cell(before[:5]), cell(after[:5]))
+    found, plain = (
+        paired_episodes(cell(before, places), shuffled),
+        paired_episodes(cell(before[:5]), cell(after[:5])),
+    )
     assert (found.worlds, found.episodes) == (5, (6, 6))
     for name in MEASURES:
         assert found.differences[name].value == pytest.approx(plain.differences[name].value)
@@ -101,7 +119,9 @@ def holm(p: list[float]) -> list[float]:
     order = sorted(range(len(p)), key=lambda i: p[i])
     found = [0.0] * len(p)
     for step, i in enumerate(order):
-        found[i] = min(1.0, max((len(p) - earlier) * p[order[earlier]] for earlier in range(step + 1)))
+        found[i] = min(
+            1.0, max((len(p) - earlier) * p[order[earlier]] for earlier in range(step + 1))
+        )
     return found
 
 

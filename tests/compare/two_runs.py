@@ -19,9 +19,13 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
 SPEC: Mapping[str, Any] = {
-    "name": "tiny", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0, 1],
+    "name": "tiny",
+    "preset": "smoke",
+    "tasks": ["goal1"],
+    "methods": ["human", "wasp"],
+    "seeds": [0, 1],
     "operators": {"noisy": {"mild": 0.2}, "laggy": {"mild": 0.5}},
-}  # fmt: skip
+}
 RUN = "20260501-120000-tiny-0000"
 Make = Callable[[CellIdentity], list[Trajectory]]
 
@@ -31,7 +35,9 @@ def episodes(identity: CellIdentity, count: int = 8, risk: float = 0.1) -> list[
     return [invent(3 * e + 17 * identity.seed, e % 5, 0.2, risk) for e in range(count)]
 
 
-def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, Any] | None = None, **changes: Any) -> Side:
+def write_results(
+    folder: Path, make: Make = episodes, provenance: Mapping[str, Any] | None = None, **changes: Any
+) -> Side:
     """The results of a run whose every node was computed, as a worker would leave them."""
     layout = Layout(folder)
     layout.prepare()
@@ -55,9 +61,17 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
 
 def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        "kind": node.kind, "key": node.key, "label": node.label, "task": node.task, "seed": node.seed, "axes": dict(node.axes),
-        "config": dict(node.config), "settings": dict(node.settings), "sources": {"wasp_cli.tasks.base": "same"},
+        "kind": node.kind,
+        "key": node.key,
+        "label": node.label,
+        "task": node.task,
+        "seed": node.seed,
+        "axes": dict(node.axes),
+        "config": dict(node.config),
+        "settings": dict(node.settings),
+        "sources": {"wasp_cli.tasks.base": "same"},
         "upstream": {name: needed.key for name, needed in node.needs.items()},
         "upstream_kinds": {name: needed.kind for name, needed in node.needs.items()},
-        "summary": {}, "provenance": {"versions": {"torch": "2.13.0"}, "processor": "one", **provenance},
-    }  # fmt: skip
+        "summary": {},
+        "provenance": {"versions": {"torch": "2.13.0"}, "processor": "one", **provenance},
+    }

@@ -1,7 +1,8 @@
 """`python -m tests.conformance FOLDER`: hold the tasks against recordings of the reference package.
 
-Every `.npz` in the folder is checked; one line per file and quantity tells the worst error and the tolerance. The exit code is 1 when a
-quantity is out of tolerance or nothing could be checked, 2 on wrong usage. Recordings of other tasks are skipped.
+Every `.npz` in the folder is checked; one line per file and quantity tells the worst error and the
+tolerance. The exit code is 1 when a quantity is out of tolerance or nothing could be checked, 2 on
+wrong usage. Recordings of other tasks are skipped.
 """
 
 import json
@@ -22,7 +23,8 @@ from wasp_cli.tasks.race.task import HAZARD_RADIUS, Race
 from wasp_cli.tasks.race.task import SIDES as RACE_SIDES
 
 _RACE = CarTask("car", XY, Race, build_race, RACE_SIDES, accuracy=0.01, hazard_radius=HAZARD_RADIUS)
-# Under RK4 the two MuJoCo versions part when a contact begins within a step: one in seventy recorded steps, by 0.08 mm.
+# Under RK4 the two MuJoCo versions part when a contact begins within a step: one in seventy
+# recorded steps, by 0.08 mm.
 _FORMULA = CarTask("car_rk4", 1e-3, Formula, build_formula, FORMULA_SIDES, accuracy=0.08)
 _EPISODES: dict[str, Callable[[Recording], list[Check]]] = {
     "SafetyPointGoal1-v0": check_point_goal,
@@ -32,7 +34,9 @@ _EPISODES: dict[str, Callable[[Recording], list[Check]]] = {
 
 
 def checks_of(recording: Recording) -> Callable[[Recording], list[Check]] | None:
-    """Return the function that checks such a recording, or None when its task is not one of ours."""
+    """Return the function that checks such a recording, or None when its task is not one of
+    ours.
+    """
     if any(f"{prefix}_traj" in recording for prefix in ("point", "car", "car_rk4")):
         return _dynamics
     task = json.loads(str(recording["meta"])).get("task", "") if "meta" in recording else ""
@@ -57,11 +61,17 @@ def main(arguments: Sequence[str]) -> int:
             recording = {name: archive[name] for name in archive.files}
         run = checks_of(recording)
         if run is None:
-            print(f"{path.name:28s} skipped: there is no check for recordings of this task", flush=True)
+            print(
+                f"{path.name:28s} skipped: there is no check for recordings of this task",
+                flush=True,
+            )
             continue
         for check in run(recording):
             verdict = "ok" if check.ok else "FAILED"
-            line = f"{check.quantity:39s} worst {check.worst:9.2e}  tolerance {check.tolerance:7.1e}  of {check.compared:6d}  {verdict}"
+            line = (
+                f"{check.quantity:39s} worst {check.worst:9.2e}  tolerance "
+                f"{check.tolerance:7.1e}  of {check.compared:6d}  {verdict}"
+            )
             print(f"{path.name:28s} {line}", flush=True)
             failed += not check.ok
             done += 1

@@ -1,7 +1,8 @@
 """Goal1 against recordings of the reference package's SafetyPointGoal1-v0.
 
-Motion is compared one env step at a time from recorded states ("teacher-forced"): the turn servo is chaotic, so that two correct
-implementations drift apart within some 50 steps. T = steps of the recording, S = recorded states.
+Motion is compared one env step at a time from recorded states ("teacher-forced"): the turn servo is
+chaotic, so that two correct implementations drift apart within some 50 steps. T = steps of the
+recording, S = recorded states.
 """
 
 from typing import Any
@@ -10,21 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.conformance import comparison
-from tests.conformance.comparison import Check, Recording, check_ends, check_numbers, compare, errors, mean_ratio, meta_of, path_means
+from tests.conformance.comparison import (
+    Check,
+    Recording,
+    check_ends,
+    check_numbers,
+    compare,
+    errors,
+    mean_ratio,
+    meta_of,
+    path_means,
+)
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import quaternion_rotation, wrapped
 from wasp_cli.tasks.goal.model import HAZARD_RADIUS, build_model
 from wasp_cli.tasks.goal.task import Goal
 
 XY, YAW, VASE = 2e-5, 5e-5, 2e-3
-"""m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
+"""m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it
+is hit.
+"""
 
 _Snapshot = dict[str, NDArray[Any]]
 
 
 def check_point_goal(recording: Recording) -> list[Check]:
     """Check layout, motion, reward, cost, observations and goals of one recorded episode."""
-    return _numbers(recording) + _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
+    return (
+        _numbers(recording)
+        + _layout(recording)
+        + _motion(recording)
+        + _observations(recording)
+        + _goals(recording)
+    )
 
 
 def _numbers(r: Recording) -> list[Check]:
@@ -44,7 +63,9 @@ def _layout(r: Recording) -> list[Check]:
     }
     turned = quaternion_rotation(start["bodies"][0, :, 3:])
     yaw = wrapped(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) - r["layout_vases_yaw"])
-    checks = [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
+    checks = [
+        compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()
+    ]
     return [*checks, compare("layout vases_yaw", yaw, np.zeros_like(yaw), comparison.ANGLE)]
 
 
@@ -66,14 +87,18 @@ def _motion(r: Recording) -> list[Check]:
         compare("xy after one step", qpos[:, :2], r["xy"][index], XY),
         compare("yaw after one step", turn, np.zeros_like(turn), YAW),
         compare("vase xy after one step", after["bodies"][:, 0, :2], r["vases_xy"][index, 0], VASE),
-        *errors(("reward, vase untouched", off, ~hit, comparison.REWARD), ("reward, vase hit", off, hit, XY)),
+        *errors(
+            ("reward, vase untouched", off, ~hit, comparison.REWARD),
+            ("reward, vase hit", off, hit, XY),
+        ),
         compare("cost", step.cost_env, r["cost"][index], 0.0),
         compare("goal met", step.goals, r["goal_met"][index], 0.0),
     ]
 
 
 def _observations(r: Recording) -> list[Check]:
-    # An observation after action t belongs to the state before action t + 1, where that was recorded too.
+    # An observation after action t belongs to the state before action t + 1, where that was
+    # recorded too.
     index, seen = r["state_idx"].astype(np.intp), r["obs_idx"].astype(np.intp)
     which = np.flatnonzero(np.isin(seen + 1, index))
     if not which.size:
@@ -91,13 +116,22 @@ def _observations(r: Recording) -> list[Check]:
     checks, start = [], 0
     for name, size in zip(meta["obs_keys"], meta["obs_dims"], strict=True):
         part = slice(start, start + size)
-        checks.append(compare(name, ours[:, part], theirs[:, part], comparison.LIDAR if name.endswith("lidar") else comparison.SENSORS))
+        checks.append(
+            compare(
+                name,
+                ours[:, part],
+                theirs[:, part],
+                comparison.LIDAR if name.endswith("lidar") else comparison.SENSORS,
+            )
+        )
         start += size
     return checks
 
 
 def _goals(r: Recording) -> list[Check]:
-    """Step through the whole episode, each step from the recorded position; goals and their moves must agree exactly."""
+    """Step through the whole episode, each step from the recorded position; goals and their
+    moves must agree exactly.
+    """
     task = Goal(1, action_repeat=1, observe=())
     task.reset([meta_of(r)["seed"]])
     steps, goals = [], []
@@ -123,8 +157,14 @@ def _goals(r: Recording) -> list[Check]:
 
 
 def check_point_dynamics(recording: Recording) -> list[Check]:
-    """Check the agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
-    actions, qpos, qvel = recording["point_actions"], recording["point_qpos"], recording["point_qvel"]
+    """Check the agent alone under constant actions: single steps from recorded states, and
+    means over 100 steps.
+    """
+    actions, qpos, qvel = (
+        recording["point_actions"],
+        recording["point_qpos"],
+        recording["point_qvel"],
+    )
     count, steps = len(actions), qpos.shape[1] - 1
     single = _agents_alone(count * steps, qpos[:, :-1].reshape(-1, 3), qvel[:, :-1].reshape(-1, 3))
     single.step(np.repeat(actions, steps, axis=0))
@@ -141,13 +181,25 @@ def check_point_dynamics(recording: Recording) -> list[Check]:
     return [
         compare("point xy after one step", ours[..., :2], qpos[:, 1:, :2], XY),
         compare("point yaw after one step", ours[..., 2], qpos[:, 1:, 2], YAW),
-        compare("point mean speed / theirs", mean_ratio(length, their_length), np.ones(count), comparison.MEANS),
-        compare("point turn rate / theirs", mean_ratio(turned, their_turned), np.ones(count), comparison.MEANS),
+        compare(
+            "point mean speed / theirs",
+            mean_ratio(length, their_length),
+            np.ones(count),
+            comparison.MEANS,
+        ),
+        compare(
+            "point turn rate / theirs",
+            mean_ratio(turned, their_turned),
+            np.ones(count),
+            comparison.MEANS,
+        ),
     ]
 
 
 def _forced(r: Recording) -> tuple[Goal, _Snapshot]:
-    """A task with one row per recorded state, and the snapshot that puts every row into its state."""
+    """A task with one row per recorded state, and the snapshot that puts every row into its
+    state.
+    """
     index = r["state_idx"].astype(np.intp)
     task = Goal(len(index), action_repeat=1, observe=("state",))
     task.reset([meta_of(r)["seed"]] * len(index))

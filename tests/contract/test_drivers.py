@@ -1,4 +1,6 @@
-"""Every cost source of every task can be reached by a scripted driver, from an ordinary start and through actions alone."""
+"""Every cost source of every task can be reached by a scripted driver, from an ordinary start
+and through actions alone.
+"""
 
 from collections.abc import Callable
 

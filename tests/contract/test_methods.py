@@ -14,14 +14,22 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 ROWS, STEPS = 5, 4
-SIZES = {"horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2}
+SIZES = {
+    "horizon": 4,
+    "residual_steps": 2,
+    "candidates": 12,
+    "elites": 4,
+    "feasible": 4,
+    "iterations": 2,
+    "rollouts": 2,
+}
 SMALL: dict[str, dict[str, Any]] = {
     "wasp": {**SIZES, "tau_c": 1.2},
     "printed": {**SIZES, "probe": 12, "tau_c": 1.2},
     "ida-guarded": {**SIZES, "tau_c": 1.2},
     "mpmi": {"horizon": 4, "candidates": 12, "rollouts": 2, "tau_c": 1.9},
     "planner": {**SIZES, "tau_c": 1.2},
-}  # fmt: skip
+}
 OPTIONS: dict[str, list[dict[str, Any]]] = {
     "ida": [{"copilot": "diffusion"}],
     "diffusion": [{"last_noise": True}],
@@ -34,11 +42,19 @@ CASES += [(name, "full", settings) for name, several in OPTIONS.items() for sett
 
 def assistant(parts: Parts, name: str, variant: str, **changes: Any) -> Assistant:
     config = SMALL.get(name, {}) | changes
-    return build_assistant(name, config | ({"variant": variant} if len(METHODS[name].variants) > 1 else {}), parts)
+    return build_assistant(
+        name, config | ({"variant": variant} if len(METHODS[name].variants) > 1 else {}), parts
+    )
 
 
 def operator(parts: Parts, rows: list[int]) -> Operator:
-    return build_operator("laggy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([100 + r for r in rows]), len(rows))
+    return build_operator(
+        "laggy",
+        0.5,
+        OperatorContext(parts.skills.at, 2, 0.08),
+        EpisodeNoise([100 + r for r in rows]),
+        len(rows),
+    )
 
 
 @torch.inference_mode()
@@ -60,11 +76,15 @@ def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tenso
 
 
 @pytest.mark.parametrize(("name", "variant", "settings"), CASES)
-def test_decisions_have_their_bounds_and_shapes_come_again_and_leave_commands_alone_where_no_gate_fired(parts, name, variant, settings):
+def test_decisions_repeat_within_their_bounds_and_leave_commands_alone_where_no_gate_fired(
+    parts, name, variant, settings
+):
     made = assistant(parts, name, variant, **settings)
     commands, actions, decisions = drive(parts, made, list(range(ROWS)))
     assert torch.equal(actions, drive(parts, made, list(range(ROWS)))[1])
-    silent = torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]) == 0
+    silent = (
+        torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]) == 0
+    )
     assert torch.equal(actions[silent], commands[silent])
     assert actions.shape == commands.shape == (STEPS, ROWS, 2)
     assert torch.isfinite(actions).all()
@@ -93,8 +113,12 @@ def test_calibration_gives_finite_thresholds(parts, name):
     rows = 30
     latent = tiny_latents(rows, 0)
     zeros = torch.zeros(rows)
-    heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long(), zeros)
-    who = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
+    heldout = Heldout(
+        latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long(), zeros
+    )
+    who = Operator.build(
+        1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows
+    )
     with torch.inference_mode():
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)
     wanted = {"ida": "tau_q", "ida-guarded": "tau_q", "wasp": "tau_r", "printed": "tau_r"}.get(name)

@@ -4,15 +4,28 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import (
+    DrawnNoise,
+    EpisodeNoise,
+    Operator,
+    OperatorContext,
+    build_operator,
+)
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
 LADDER = {
-    "noisy": 0.4, "noisy-gaussian": 0.4, "noisy-burst": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24,
-    "delayed-noisy": 0.4, "reactive": 0.6,
-}  # fmt: skip
-REACTING = {"reactive"}  # those who go on otherwise after something else than their command was executed
+    "noisy": 0.4,
+    "noisy-gaussian": 0.4,
+    "noisy-burst": 0.4,
+    "laggy": 0.7,
+    "limited-skill": 0.25,
+    "reaction-time": 0.24,
+    "delayed-noisy": 0.4,
+    "reactive": 0.6,
+}
+# those who go on otherwise after something else than their command was executed
+REACTING = {"reactive"}
 NAMES = [*(name for name, info in OPERATORS.items() if info.simulated), UNIMPAIRED]
 ROWS, ACTION, STEPS = 4, 2, 12
 
@@ -22,7 +35,11 @@ def policy(features: Tensor) -> Tensor:
 
 
 def context() -> OperatorContext:
-    return OperatorContext(skill=lambda fraction: lambda f: policy(f) * fraction, action_size=ACTION, decision_seconds=0.08)
+    return OperatorContext(
+        skill=lambda fraction: lambda f: policy(f) * fraction,
+        action_size=ACTION,
+        decision_seconds=0.08,
+    )
 
 
 def make(name: str, seeds: list[int]) -> Operator:
@@ -54,7 +71,11 @@ def test_memory_is_cleared_at_the_start_of_an_episode(name):
     fresh = make(name, [1, 2, 3, 4])
     for key, value in used.memory.items():
         assert torch.equal(value[[0, 2]], fresh.memory[key][[0, 2]])
-    same = torch.equal(used.memory["queue"][1], fresh.memory["queue"][1]) if "queue" in used.memory else False
+    same = (
+        torch.equal(used.memory["queue"][1], fresh.memory["queue"][1])
+        if "queue" in used.memory
+        else False
+    )
     assert not same
 
 
@@ -88,7 +109,8 @@ def overridden(operator: Operator, seen: list[Tensor], by: float) -> Tensor:
 @pytest.mark.parametrize("name", NAMES)
 def test_only_those_who_react_go_on_otherwise_when_they_are_overridden(name):
     alone = commands(make(name, [1, 2, 3, 4]), features())
-    torch.testing.assert_close(overridden(make(name, [1, 2, 3, 4]), features(), 0.0), alone)  # as one who is told nothing
+    # as one who is told nothing
+    torch.testing.assert_close(overridden(make(name, [1, 2, 3, 4]), features(), 0.0), alone)
     found = overridden(make(name, [1, 2, 3, 4]), features(), 0.5)
     assert torch.equal(found[0], alone[0])
     assert torch.equal(found, alone) == (name not in REACTING)
@@ -131,10 +153,19 @@ def test_snapshots_and_forks_bring_the_same_commands_back_and_carry_the_reaction
 
 def test_a_mixture_tells_everybody_and_its_forks_and_snapshots_too():
     noise, seen = EpisodeNoise([1, 2, 3, 4]), features()
-    mixed = MixedOperator([build_operator(name, LADDER[name], context(), noise, ROWS) for name in ("laggy", "reactive")], noise, seed=0)
+    mixed = MixedOperator(
+        [
+            build_operator(name, LADDER[name], context(), noise, ROWS)
+            for name in ("laggy", "reactive")
+        ],
+        noise,
+        seed=0,
+    )
     mixed.choice = torch.tensor([0, 1, 1, 0])
     found = overridden(mixed, seen[:6], 0.5)
-    assert torch.equal(found[:, [1, 2]], overridden(make("reactive", [2, 3]), [f[1:3] for f in seen[:6]], 0.5))
+    assert torch.equal(
+        found[:, [1, 2]], overridden(make("reactive", [2, 3]), [f[1:3] for f in seen[:6]], 0.5)
+    )
     snapshot = mixed.snapshot()
     uniforms = torch.rand(6, ROWS, mixed.draws)
     fork = mixed.fork(torch.tensor([1, 2]), 1, DrawnNoise(uniforms[:, 1:3]))

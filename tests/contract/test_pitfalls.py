@@ -1,6 +1,8 @@
-"""What the published code of shared autonomy got wrong, each as a check of ours. Their other halves: `test_operators`, `test_methods`.
+"""What the published code of shared autonomy got wrong, each as a check of ours. Their other
+halves: `test_operators`, `test_methods`.
 
-The numbers are those of a list of defects found in the public repositories of IDA, Diffusion, RSA and their kin.
+The numbers are those of a list of defects found in the public repositories of IDA, Diffusion, RSA
+and their kin.
 """
 
 import json
@@ -20,7 +22,9 @@ from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 
 
 def test_the_reverse_chain_undoes_as_many_steps_as_were_taken():
-    """With the exact noise as its prediction, a chain without draws returns the action that was diffused."""
+    """With the exact noise as its prediction, a chain without draws returns the action that was
+    diffused.
+    """
     schedule = NoiseSchedule(50, 1e-4, 0.26)
     clean = torch.tensor([[0.3, -0.6]])
     for ratio in (0.1, 0.4, 0.6):
@@ -32,7 +36,9 @@ def test_the_reverse_chain_undoes_as_many_steps_as_were_taken():
             def __init__(self) -> None:
                 torch.nn.Module.__init__(self)
 
-            def forward(self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
+            def forward(
+                self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor
+            ) -> torch.Tensor:
                 levels.append(int(level))  # noqa: B023  (called within the loop)
                 alpha_bar = schedule.alpha_bar[level].unsqueeze(-1)
                 return (noisy - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
@@ -49,10 +55,18 @@ def test_noise_at_the_last_reverse_step_changes_every_command_and_is_off():
     torch.manual_seed(0)
     denoiser = Denoiser(3, 2, [8], 10)
     source = torch.Generator().manual_seed(1)
-    features, a_h, draws = (torch.randn(*shape, generator=source) for shape in ((6, 3), (6, 2), (5, 6, 2)))
-    clean, noisy = (assist(denoiser, schedule, features, a_h.clamp(-1, 1), 4, draws, last) for last in (False, True))
+    features, a_h, draws = (
+        torch.randn(*shape, generator=source) for shape in ((6, 3), (6, 2), (5, 6, 2))
+    )
+    clean, noisy = (
+        assist(denoiser, schedule, features, a_h.clamp(-1, 1), 4, draws, last)
+        for last in (False, True)
+    )
     free = clean.abs() < 1
-    torch.testing.assert_close((noisy - clean)[free & (noisy.abs() < 1)], (schedule.beta[0].sqrt() * draws[4])[free & (noisy.abs() < 1)])
+    torch.testing.assert_close(
+        (noisy - clean)[free & (noisy.abs() < 1)],
+        (schedule.beta[0].sqrt() * draws[4])[free & (noisy.abs() < 1)],
+    )
     assert not DiffusionConfig().last_noise
 
 
@@ -69,27 +83,38 @@ class Nearness(torch.nn.Module):
 
 
 @pytest.mark.parametrize("copilot", ["expert", "diffusion"])
-def test_ida_overrules_an_exploring_expert_in_one_decision_of_twenty_and_the_expert_itself_no_more(parts, copilot):
+def test_ida_overrules_an_exploring_expert_in_one_decision_of_twenty_and_the_expert_itself_no_more(
+    parts, copilot
+):
     rows = 1000
     latent, zeros = tiny_latents(rows, 3), torch.zeros(rows)
     expert = parts.skills.expert(latent.features)
     heldout = Heldout(latent, expert, zeros, zeros, zeros.long(), zeros)
-    operator = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
+    operator = Operator.build(
+        1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows
+    )
     made = build_assistant("ida", {"copilot": copilot, "ratio": 0.2}, parts)
     made.ensemble = Nearness(parts.skills.expert)
 
     def overruled(command: torch.Tensor) -> float:
         made.reset(torch.ones(rows, dtype=torch.bool), list(range(rows)))
-        return float((made.decide(latent, command, operator).action != command).any(-1).float().mean())
+        return float(
+            (made.decide(latent, command, operator).action != command).any(-1).float().mean()
+        )
 
     noise = torch.randn(rows, 2, generator=torch.Generator().manual_seed(9))
     with torch.inference_mode():
         found = made.calibrate(heldout, zeros, operator, 5)
-        unimpaired, exploring, bad = overruled(expert), overruled((expert + 0.25 * noise).clamp(-1, 1)), overruled(-expert.sign())
+        unimpaired, exploring, bad = (
+            overruled(expert),
+            overruled((expert + 0.25 * noise).clamp(-1, 1)),
+            overruled(-expert.sign()),
+        )
     assert found["expert_rate"] <= 0.05
     assert unimpaired <= (0.0 if copilot == "expert" else 0.05)
     assert exploring <= 0.08
-    assert exploring > 0.02 or copilot == "diffusion"  # an untrained denoiser proposes little that is better
+    # an untrained denoiser proposes little that is better
+    assert exploring > 0.02 or copilot == "diffusion"
     assert bad > 0.5
 
 
@@ -107,7 +132,9 @@ def test_the_thresholds_in_force_are_what_a_row_stores(artifacts, tmp_path):
     from wasp_cli.stages.evaluate import thresholds_of
 
     folders = {**artifacts, "calibration": tmp_path}
-    (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.7, "tau_c": 0.9}))
+    (folders["calibration"] / "calibration.json").write_text(
+        json.dumps({"tau_r": 0.1, "tau_q": 0.7, "tau_c": 0.9})
+    )
     parts = load_parts(folders, ReturnsConfig())
     assert thresholds_of(build_assistant("ida", {}, parts)).tau_q == 0.7
     assert thresholds_of(build_assistant("filter", {}, parts)).tau_c == 0.9

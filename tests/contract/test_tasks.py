@@ -1,4 +1,6 @@
-"""What every task promises, run over every entry of the registry, and over environments of others."""
+"""What every task promises, run over every entry of the registry, and over environments of
+others.
+"""
 
 import gymnasium
 import numpy as np
@@ -28,13 +30,18 @@ def name(request) -> str:
 
 
 def actions(task: VectorTask, steps: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(task.action_low, task.action_high, (steps, task.batch, task.action_size))
+    return np.random.default_rng(seed).uniform(
+        task.action_low, task.action_high, (steps, task.batch, task.action_size)
+    )
 
 
 def check_observation(task: VectorTask, seen: Observation) -> None:
     assert (seen.pixels.shape, seen.pixels.dtype) == ((task.batch, 6, 64, 64), np.uint8)
     assert (seen.state.shape, seen.state.dtype) == ((task.batch, task.state_size), np.float64)
-    assert (seen.privileged.shape, seen.privileged.dtype) == ((task.batch, task.privileged_size), np.float32)
+    assert (seen.privileged.shape, seen.privileged.dtype) == (
+        (task.batch, task.privileged_size),
+        np.float32,
+    )
     assert np.isfinite(seen.state).all()
     assert np.isfinite(seen.privileged).all()
 
@@ -64,8 +71,16 @@ def test_shapes_and_types(name):
 
 
 def test_only_what_was_asked_for_is_shown(name):
-    assert [field is None for field in make_task(name, 1, observe=("state",)).reset([0])] == [True, False, True]
-    assert [field is None for field in make_task(name, 1, observe=()).reset([0])] == [True, True, True]
+    assert [field is None for field in make_task(name, 1, observe=("state",)).reset([0])] == [
+        True,
+        False,
+        True,
+    ]
+    assert [field is None for field in make_task(name, 1, observe=()).reset([0])] == [
+        True,
+        True,
+        True,
+    ]
 
 
 def test_a_seed_names_an_episode(name):
@@ -107,7 +122,8 @@ def test_restore_is_bit_exact(name):
         assert [text(again.step(action)) for action in plan] == future
 
 
-@pytest.mark.parametrize("name", ["goal1", "race1", "formula1", FOREIGN[0]])  # levels are of the same classes, and episodes are long
+# levels are of the same classes, and episodes are long
+@pytest.mark.parametrize("name", ["goal1", "race1", "formula1", FOREIGN[0]])
 def test_a_finished_episode_stays_finished_until_its_own_reset(name):
     task = make_task(name, 2, observe=("state", "privileged"))
     task.reset([0, 1])
@@ -121,7 +137,13 @@ def test_a_finished_episode_stays_finished_until_its_own_reset(name):
     frozen = step.observation
     step = task.step(actions(task, 1)[0])
     assert step.observation.state[0].tobytes() == frozen.state[0].tobytes()
-    assert (step.reward[0], step.cost[0], step.cost_env[0], step.goals[0], step.env_steps[0]) == (0.0, False, 0, 0, 0)
+    assert (step.reward[0], step.cost[0], step.cost_env[0], step.goals[0], step.env_steps[0]) == (
+        0.0,
+        False,
+        0,
+        0,
+        0,
+    )
     assert step.env_steps[1] == task.action_repeat
 
     task.reset([3], rows=np.array([True, False]))
@@ -139,7 +161,9 @@ def test_resetting_a_row_leaves_the_others_alone(name):
     for ours, alone in zip(seen, fresh, strict=True):
         assert ours[1].tobytes() == alone[0].tobytes()
     action = actions(task, 1, seed=2)[0]
-    for ours, theirs in zip(task.step(action).observation, undisturbed.step(action).observation, strict=True):
+    for ours, theirs in zip(
+        task.step(action).observation, undisturbed.step(action).observation, strict=True
+    ):
         assert ours[[0, 2]].tobytes() == theirs[[0, 2]].tobytes()
 
 
@@ -147,7 +171,9 @@ def test_actions_are_clipped(name):
     task, other = make_task(name, 1, observe=("state",)), make_task(name, 1, observe=("state",))
     task.reset([0])
     other.reset([0])
-    assert text(task.step(np.full((1, task.action_size), 7.0))) == text(other.step(task.action_high[None]))
+    assert text(task.step(np.full((1, task.action_size), 7.0))) == text(
+        other.step(task.action_high[None])
+    )
 
 
 @pytest.mark.parametrize("wrong", ["shape", "nan", "infinite"])
@@ -158,7 +184,9 @@ def test_wrong_actions_are_errors_and_change_nothing(name, wrong):
     if wrong != "shape":
         action[1, 0] = np.nan if wrong == "nan" else np.inf
     before = task.snapshot()
-    with pytest.raises(TaskError, match=r"shape \(3" if wrong == "shape" else "row 1 is not finite"):
+    with pytest.raises(
+        TaskError, match=r"shape \(3" if wrong == "shape" else "row 1 is not finite"
+    ):
         task.step(action)
     assert all(array.tobytes() == before[key].tobytes() for key, array in task.snapshot().items())
 

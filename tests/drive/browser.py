@@ -1,4 +1,6 @@
-"""A real Chromium for tests, through its debugging protocol: press keys, look at the page, note every request."""
+"""A real Chromium for tests, through its debugging protocol: press keys, look at the page, note
+every request.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from typing import Any
 
 from websockets.sync.client import connect
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+CHROMIUM = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
 
 
 class Tab:
@@ -46,7 +55,9 @@ class Tab:
 
     def value(self, expression: str) -> Any:
         """Evaluate JavaScript on the page."""
-        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        found = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
@@ -61,28 +72,51 @@ class Tab:
                 if "navigated" not in str(error):
                     raise
             time.sleep(0.03)
-        raise AssertionError(f"never true: {expression}; the page says: {self.value('document.body.innerText')}")
+        raise AssertionError(
+            f"never true: {expression}; the page says: {self.value('document.body.innerText')}"
+        )
 
     def key(self, down: bool, code: str) -> None:
-        self.call("Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", code=code, key=code)
+        self.call(
+            "Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", code=code, key=code
+        )
 
     def click(self, text: str) -> None:
         """Press the button that says this."""
-        found = f"[...document.querySelectorAll('button')].find(b => b.textContent === {json.dumps(text)} && b.offsetParent !== null)"
+        found = (
+            "[...document.querySelectorAll('button')].find(b => b.textContent === "
+            f"{json.dumps(text)} && b.offsetParent !== null)"
+        )
         self.until(f"Boolean({found})")
         self.value(f"{found}.click()")
 
     def size(self, width: int, height: int) -> None:
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
 
     def picture(self, path: Path) -> None:
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        path.write_bytes(
+            base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        )
 
     def requests(self) -> list[str]:
         """Return the address of everything that the page has asked for."""
         self.value("1")
-        sent = [event["params"] for event in self.events if event.get("method") == "Network.requestWillBeSent"]
-        sockets = [event["params"] for event in self.events if event.get("method") == "Network.webSocketCreated"]
+        sent = [
+            event["params"]
+            for event in self.events
+            if event.get("method") == "Network.requestWillBeSent"
+        ]
+        sockets = [
+            event["params"]
+            for event in self.events
+            if event.get("method") == "Network.webSocketCreated"
+        ]
         return [event["request"]["url"] for event in sent] + [event["url"] for event in sockets]
 
     def close(self) -> None:
@@ -98,7 +132,10 @@ class Browser:
     def tab(self) -> Tab:
         from urllib.request import Request, urlopen
 
-        with urlopen(Request(f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"), timeout=300) as answer:
+        with urlopen(
+            Request(f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"),
+            timeout=300,
+        ) as answer:
             return Tab(json.load(answer)["webSocketDebuggerUrl"])
 
 
@@ -107,10 +144,20 @@ def chromium(folder: Path) -> Iterator[Browser]:
     """Run a Chromium."""
     assert CHROMIUM is not None
     options = [
-        "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", f"--user-data-dir={folder}", "--no-first-run",
-        "--disable-background-networking", "--disable-background-timer-throttling", "--disable-dev-shm-usage", "about:blank",
-    ]  # fmt: skip
-    process = subprocess.Popen([CHROMIUM, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--remote-debugging-port=0",
+        f"--user-data-dir={folder}",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-background-timer-throttling",
+        "--disable-dev-shm-usage",
+        "about:blank",
+    ]
+    process = subprocess.Popen(
+        [CHROMIUM, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
         found = folder / "DevToolsActivePort"
         end = time.monotonic() + 300

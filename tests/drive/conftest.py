@@ -19,9 +19,20 @@ from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 
 
-def wanted(results: Path, method: str | None = "human", speed: float = 4.0, **more: object) -> Wanted:
+def wanted(
+    results: Path, method: str | None = "human", speed: float = 4.0, **more: object
+) -> Wanted:
     """What `wasp drive goal1` is asked for, with the published models."""
-    asked = {"what": "goal1", "participant": None, "episodes": 1, "session": None, "hide": (), "preset": None, "settings": (), "jobs": 1}
+    asked = {
+        "what": "goal1",
+        "participant": None,
+        "episodes": 1,
+        "session": None,
+        "hide": (),
+        "preset": None,
+        "settings": (),
+        "jobs": 1,
+    }
     return Wanted(method=method, speed=speed, results=results, **{**asked, **more})  # type: ignore[arg-type]
 
 
@@ -57,7 +68,9 @@ def asking(desk: Desk, requests: dict[int, str]) -> Driver:
 
 @contextmanager
 def swept_before_commit(place: ModuleType) -> Iterator[None]:
-    """Another process cleans the results folder while a module writes an artifact: in its last moment."""
+    """Another process cleans the results folder while a module writes an artifact: in its last
+    moment.
+    """
     real = place.commit
 
     def commit(layout: Layout, *arguments: Any) -> Path:
@@ -73,7 +86,9 @@ def swept_before_commit(place: ModuleType) -> Iterator[None]:
 def harmed(layout: Layout, kind: str, key: str) -> Path:
     """Change bytes of the largest file of an artifact, and return it; its size stays."""
     files = layout.artifact(kind, key).glob("[!_]*")
-    victim = max(files, key=lambda path: (path.suffix in (".safetensors", ".parquet"), path.stat().st_size))
+    victim = max(
+        files, key=lambda path: (path.suffix in (".safetensors", ".parquet"), path.stat().st_size)
+    )
     data = bytearray(victim.read_bytes())
     data[-40:-20] = bytes(byte ^ 0xFF for byte in data[-40:-20])
     victim.write_bytes(data)
@@ -98,7 +113,9 @@ def spec(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture(scope="session")
 def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results folder with everything that WASP needs on Goal1, brought in from what is published."""
+    """A results folder with everything that WASP needs on Goal1, brought in from what is
+    published.
+    """
     folder = tmp_path_factory.mktemp("drive") / "results"
     wanted(folder, "wasp").prepared()
     return folder

@@ -28,11 +28,16 @@ def test_an_answer_in_time_is_taken_and_a_late_one_is_not(decider: Decider[str])
     answer, seconds = decider.ask(lambda: "late" if told.wait(600.0) else "never", 0.05)
     assert answer is None
     assert seconds > 0.04
-    # While it is still being thought about, nothing new is asked, and what is thought about is never taken for the new answer.
+    # While it is still being thought about, nothing new is asked, and what is thought about is
+    # never taken for the new answer.
     assert decider.ask(lambda: "new", 0.05)[0] is None
     told.set()
     assert decider.ask(lambda: "new", 600.0)[0] == "new"
-    assert [(late, answer) for _, late, answer in decider.answers] == [(False, "soon"), (True, "late"), (False, "new")]
+    assert [(late, answer) for _, late, answer in decider.answers] == [
+        (False, "soon"),
+        (True, "late"),
+        (False, "new"),
+    ]
 
 
 def test_an_assistant_whose_beat_is_over_has_its_time_nevertheless(decider: Decider[str]) -> None:
@@ -67,7 +72,8 @@ def test_a_search_is_told_when_its_time_is_up(decider: Decider[list[bool]], hand
         hands.now += 0.3
         return [*found, decider.time_is_up()]
 
-    # Another step of 0.3 s would end after the 0.4 s that it has at least, one of no time before them.
+    # Another step of 0.3 s would end after the 0.4 s that it has at least, one of no time before
+    # them.
     assert decider.ask(searches, 600.0, hands.now, 0.4)[0] == [False, True]
     assert decider.ask(searches, 600.0, hands.now + 20.0)[0] == [False, False]
 
@@ -102,9 +108,14 @@ def test_the_deadline_leaves_time_for_everything_else(hands: Hands) -> None:
 
 def test_a_world_that_slowed_down_is_driven_slower() -> None:
     rest = np.array([0.03] * 80 + [0.15] * 20)
-    driven: Any = SimpleNamespace(beats=[SimpleNamespace(rest_ms=1000 * seconds) for seconds in rest])
+    driven: Any = SimpleNamespace(
+        beats=[SimpleNamespace(rest_ms=1000 * seconds) for seconds in rest]
+    )
     assert recommended([0.01] * 100, [], driven, 0.08, 1.0, [0.08] * 100) == 1.0
-    assert recommended([0.01] * 100, [], driven, 0.08, 1.0, np.maximum(0.08, 0.01 + rest).tolist()) == 0.6
+    assert (
+        recommended([0.01] * 100, [], driven, 0.08, 1.0, np.maximum(0.08, 0.01 + rest).tolist())
+        == 0.6
+    )
 
 
 def test_percentiles_leave_out_what_is_unknown() -> None:

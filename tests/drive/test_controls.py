@@ -16,7 +16,12 @@ UNIT = st.floats(-1.0, 1.0, width=32)
 
 @pytest.mark.parametrize(
     ("keys", "expected"),
-    [((), (0, 0)), (("KeyW", "ArrowUp"), (1, 0)), (("KeyS", "KeyD"), (-1, -1)), (("ArrowUp", "ArrowDown", "KeyA"), (0, 1))],
+    [
+        ((), (0, 0)),
+        (("KeyW", "ArrowUp"), (1, 0)),
+        (("KeyS", "KeyD"), (-1, -1)),
+        (("ArrowUp", "ArrowDown", "KeyA"), (0, 1)),
+    ],
 )
 def test_keys_are_a_stick(keys: tuple[str, ...], expected: tuple[float, float]) -> None:
     assert Held(frozenset(keys)).stick.tolist() == list(expected)
@@ -33,7 +38,11 @@ def test_the_action_drives_as_the_stick_says(forward: float, left: float, drive:
     action = action_of(np.array([forward, left], np.float32), drive)
     assert np.abs(action).max() <= 1.0
     if drive == "point" or abs(forward) + abs(left) <= 1.0:
-        np.testing.assert_allclose(stick(SimpleNamespace(drive=drive), action.astype(np.float64)), [forward, left], atol=1e-6)
+        np.testing.assert_allclose(
+            stick(SimpleNamespace(drive=drive), action.astype(np.float64)),
+            [forward, left],
+            atol=1e-6,
+        )
 
 
 def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> None:
@@ -41,7 +50,11 @@ def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> N
     desk.come()
     desk.hold(frozenset({"ArrowUp"}), (0.0, 0.0), 1)
     desk.hold(frozenset({"ArrowLeft", "KeyQ"}), (0.5, 0.0), 2)
-    assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset({"ArrowLeft"}), (0.5, 0.0), 2)
+    assert (desk.held.keys, desk.held.axes, desk.held.number) == (
+        frozenset({"ArrowLeft"}),
+        (0.5, 0.0),
+        2,
+    )
     assert desk.asked() is None
     desk.focus(False)
     assert (desk.held.keys, desk.held.axes, desk.held.number) == (frozenset(), (0.0, 0.0), 2)

@@ -1,4 +1,6 @@
-"""An assistant that is late is said to be late wherever its decisions are shown, and nobody calls them misses."""
+"""An assistant that is late is said to be late wherever its decisions are shown, and nobody
+calls them misses.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def short() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
-    """The folder of an episode in which an assistant without any patience assists, its key, and what the terminal said."""
+    """The folder of an episode in which an assistant without any patience assists, its key, and
+    what the terminal said.
+    """
     results = shutil.copytree(imported, tmp_path_factory.mktemp("late") / "results")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(block, "PATIENCE", 1e-6)
@@ -82,7 +86,18 @@ def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, 
         return {*late[0].rglob("*")}, read_run(layout, last_runs(layout)[0]["drive"]).cells
 
     before = there()
-    done = run_here("drive", "goal1", "--method", "wasp", "--check", "--speed", "4", "--results", late[0], columns=80)
+    done = run_here(
+        "drive",
+        "goal1",
+        "--method",
+        "wasp",
+        "--check",
+        "--speed",
+        "4",
+        "--results",
+        late[0],
+        columns=80,
+    )
     assert done.exit_code in (0, 1), done.output  # 1: decisions were late
     assert "99th percentile" in done.stdout
     assert "…" not in done.stdout
@@ -91,7 +106,9 @@ def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, 
 
 
 def _late(results: Path, key: str) -> Any:
-    return np.array(read_timing(Layout(results).artifact("evaluate", key) / TIMING_FILE)["late"].to_pylist())
+    return np.array(
+        read_timing(Layout(results).artifact("evaluate", key) / TIMING_FILE)["late"].to_pylist()
+    )
 
 
 def driven(imported: Path, method: str, most: int, *keys: str) -> tuple[block.Block, block.Driven]:
@@ -113,12 +130,17 @@ def driven(imported: Path, method: str, most: int, *keys: str) -> tuple[block.Bl
 
 def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
-    late, alone = ([frame["gate"] for frame in driven(imported, method, 3)[1].frames[1:]] for method in ("wasp", "none"))
+    late, alone = (
+        [frame["gate"] for frame in driven(imported, method, 3)[1].frames[1:]]
+        for method in ("wasp", "none")
+    )
     assert "late" in late
     assert alone == ["alone"] * 3
 
 
-def test_after_an_episode_the_second_drive_has_the_same_world_and_the_commands_alone(imported: Path) -> None:
+def test_after_an_episode_the_second_drive_has_the_same_world_and_the_commands_alone(
+    imported: Path,
+) -> None:
     made, found = driven(imported, "wasp", 60, "ArrowUp", "ArrowLeft")
     review = made.review(found)
     assert review["driven"][0]["things"] == review["alone"][0]["things"]
@@ -129,34 +151,57 @@ def test_after_an_episode_the_second_drive_has_the_same_world_and_the_commands_a
     found.trajectory = replace(found.trajectory, a_h=found.trajectory.a)
     again = made.review(found)["alone"]
     assert [{name: header[name] for name in numbers} for header in review["driven"]] == again
-    assert not np.array_equal([h["robot"] for h in again], [h["robot"] for h in review["alone"]]), "the assistant corrected something"
+    assert not np.array_equal([h["robot"] for h in again], [h["robot"] for h in review["alone"]]), (
+        "the assistant corrected something"
+    )
 
 
 def timing(**changes: Any) -> Timing:
     given: dict[str, Any] = {
-        "label": "WASP", "period_ms": 80.0, "decisions": 250, "late_share": 0.016, "decision_ms": (20.0, 60.0), "input_ms": (70.0, 80.0),
-        "round_trip_ms": (1.0, 2.0), "speed": 1.0, "recommended": 0.5, "pace": 1.0, "fired": 10, "fired_late_share": 0.0,
+        "label": "WASP",
+        "period_ms": 80.0,
+        "decisions": 250,
+        "late_share": 0.016,
+        "decision_ms": (20.0, 60.0),
+        "input_ms": (70.0, 80.0),
+        "round_trip_ms": (1.0, 2.0),
+        "speed": 1.0,
+        "recommended": 0.5,
+        "pace": 1.0,
+        "fired": 10,
+        "fired_late_share": 0.0,
         "fired_ms": (60.0, 70.0),
-    }  # fmt: skip
+    }
     return Timing(**given | changes)
 
 
 def test_a_check_judges_the_decisions_at_which_a_gate_fires() -> None:
     assert timing().in_time
-    assert not timing(fired_late_share=0.4).in_time, "4 of 250 decisions are few, but they are those that matter"
+    assert not timing(fired_late_share=0.4).in_time, (
+        "4 of 250 decisions are few, but they are those that matter"
+    )
     assert not timing(pace=1.3).in_time
-    assert "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late" in timing().where_gates_fired
+    assert (
+        "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late"
+        in timing().where_gates_fired
+    )
 
 
-def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_begins_with_a_warning_where_decisions_are_late(
+    imported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(block, "PATIENCE", 1e-6)
     monkeypatch.setattr("wasp_cli.drive.check.BRIEF", 5)
     told = warning(wanted(imported, "wasp", 1.0).prepared())
     assert "would keep it in time" in told
-    assert warning(wanted(imported, "none", 1.0).prepared()) is None, "nobody is late who is not there"
+    assert warning(wanted(imported, "none", 1.0).prepared()) is None, (
+        "nobody is late who is not there"
+    )
 
 
-def test_an_assistant_that_changes_the_command_in_place_ends_the_session(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_assistant_that_changes_the_command_in_place_ends_the_session(
+    imported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     decide = WASP.decide
 
     def changing(self: WASP, latent: Any, a_h: Any, operator: Any) -> Any:

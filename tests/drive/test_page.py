@@ -1,4 +1,6 @@
-"""A real Chromium drives: keys as pressed, the window's focus, a broken connection, a second tab, and no request to anybody else."""
+"""A real Chromium drives: keys as pressed, the window's focus, a broken connection, a second
+tab, and no request to anybody else.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from wasp_cli.tasks.goal.task import Goal
 __all__ = ["browser"]
 
 
-def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_episode_in_a_browser(
+    browser: Browser, imported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Goal, "num_steps", 600)  # 150 decisions
     results = shutil.copytree(imported, tmp_path / "results")
     session = wanted(results, "wasp", 4.0).prepared()
@@ -38,11 +42,15 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         }
         tab.key(True, "ArrowDown")
         tab.click("Go")
-        tab.until("phase === 'driving' && frame && frame.header.t > 5 && frame.header.command[0] === -1")
+        tab.until(
+            "phase === 'driving' && frame && frame.header.t > 5 && frame.header.command[0] === -1"
+        )
         tab.key(False, "ArrowDown")
         painted = "new Set(byId('map').getContext('2d').getImageData(0, 0, 480, 480).data).size"
         assert tab.value(painted) > 10, "the map is drawn"
-        assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
+        assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, (
+            "the cameras are shown"
+        )
 
         def comes(expected: set[str]) -> None:
             """What the page says arrives a moment later."""
@@ -53,7 +61,9 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.key(True, "KeyA")
         comes({"ArrowUp", "KeyA"})
         tab.until("frame.header.command[0] === 1 && frame.header.command[1] === 1")
-        assert tab.value("byId('knob').style.transform") == "translate(-3rem, -3rem)", "the pad shows what keys command"
+        assert tab.value("byId('knob').style.transform") == "translate(-3rem, -3rem)", (
+            "the pad shows what keys command"
+        )
         tab.key(False, "ArrowUp")
         comes({"KeyA"})
         first = tab.value("frame.header.t")
@@ -113,24 +123,42 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.click("Stop")
         tab.until("player.begun === null && byId('on').textContent === 'Play'")
         tab.click("Back")
-        tab.value("var saved = 0; URL.createObjectURL = (blob) => { saved = blob.size; return location.href; }")
+        tab.value(
+            "var saved = 0; URL.createObjectURL = (blob) => { saved = blob.size; return "
+            "location.href; }"
+        )
         tab.value("HTMLAnchorElement.prototype.click = () => 0")
         tab.value("replayStep = () => 8")  # ms: the film takes as long as the replay
         tab.click("Save as a film")
         assert tab.until("saved") > 10_000
-        for shown, said in (("", [0, 0]), ("return: 1, cost: 0", [1, 0])):  # without map and numbers, and without the map
-            assert tab.value(f"review = {{driven: [{{{shown}}}], alone: []}}; [compared().length, replays().length]") == said
+        # without map and numbers, and without the map
+        for shown, said in (("", [0, 0]), ("return: 1, cost: 0", [1, 0])):
+            assert (
+                tab.value(
+                    f"review = {{driven: [{{{shown}}}], alone: []}}; [compared().length, "
+                    "replays().length]"
+                )
+                == said
+            )
         asked = tab.requests()
         tab.close()
         clock.join(300)
         port = server.port
-    assert all(url.startswith((f"http://127.0.0.1:{port}/", f"ws://127.0.0.1:{port}/", "data:")) for url in asked), asked
+    assert all(
+        url.startswith((f"http://127.0.0.1:{port}/", f"ws://127.0.0.1:{port}/", "data:"))
+        for url in asked
+    ), asked
 
     (block,) = session.done
     folder = Layout(results).artifact("evaluate", block["key"])
     beats, steps = read_timing(folder / TIMING_FILE), read_steps(cell_file(folder))
     keys, commands = beats["keys"].to_pylist(), np.array(steps["a_h"].to_pylist())
-    assert {"", "ArrowDown", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys), "a key that is held while Go is pressed drives"
-    forward, back, left = (np.array([name in held.split() for held in keys], float) for name in ("ArrowUp", "ArrowDown", "KeyA"))
+    assert {"", "ArrowDown", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys), (
+        "a key that is held while Go is pressed drives"
+    )
+    forward, back, left = (
+        np.array([name in held.split() for held in keys], float)
+        for name in ("ArrowUp", "ArrowDown", "KeyA")
+    )
     np.testing.assert_array_equal(commands, np.stack([forward - back, left], 1))
     assert (desk.lost, desk.blurred) == (1, 1)

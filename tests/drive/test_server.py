@@ -33,11 +33,17 @@ def get(server: Server, path: str, host: str | None = None) -> tuple[int, dict[s
     connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
     connection.request("GET", path, headers={} if host is None else {"Host": host})
     answer = connection.getresponse()
-    return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+    return (
+        answer.status,
+        {name.lower(): value for name, value in answer.getheaders()},
+        answer.read(),
+    )
 
 
 def driver(server: Server, token: str | None = None, **headers: str) -> ClientConnection:
-    address = f"ws://127.0.0.1:{server.port}/socket?token={server.token if token is None else token}"
+    address = (
+        f"ws://127.0.0.1:{server.port}/socket?token={server.token if token is None else token}"
+    )
     return connect(address, additional_headers=headers, ping_interval=None)
 
 
@@ -56,16 +62,23 @@ def test_the_page_needs_the_token(server: Server) -> None:
     assert server.token.encode() not in body, "the address alone has it"
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "localhost.evil.example:80"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1.evil.example", "", "localhost.evil.example:80"]
+)
 def test_a_name_of_another_host_is_refused(server: Server, host: str) -> None:
-    """What a page of another site reaches through its own name server (DNS rebinding). A tunnel may have another port."""
+    """What a page of another site reaches through its own name server (DNS rebinding). A tunnel
+    may have another port.
+    """
     assert get(server, f"/?token={server.token}", host)[0] in (400, 403)
     assert get(server, "/drive.js", host)[0] in (400, 403)
     for own in ("localhost:9000", "127.0.0.1:22", "[::1]:9000"):
         assert get(server, f"/?token={server.token}", own)[0] == 200
 
 
-@pytest.mark.parametrize("path", ["/../server.py", "/%2e%2e/server.py", "/index.html", "/drive.js/..", "/etc/passwd", "/socket"])
+@pytest.mark.parametrize(
+    "path",
+    ["/../server.py", "/%2e%2e/server.py", "/index.html", "/drive.js/..", "/etc/passwd", "/socket"],
+)
 def test_nothing_that_is_asked_for_becomes_a_path(server: Server, path: str) -> None:
     assert get(server, path)[0] in (403, 404)
 
@@ -98,17 +111,27 @@ def test_one_driver_at_a_time(server: Server) -> None:
 
 
 BAD = [
-    "not json", "[]", "{}", '{"type": "input"}', '{"type": "steal"}', '{"type": "ask", "what": "../../etc"}',
+    "not json",
+    "[]",
+    "{}",
+    '{"type": "input"}',
+    '{"type": "steal"}',
+    '{"type": "ask", "what": "../../etc"}',
     '{"type": "ack", "frame": -1}',
-    '{"type": "input", "number": 1, "keys": [], "axes": [2, 0]}', '{"type": "input", "number": 1, "keys": [], "axes": [NaN, 0]}',
+    '{"type": "input", "number": 1, "keys": [], "axes": [2, 0]}',
+    '{"type": "input", "number": 1, "keys": [], "axes": [NaN, 0]}',
     '{"type": "input", "number": 1, "keys": ["' + "A" * 99 + '"], "axes": [0, 0]}',
-    '{"type": "input", "number": 1e300, "keys": [], "axes": [0, 0]}', '{"type": "alive", "more": 1}',
-    '{"type": "answers", "scales": {"mental": 101}}', b"\x00\x01binary",
-]  # fmt: skip
+    '{"type": "input", "number": 1e300, "keys": [], "axes": [0, 0]}',
+    '{"type": "alive", "more": 1}',
+    '{"type": "answers", "scales": {"mental": 101}}',
+    b"\x00\x01binary",
+]
 
 
 @pytest.mark.parametrize("message", BAD, ids=range(len(BAD)))
-def test_a_message_that_the_page_does_not_send_ends_the_connection_and_nothing_else(server: Server, message: str | bytes) -> None:
+def test_a_message_that_the_page_does_not_send_ends_the_connection_and_nothing_else(
+    server: Server, message: str | bytes
+) -> None:
     with driver(server) as ws:
         state(ws)
         ws.send(message)
@@ -135,7 +158,11 @@ def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
         state(ws)
         with suppress(ConnectionClosed):
             for number in range(10_000):
-                ws.send(json.dumps({"type": "input", "number": number, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}))
+                ws.send(
+                    json.dumps(
+                        {"type": "input", "number": number, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}
+                    )
+                )
         with pytest.raises(ConnectionClosed) as closed:
             ws.recv(timeout=300)
         assert closed.value.rcvd.code == TOO_MUCH
@@ -143,7 +170,9 @@ def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
     assert server.desk.held.stick.tolist() == [0.0, 0.0], "nothing stays held"
 
 
-def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_connection_that_says_nothing_is_lost(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("wasp_cli.drive.server.SILENT", 0.3)
     with driver(server) as ws:
         state(ws)
@@ -152,7 +181,9 @@ def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pyt
     assert server.desk.held.keys == frozenset()
 
 
-def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_out(server: Server) -> None:
+def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_out(
+    server: Server,
+) -> None:
     with driver(server) as ws:
         state(ws)
         server.desk.show(Frame({"frame": 1}, b"one"))
@@ -175,16 +206,28 @@ def test_a_port_that_is_taken_is_said() -> None:
 
 
 def test_an_answer_that_comes_at_once_is_not_lost_and_one_to_another_form_does_not_count() -> None:
-    """A script answers before the thread that asked has begun to wait; a second click may come when the next form is there."""
-    desk = Desk(lambda: [desk.answer(each) for each in ({"agreed": True}, {"agreed": None, "mental": 3.0})] if desk.outgoing()[0] else None)
-    asked = threading.Thread(target=lambda: found.append(desk.answers({"name": "consent", "scales": []})), daemon=True)
+    """A script answers before the thread that asked has begun to wait; a second click may come
+    when the next form is there.
+    """
+    desk = Desk(
+        lambda: (
+            [desk.answer(each) for each in ({"agreed": True}, {"agreed": None, "mental": 3.0})]
+            if desk.outgoing()[0]
+            else None
+        )
+    )
+    asked = threading.Thread(
+        target=lambda: found.append(desk.answers({"name": "consent", "scales": []})), daemon=True
+    )
     found: list[object] = []
     asked.start()
     asked.join(300)
     assert found == [{"agreed": True}]
 
 
-def test_a_scripted_driver_that_was_turned_away_connects_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scripted_driver_that_was_turned_away_connects_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tried: list[str] = []
 
     async def refused(address: str, **_: object) -> str:

@@ -1,4 +1,6 @@
-"""Whole sessions by the scripted driver: what is recorded is what was executed, and every command works on it."""
+"""Whole sessions by the scripted driver: what is recorded is what was executed, and every
+command works on it.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ def test_a_session_is_a_cell_like_any_other(driven: tuple[Path, str]) -> None:
 
 def test_the_same_actions_lead_to_the_same_bits(driven: tuple[Path, str]) -> None:
     recorded = read_recorded(cell_of(driven))
-    for layout, a, reward in zip(recorded["layouts"], recorded["a"], recorded["reward"], strict=True):
+    for layout, a, reward in zip(
+        recorded["layouts"], recorded["a"], recorded["reward"], strict=True
+    ):
         world = make_task("goal1", 1, observe=("pixels",))
         moments = list(play(world, [layout], [a], [reward]))  # refuses any other reward
         assert len(moments) == len(a) + 1
@@ -90,23 +94,50 @@ def test_commands_are_those_of_the_keys(driven: tuple[Path, str]) -> None:
     beats, steps = read_timing(cell_of(driven).parent / TIMING_FILE), read_steps(cell_of(driven))
     for keys, command in zip(beats["keys"].to_pylist(), steps["a_h"].to_pylist(), strict=True):
         held = set(keys.split())
-        expected = [float("ArrowUp" in held) - float("ArrowDown" in held), float("ArrowLeft" in held) - float("ArrowRight" in held)]
+        expected = [
+            float("ArrowUp" in held) - float("ArrowDown" in held),
+            float("ArrowLeft" in held) - float("ArrowRight" in held),
+        ]
         assert command == expected
     assert len(set(beats["keys"].to_pylist())) > 2
 
 
-@pytest.mark.parametrize("command", [("explain", "-e", "1"), ("explain", "-e", "0", "--step", "7"), ("show",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "command",
+    [("explain", "-e", "1"), ("explain", "-e", "0", "--step", "7"), ("show",)],
+    ids=" ".join,
+)
 def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[str, ...]) -> None:
     name, *options = command
-    assert "person" in run_here(name, "goal1 s0 wasp person=0", *options, "--results", driven[0], columns=None, code=0).output
+    assert (
+        "person"
+        in run_here(
+            name, "goal1 s0 wasp person=0", *options, "--results", driven[0], columns=None, code=0
+        ).output
+    )
 
 
 def test_a_person_has_no_other_branch(driven: tuple[Path, str], tmp_path: Path) -> None:
-    asked = ("goal1 s0 wasp person=0", "-e", "0", "--step", "7", "--out", tmp_path / "a.webp", "--results", driven[0])
-    assert "what a person commands in another branch is not on record" in run_here("replay", *asked, columns=200, code=2).output
+    asked = (
+        "goal1 s0 wasp person=0",
+        "-e",
+        "0",
+        "--step",
+        "7",
+        "--out",
+        tmp_path / "a.webp",
+        "--results",
+        driven[0],
+    )
+    assert (
+        "what a person commands in another branch is not on record"
+        in run_here("replay", *asked, columns=200, code=2).output
+    )
 
 
-def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
+def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(
+    imported: Path, tmp_path: Path
+) -> None:
     results = shutil.copytree(imported, tmp_path / "results")
     session = wanted(results, episodes=2).prepared()
     with served(session) as (desk, server, clock):
@@ -119,7 +150,11 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imp
     assert manifest["config"]["episodes"] == 1, "it is never taken for whole"
     told = json.loads((layout.artifact("evaluate", first["key"]) / SESSION_FILE).read_text())
     assert [(cut["why"], cut["before_episode"]) for cut in told["cut"]] == [(NEXT, 0), (END, 1)]
-    assert (told["cut"][1]["decisions"] > 0, told["sittings"][0]["pauses"], first["decisions"]) == (True, 1, 250)
+    assert (told["cut"][1]["decisions"] > 0, told["sittings"][0]["pauses"], first["decisions"]) == (
+        True,
+        1,
+        250,
+    )
 
     again = wanted(results, episodes=2, session=0).prepared()
     with served(again) as (_, server, clock):
@@ -127,22 +162,44 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imp
         clock.join(300)
     (whole,) = again.done
     assert (whole["episodes"], whole["key"] != first["key"]) == (2, True)
-    rows = [read_steps(cell_file(layout.artifact("evaluate", key))) for key in (first["key"], whole["key"])]
+    rows = [
+        read_steps(cell_file(layout.artifact("evaluate", key)))
+        for key in (first["key"], whole["key"])
+    ]
     earlier = rows[1].filter(np.array(rows[1]["episode"].to_pylist()) == 0)
     assert earlier.equals(rows[0]), "the finished episode was taken over, not driven again"
-    worlds = read_episodes([cell_file(layout.artifact("evaluate", whole["key"]))])["episode_seed"].to_pylist()
-    assert worlds == [layout_seed("goal1", 0, 1), layout_seed("goal1", 0, 2)], "none twice, and the first was left out"
+    worlds = read_episodes([cell_file(layout.artifact("evaluate", whole["key"]))])[
+        "episode_seed"
+    ].to_pylist()
+    assert worlds == [layout_seed("goal1", 0, 1), layout_seed("goal1", 0, 2)], (
+        "none twice, and the first was left out"
+    )
     wanted(results, episodes=1, participant=1).record(again)
-    assert [key for _, key in read_run(layout, last_runs(layout)[0]["drive"]).cells] == [whole["key"]], "whoever drove last"
-    models = {name: SimpleNamespace(key=manifest["upstream"][name]) for name in ("world_model", "policies")}
+    assert [key for _, key in read_run(layout, last_runs(layout)[0]["drive"]).cells] == [
+        whole["key"]
+    ], "whoever drove last"
+    models = {
+        name: SimpleNamespace(key=manifest["upstream"][name])
+        for name in ("world_model", "policies")
+    }
     node = SimpleNamespace(task="goal1", needs=models, settings=manifest["settings"])
     assert _driven_with(layout, node, 0) == [whole["key"]], "a clone learns from each episode once"
-    assert len(json.loads((layout.artifact("evaluate", whole["key"]) / SESSION_FILE).read_text())["sittings"]) == 2
+    assert (
+        len(
+            json.loads((layout.artifact("evaluate", whole["key"]) / SESSION_FILE).read_text())[
+                "sittings"
+            ]
+        )
+        == 2
+    )
 
 
 def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
     session = wanted(imported).prepared()
-    with held_if_free(session.layout.lock(session.blocks[0][1].key)), pytest.raises(UsageError, match="driven in another window"):
+    with (
+        held_if_free(session.layout.lock(session.blocks[0][1].key)),
+        pytest.raises(UsageError, match="driven in another window"),
+    ):
         session.run(Desk())
 
 
@@ -156,7 +213,10 @@ def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
         ({"what": "drive", "method": None, "participant": 4}, "no participant 4"),
         ({"settings": ("seeds=[0]",)}, "a session's number is its seed"),
         ({"what": "drive", "method": "wasp"}, "--method is for a task"),
-        ({"what": "drive", "method": None, "settings": ("side_by_side=2",)}, "one episode at a time"),
+        (
+            {"what": "drive", "method": None, "settings": ("side_by_side=2",)},
+            "one episode at a time",
+        ),
     ],
 )
 def test_mistakes_are_told(tmp_path: Path, more: dict[str, Any], message: str) -> None:
@@ -194,13 +254,17 @@ def test_what_a_person_drove_is_never_replaced(driven: tuple[Path, str], tmp_pat
 
 def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:
     results = shutil.copytree(imported, tmp_path / "results")
-    found = run_here("run", "drive", "--method", "human", "--results", results, "-j", "0", columns=None, code=1)
+    found = run_here(
+        "run", "drive", "--method", "human", "--results", results, "-j", "0", columns=None, code=1
+    )
     assert "a person has to drive this cell" in found.output
 
 
 def test_lost_connections_of_sittings_of_one_cell_add_up(tmp_path: Path) -> None:
     layout, node = Layout(tmp_path), SimpleNamespace(kind="evaluate", key="0" * 20)
     for lost in (1, 2):
-        session_module.CellRecord(layout, node, None, 1, {}).count(lost_connection=lost, lost_focus=0)
+        session_module.CellRecord(layout, node, None, 1, {}).count(
+            lost_connection=lost, lost_focus=0
+        )
     told = json.loads((layout.work(node.key) / SESSION_FILE).read_text())
     assert (told["lost_connection"], told["lost_focus"], len(told["sittings"])) == (3, 0, 2)

@@ -1,7 +1,9 @@
-"""Measure our Diffusion and our IDA on the worlds of Yoneda et al. 2023: `python -m tests.external.measure FOLDER`.
+"""Measure our Diffusion and our IDA on the worlds of Yoneda et al. 2023: `python -m
+tests.external.measure FOLDER`.
 
-FOLDER keeps the experts, the denoisers and every cell, so that a second run goes on. The rows go to `results/published`. Where
-`WASP_YONEDA` names a checkout of the authors' repository, their own experts fly too, and first.
+FOLDER keeps the experts, the denoisers and every cell, so that a second run goes on. The rows go to
+`results/published`. Where `WASP_YONEDA` names a checkout of the authors' repository, their own
+experts fly too, and first.
 """
 
 import json
@@ -49,7 +51,11 @@ def prepare(whose: str, kind: Kind, folder: Path) -> SAC:
     shown = folder / "demonstrations.npz"
     for part, there, make in (
         ("demonstrations", shown, lambda: fly_demonstrations(kind, model, shown, say)),
-        ("denoiser", folder / "quality.json", lambda: learn_denoiser(kind, shown, folder, DENOISER, say)),
+        (
+            "denoiser",
+            folder / "quality.json",
+            lambda: learn_denoiser(kind, shown, folder, DENOISER, say),
+        ),
     ):
         if not there.exists():
             begun = time.perf_counter()
@@ -60,7 +66,9 @@ def prepare(whose: str, kind: Kind, folder: Path) -> SAC:
 
 
 def cells(whose: str, kind: Kind) -> Iterator[tuple[str, str, float]]:
-    """Yield (pilot, assistant, ratio), what the pass is about first; `released` is our Diffusion with their denoiser."""
+    """Yield (pilot, assistant, ratio), what the pass is about first; `released` is our
+    Diffusion with their denoiser.
+    """
     assisted = [("diffusion", ratio) for ratio in RATIOS]
     released = [("released", 0.4)] if whose == "theirs" else []
     for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *released, *assisted[1:]):
@@ -68,7 +76,9 @@ def cells(whose: str, kind: Kind) -> Iterator[tuple[str, str, float]]:
             yield pilot, name, ratio
 
 
-def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: str, ratio: float) -> None:
+def measure(
+    kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: str, ratio: float
+) -> None:
     """Write the rows of a group of a cell, an episode each, if they are not there."""
     path = folder / "cells" / f"{pilot}-{name}-{ratio:g}-{group}.json"
     if path.exists():
@@ -76,7 +86,11 @@ def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: 
     begun, episodes = time.perf_counter(), external.EPISODES
     worlds = range(FIRST + group * episodes, FIRST + (group + 1) * episodes)
     expert = actor(model)
-    helper = HumanOnly() if name == "alone" else assistant("ida" if name == "ida" else "diffusion", ratio, folder)
+    helper = (
+        HumanOnly()
+        if name == "alone"
+        else assistant("ida" if name == "ida" else "diffusion", ratio, folder)
+    )
     if name == "released":
         helper.assist.denoiser = TheirDenoiser(kind, Path(os.environ["WASP_YONEDA"]))
     loop = fly(kind, pilot, expert, helper, worlds)
@@ -85,28 +99,46 @@ def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: 
     gate = np.array([np.zeros(episodes) if each is None else each for each in gates]) * loop.alive
     rows = [
         {
-            "world": kind, "pilot": pilot, "value": PILOTS[kind][pilot][1], "assistant": name, "ratio": ratio,
-            "group": group, "episode": group * episodes + i, "reached": bool(loop.goals[:, i].any()),
-            "crashed": bool(loop.cost[:, i].any()), "decisions": int(loop.alive[:, i].sum()),
-            "intervened": int((gate[:, i] > 0).sum()), "deviation": float(change[:, i].sum()),
+            "world": kind,
+            "pilot": pilot,
+            "value": PILOTS[kind][pilot][1],
+            "assistant": name,
+            "ratio": ratio,
+            "group": group,
+            "episode": group * episodes + i,
+            "reached": bool(loop.goals[:, i].any()),
+            "crashed": bool(loop.cost[:, i].any()),
+            "decisions": int(loop.alive[:, i].sum()),
+            "intervened": int((gate[:, i] > 0).sum()),
+            "deviation": float(change[:, i].sum()),
         }
         for i in range(episodes)
-    ]  # fmt: skip
+    ]
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(rows))
-    shares = ", ".join(f"{key} {100 * np.mean([row[key] for row in rows]):.1f} %" for key in ("reached", "crashed"))
-    say(f"{kind} {pilot} {name} {ratio:g}, group {group}: {shares}, {time.perf_counter() - begun:.0f} s")
+    shares = ", ".join(
+        f"{key} {100 * np.mean([row[key] for row in rows]):.1f} %" for key in ("reached", "crashed")
+    )
+    say(
+        f"{kind} {pilot} {name} {ratio:g}, group {group}: {shares}, "
+        f"{time.perf_counter() - begun:.0f} s"
+    )
 
 
 def publish(folder: Path) -> None:
     """Write what is measured so far, and how it was come by."""
     paths = sorted(folder.glob("*/*/cells/*.json"))
-    rows = [{"expert": path.parts[-4]} | row for path in paths for row in json.loads(path.read_text())]
+    rows = [
+        {"expert": path.parts[-4]} | row for path in paths for row in json.loads(path.read_text())
+    ]
     pq.write_table(pa.Table.from_pylist(rows), external.ROWS, compression="zstd")
     found: dict[str, dict[str, Any]] = {}
     for quality in sorted(folder.glob("*/*/quality.json")):
         there = quality.parent
-        minutes = {part: float((there / f"{part}.minutes").read_text()) for part in ("demonstrations", "denoiser")}
+        minutes = {
+            part: float((there / f"{part}.minutes").read_text())
+            for part in ("demonstrations", "denoiser")
+        }
         each = {"denoiser": json.loads(quality.read_text()), "minutes": minutes}
         if (there / "curve.jsonl").exists():
             lines = [json.loads(line) for line in (there / "curve.jsonl").read_text().splitlines()]
@@ -118,7 +150,9 @@ def publish(folder: Path) -> None:
 
 def main(folder: Path) -> None:
     torch.set_num_threads(1)
-    experts = [whose for whose in external.EXPERTS if whose == "ours" or "WASP_YONEDA" in os.environ]
+    experts = [
+        whose for whose in external.EXPERTS if whose == "ours" or "WASP_YONEDA" in os.environ
+    ]
     for group in range(external.GROUPS):
         for whose in experts:
             for kind in KINDS:

@@ -1,4 +1,6 @@
-"""The worlds as a batch for the closed loop (`wasp_cli.tasks.base.VectorTask`): the state is observed, the goal is privileged."""
+"""The worlds as a batch for the closed loop (`wasp_cli.tasks.base.VectorTask`): the state is
+observed, the goal is privileged.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -37,14 +39,23 @@ class LanderTask:
         reached, crashed, terminated = (np.zeros(self.batch, bool) for _ in range(3))
         going = ~self.ended
         for row in np.flatnonzero(going):
-            self.told[row], reward[row], terminated[row], truncated, info = self.worlds[row].step(action[row])
+            self.told[row], reward[row], terminated[row], truncated, info = self.worlds[row].step(
+                action[row]
+            )
             reached[row], crashed[row] = info["reached"], info["crashed"]
             self.ended[row] = terminated[row] or truncated
         counts = crashed.astype(np.int64)
         return Step(
-            observation=self._observed(), reward=reward, cost=crashed, cost_env=counts, sources={"crash": counts},
-            goals=reached.astype(np.int64), env_steps=going.astype(np.int64), ended=self.ended.copy(), terminated=terminated,
-        )  # fmt: skip
+            observation=self._observed(),
+            reward=reward,
+            cost=crashed,
+            cost_env=counts,
+            sources={"crash": counts},
+            goals=reached.astype(np.int64),
+            env_steps=going.astype(np.int64),
+            ended=self.ended.copy(),
+            terminated=terminated,
+        )
 
     def _observed(self) -> Observation:
         return Observation(None, self.told[:, :SEEN].astype(np.float64), self.told.copy())

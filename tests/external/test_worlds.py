@@ -27,7 +27,12 @@ def test_pads_have_nine_places_and_ground_that_is_flat():
     goals = {round(float(world.reset(seed=seed)[0][SEEN]), 3) for seed in range(120)}
     assert goals == {round(float(goal), 3) for goal in candidates("lander").flatten()}
     heights = [edge.shape.vertices for edge in world.physics.moon.fixtures[:-1]]
-    on_pad = [y for edge in heights for x, y in edge if world.physics.helipad_x1 <= x <= world.physics.helipad_x2]
+    on_pad = [
+        y
+        for edge in heights
+        for x, y in edge
+        if world.physics.helipad_x1 <= x <= world.physics.helipad_x2
+    ]
     assert np.ptp(on_pad) < 0.1
 
 
@@ -66,7 +71,9 @@ def test_a_landing_counts_on_the_pad_alone():
     for place, reached in ((0.0, True), (6.0, False)):
         world = GoalLander("lander")
         world.reset(seed=3)
-        world.physics.helipad_x1, world.physics.helipad_x2 = (place + world.physics.lander.position.x + d for d in (-2.0, 2.0))
+        world.physics.helipad_x1, world.physics.helipad_x2 = (
+            place + world.physics.lander.position.x + d for d in (-2.0, 2.0)
+        )
         world.physics.lander.awake = False
         world.physics.world.gravity = (0, 0)
         for body in (world.physics.lander, *world.physics.legs):
@@ -76,7 +83,9 @@ def test_a_landing_counts_on_the_pad_alone():
 
 
 def test_the_reward_without_a_goal_is_the_one_of_gymnasium():
-    """With the pad in the middle the shaping is the same, but for the height at which a lander stands."""
+    """With the pad in the middle the shaping is the same, but for the height at which a lander
+    stands.
+    """
     world, original = GoalLander("lander"), gymnasium.make("LunarLanderContinuous-v3")
     world.reset(seed=0)
     original.reset(seed=0)
@@ -105,17 +114,28 @@ def test_time_ends_an_episode_that_goes_nowhere():
 def test_pilots_see_the_goal(kind):
     task = LanderTask(kind, 3)
     seen = task.reset([0, 1, 2])
-    expert = build(kind, "expert", lambda observation: observation[:, SEEN:].repeat(1, 2)[:, :2], [0, 1, 2])
+    expert = build(
+        kind, "expert", lambda observation: observation[:, SEEN:].repeat(1, 2)[:, :2], [0, 1, 2]
+    )
     command = expert.command(torch.zeros(3, SEEN), torch.from_numpy(seen.privileged))
     assert torch.equal(command[:, 0], torch.from_numpy(seen.privileged)[:, SEEN])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_members_of_the_vote_are_the_experts_critic_at_each_goal(kind):
-    model = SAC("MlpPolicy", GoalLander(kind), policy_kwargs={"net_arch": [16, 16]}, seed=0, device="cpu", buffer_size=10)
+    model = SAC(
+        "MlpPolicy",
+        GoalLander(kind),
+        policy_kwargs={"net_arch": [16, 16]},
+        seed=0,
+        device="cpu",
+        buffer_size=10,
+    )
     goals, seen, action = candidates(kind), torch.randn(5, SEEN), torch.rand(5, 2) * 2 - 1
     found = votes(model, goals)(seen, action)
     assert found.shape == (len(goals), 5)
     for member, goal in zip(found, goals, strict=True):
         inputs = torch.cat([seen, goal.expand(5, -1), action], 1)
-        assert torch.allclose(member, model.policy.critic.q_networks[0](inputs).squeeze(1), atol=1e-5)
+        assert torch.allclose(
+            member, model.policy.critic.q_networks[0](inputs).squeeze(1), atol=1e-5
+        )

@@ -1,4 +1,6 @@
-"""The commands of the storm: what each begins with, what must hold after every kill, and what it leaves in the end."""
+"""The commands of the storm: what each begins with, what must hold after every kill, and what
+it leaves in the end.
+"""
 
 import json
 import os
@@ -49,7 +51,17 @@ def wasp(*arguments: object) -> None:
 
 
 def drive(folder: Path, participant: int) -> None:
-    wasp("drive", folder / "people.yaml", "--participant", participant, "--simulate", "--speed", 4, "--results", folder / "results")
+    wasp(
+        "drive",
+        folder / "people.yaml",
+        "--participant",
+        participant,
+        "--simulate",
+        "--speed",
+        4,
+        "--results",
+        folder / "results",
+    )
 
 
 def prepare(base: Path) -> None:
@@ -67,26 +79,37 @@ def digests(results: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Command:
-    """A command that is killed. Each function is called in a process of its own, with the folder."""
+    """A command that is killed. Each function is called in a process of its own, with the
+    folder.
+    """
 
     name: str
     weight: int
     start: Callable[[Path], None]
-    compare: Callable[[Path, Path], None]  # what the command has left with what it leaves undisturbed
+    # what the command has left with what it leaves undisturbed
+    compare: Callable[[Path, Path], None]
     begin: Callable[[Path], None] = lambda folder: None
     check: Callable[[Path], None] = lambda folder: None  # after a kill, beside what holds for all
 
     def arrange(self, folder: Path) -> None:
         """Make what the command needs, and write down what must stay."""
         self.begin(folder)
-        stay = {name: digest for name, digest in digests(folder / "results").items() if not name.split("/")[2].startswith(RUBBISH)}
+        stay = {
+            name: digest
+            for name, digest in digests(folder / "results").items()
+            if not name.split("/")[2].startswith(RUBBISH)
+        }
         (folder / BEFORE).write_text(json.dumps(stay))
 
     def look(self, folder: Path) -> None:
         """See that nothing that was there is lost, and nothing half is seen."""
         results = folder / "results"
         now = digests(results)
-        lost = {name for name, digest in json.loads((folder / BEFORE).read_text()).items() if now.get(name) != digest}
+        lost = {
+            name
+            for name, digest in json.loads((folder / BEFORE).read_text()).items()
+            if now.get(name) != digest
+        }
         assert not lost, f"lost or changed: {sorted(lost)}"
         require_whole(results)
         assert not last_runs(Layout(results))[1]
@@ -124,7 +147,11 @@ def compare_run(folder: Path, calm: Path) -> None:
 def compare_report(folder: Path, calm: Path) -> None:
     """The same files, none empty, and the same tables."""
     found, wanted = (
-        {path.relative_to(each): path for path in each.glob("results/reports/**/*") if not path.name.startswith(".")}
+        {
+            path.relative_to(each): path
+            for path in each.glob("results/reports/**/*")
+            if not path.name.startswith(".")
+        }
         for each in (folder, calm)
     )
     assert found
@@ -137,8 +164,18 @@ def compare_report(folder: Path, calm: Path) -> None:
 
 
 def start_publish(folder: Path) -> None:
-    wasp("publish", folder / "people.yaml", "--results", folder / "results", "--to", folder / "published", "--reuse", "published",
-         "--select", "stage=world_model|policies")  # fmt: skip
+    wasp(
+        "publish",
+        folder / "people.yaml",
+        "--results",
+        folder / "results",
+        "--to",
+        folder / "published",
+        "--reuse",
+        "published",
+        "--select",
+        "stage=world_model|policies",
+    )
 
 
 def compare_publish(folder: Path, calm: Path) -> None:
@@ -177,8 +214,15 @@ def compare_gc(folder: Path, calm: Path) -> None:
 
 def driven(folder: Path) -> pa.Table | None:
     """The finished episodes of the second person, wherever they are now."""
-    found = [*(folder / "results").glob(f"work/*/{EPISODES_FILE}"), *(folder / "results").glob(f"store/evaluate/*/{EPISODES_FILE}")]
-    tables = [read_episodes([path]) for path in found if json.loads((path.parent / SESSION_FILE).read_text()).get("number") == 8]
+    found = [
+        *(folder / "results").glob(f"work/*/{EPISODES_FILE}"),
+        *(folder / "results").glob(f"store/evaluate/*/{EPISODES_FILE}"),
+    ]
+    tables = [
+        read_episodes([path])
+        for path in found
+        if json.loads((path.parent / SESSION_FILE).read_text()).get("number") == 8
+    ]
     return max(tables, key=len) if tables else None
 
 
@@ -202,8 +246,26 @@ def compare_drive(folder: Path, calm: Path) -> None:
 
 COMMANDS = (
     Command("run", 90, start_run, compare_run),
-    Command("report", 60, lambda folder: wasp("report", folder / "results", "--no-films", "--no-trained"), compare_report),
-    Command("publish", 50, start_publish, compare_publish, check=lambda folder: require_whole(folder / "published")),
-    Command("gc", 45, lambda folder: wasp("gc", folder / "results", "--yes", "--runs"), compare_gc, begin_gc, check_gc),
+    Command(
+        "report",
+        60,
+        lambda folder: wasp("report", folder / "results", "--no-films", "--no-trained"),
+        compare_report,
+    ),
+    Command(
+        "publish",
+        50,
+        start_publish,
+        compare_publish,
+        check=lambda folder: require_whole(folder / "published"),
+    ),
+    Command(
+        "gc",
+        45,
+        lambda folder: wasp("gc", folder / "results", "--yes", "--runs"),
+        compare_gc,
+        begin_gc,
+        check_gc,
+    ),
     Command("drive", 20, lambda folder: drive(folder, 8), compare_drive, check=check_drive),
 )

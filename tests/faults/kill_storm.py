@@ -1,9 +1,11 @@
 """kill -9 at random instants of commands: python -m tests.faults.kill_storm [--kills N] [--seed S]
 
-Every kill hits the command itself, one of its workers, or its whole group, at an instant drawn from the time that it takes undisturbed.
-After each kill everything that was stored before is there, byte for byte; after a few of them the same command ends well, and what it
-leaves is what an undisturbed one leaves. Commands begin in forks of one process that has imported everything, so that a kill hits their
-work and not their imports. This process computes nothing itself: a library whose threads run does not survive a fork.
+Every kill hits the command itself, one of its workers, or its whole group, at an instant drawn from
+the time that it takes undisturbed. After each kill everything that was stored before is there, byte
+for byte; after a few of them the same command ends well, and what it leaves is what an undisturbed
+one leaves. Commands begin in forks of one process that has imported everything, so that a kill hits
+their work and not their imports. This process computes nothing itself: a library whose threads run
+does not survive a fork.
 """
 
 import argparse
@@ -81,7 +83,9 @@ class Storm:
         log.unlink(missing_ok=True)
         code = ended(forked(task, log, folder))
         if code:
-            raise SystemExit(f"{what} in {folder} ended with {code}:\n{log.read_text(errors='replace')[-6000:]}")
+            raise SystemExit(
+                f"{what} in {folder} ended with {code}:\n{log.read_text(errors='replace')[-6000:]}"
+            )
 
     def calm(self, command: Command) -> None:
         """Do it once undisturbed: how long it takes, and what it leaves."""
@@ -105,7 +109,11 @@ class Storm:
             self.do(f"looking after a kill of {command.name}", lambda: command.look(folder), folder)
         self.do(f"resuming {command.name}", lambda: command.start(folder), folder)
         self.do(f"looking after {command.name}", lambda: command.look(folder), folder)
-        self.do(f"judging {command.name}", lambda: command.compare(folder, self.root / f"calm-{command.name}"), folder)
+        self.do(
+            f"judging {command.name}",
+            lambda: command.compare(folder, self.root / f"calm-{command.name}"),
+            folder,
+        )
         shutil.rmtree(folder)
 
     def kill(self, command: Command, folder: Path) -> None:
@@ -124,7 +132,10 @@ class Storm:
                 (os.killpg if victim == "its group" else os.kill)(child, signal.SIGKILL)
         code = ended(child)
         if victim == "a worker" and workers:  # the command lives on without it
-            assert code == 0, f"{command.name} did not survive a worker: {log.read_text(errors='replace')[-4000:]}"
+            assert code == 0, (
+                f"{command.name} did not survive a worker: "
+                f"{log.read_text(errors='replace')[-4000:]}"
+            )
         wait_until(lambda: group_is_gone(child))
         self.kills[command.name] += 1
 
@@ -139,11 +150,16 @@ def storm(kills: int, seed: int, root: Path) -> None:
         made.calm(command)
         while made.kills[command.name] < share:
             made.round(command, share - made.kills[command.name])
-        print(f"{command.name}: {share} kills, {made.seconds[command.name]:.1f} s undisturbed", flush=True)
+        print(
+            f"{command.name}: {share} kills, {made.seconds[command.name]:.1f} s undisturbed",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()

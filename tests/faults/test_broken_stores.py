@@ -1,4 +1,6 @@
-"""Disks that are full or read-only, files that are cut or flipped, records of other versions: a clear state, which the next run repairs."""
+"""Disks that are full or read-only, files that are cut or flipped, records of other versions: a
+clear state, which the next run repairs.
+"""
 
 import json
 import os
@@ -38,7 +40,9 @@ def small_disk(tmp_path) -> Iterator[Path]:
     folder = tmp_path / "disk"
     folder.mkdir()
     mounted = shutil.which("mount") and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)], capture_output=True, check=False
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)],
+        capture_output=True,
+        check=False,
     )
     if not mounted or mounted.returncode:
         pytest.skip("may not mount a file system")
@@ -47,17 +51,28 @@ def small_disk(tmp_path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("jobs", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(jobs, fakes, small_spec, small_disk, tmp_path):
+def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
+    jobs, fakes, small_spec, small_disk, tmp_path
+):
     results = small_disk / "results"
     fakes.set(bytes=150_000)
-    assert "No space left on device" in wasp("run", small_spec, "--results", results, "-j", jobs, code=1).stderr
+    assert (
+        "No space left on device"
+        in wasp("run", small_spec, "--results", results, "-j", jobs, code=1).stderr
+    )
     whole = list(results.glob("store/*/*/_manifest.json"))
     assert whole, "the disk had room for some"
     for manifest in whole:
         files = json.loads(manifest.read_text(encoding="utf-8"))["files"]
-        assert all((manifest.parent / name).stat().st_size == known["size"] for name, known in files.items())
+        assert all(
+            (manifest.parent / name).stat().st_size == known["size"]
+            for name, known in files.items()
+        )
     subprocess.run(["mount", "-o", "remount,size=20m", str(small_disk)], check=True)
-    assert f"{len(whole)} computed before" in wasp("run", small_spec, "--results", results, "-j", jobs, code=0).stderr
+    assert (
+        f"{len(whole)} computed before"
+        in wasp("run", small_spec, "--results", results, "-j", jobs, code=0).stderr
+    )
     shutil.copytree(results, tmp_path / "results")
     assert as_undisturbed(small_spec, tmp_path / "results")
 
@@ -67,8 +82,14 @@ def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes, small_s
     run(small_spec, results)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     refused = run_here("run", small_spec, "--results", results, "-j", "0", columns=400, code=1)
-    assert refused.stderr.startswith(f"error: cannot write results to '{results}': read-only file system")
-    for command in (("plan", small_spec, "--results", results), ("status", results), ("show", "goal1 s0 expert", "--results", results)):
+    assert refused.stderr.startswith(
+        f"error: cannot write results to '{results}': read-only file system"
+    )
+    for command in (
+        ("plan", small_spec, "--results", results),
+        ("status", results),
+        ("show", "goal1 s0 expert", "--results", results),
+    ):
         assert run_here(*command, columns=80).exit_code == 0
     subprocess.run(["mount", "-o", "remount,rw", str(small_disk)], check=True)
     assert run(small_spec, results).complete
@@ -82,7 +103,9 @@ def flip(path: Path, at: int = -5) -> None:
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
 
 
-def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes, small_spec, results):
+def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(
+    fakes, small_spec, results
+):
     """safetensors has no checksum: flipped weights load without a word."""
     fakes.set(weights=True)
     run(small_spec, results)
@@ -100,8 +123,9 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     assert "weights.safetensors' has other bytes than were stored" in done.stderr
     _, _, plan = prepared(small_spec, results)
     assert {(step.node.label, step.state) for step in plan.steps if step.runs} == {
-        (world_model.label, "damaged"), (reader.label, "failed"),
-    }  # fmt: skip
+        (world_model.label, "damaged"),
+        (reader.label, "failed"),
+    }
     assert run(small_spec, results).complete
     assert np.array_equal(load_file(weights)["w"], before)
     assert as_undisturbed(small_spec, results)
@@ -113,7 +137,9 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeyp
     loaded, layout, plan = prepared(spec, tmp_path / "results")
     cell, node = plan.grid.cells[0]
     folder = staging_folder(layout, node.key)
-    identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+    identity = CellIdentity(
+        cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
+    )
     write_rows(folder, identity, [invent(3, 2, 0.0, 0.1)])
     commit(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
     path = layout.artifact(node.kind, node.key) / EPISODES_FILE
@@ -140,9 +166,13 @@ def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path, cut)
     assert run_here(*note, "it is as it should be", columns=80).exit_code == 0
     room = path.stat().st_size + cut
     refused = subprocess.run(
-        [sys.executable, "-B", "-m", "wasp_cli", *note, "-e", "0", "--invalid", "x"], cwd=ROOT, capture_output=True, text=True, check=False,
+        [sys.executable, "-B", "-m", "wasp_cli", *note, "-e", "0", "--invalid", "x"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
-    )  # fmt: skip
+    )
     assert refused.returncode == 1, refused.stdout + refused.stderr
     assert f"the note cannot be written to '{path}'" in refused.stderr
     assert "file too large" in refused.stderr
@@ -163,8 +193,13 @@ def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path):
             room = path.stat().st_size + 20
             resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
             journal.write("second")
-            cut = journal.failure is not None and "is not whole: file too large" in journal.failure.message
-            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            cut = (
+                journal.failure is not None
+                and "is not whole: file too large" in journal.failure.message
+            )
+            resource.setrlimit(
+                resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+            )
             journal.write("third")
             os._exit(0 if cut and path.stat().st_size > room else 1)
         finally:
@@ -173,7 +208,9 @@ def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path):
     assert [event["event"] for event in read_json_lines(path)] == ["first", "third"]
 
 
-def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(fakes, small_spec, results, monkeypatch):
+def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(
+    fakes, small_spec, results, monkeypatch
+):
     monkeypatch.setattr(Layout, "journal", lambda self, run_id: Path("/dev/full"))
     summary = run(small_spec, results)
     assert summary.complete
@@ -197,14 +234,29 @@ def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, smal
     document["operators"]["sleepy"] = {"mild": 1.0}
     spec.write_text(json.dumps(document))
     cell = next(cell for cell in planned["cells"] if cell["method"] == "human")
-    planned["cells"] += [{**cell, "method": "blend", "key": "0" * 20}, {**cell, "operator": "sleepy", "key": "1" * 20}]
+    planned["cells"] += [
+        {**cell, "method": "blend", "key": "0" * 20},
+        {**cell, "operator": "sleepy", "key": "1" * 20},
+    ]
     plan.write_text(json.dumps(planned))
     after = read_run(layout, run_id)
     assert (after.cells, after.parts) == (before.cells, before.parts)
     assert after.spec == before.spec
     told = "\n".join(after.unknown)
-    for name in ("`blend`", "`wasp.braveness`", "`wasp.operator_model`", "`methods: blend`", "`methods: mix`", "`operators.sleepy`"):
+    for name in (
+        "`blend`",
+        "`wasp.braveness`",
+        "`wasp.operator_model`",
+        "`methods: blend`",
+        "`methods: mix`",
+        "`operators.sleepy`",
+    ):
         assert name in told
-    assert after.absent == ("blend: not installed here; its cell is left out.", "sleepy: not installed here; its cell is left out.")
-    report = report_run(results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent)
+    assert after.absent == (
+        "blend: not installed here; its cell is left out.",
+        "sleepy: not installed here; its cell is left out.",
+    )
+    report = report_run(
+        results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent
+    )
     assert {*after.unknown, *after.absent} <= set(report.facts)

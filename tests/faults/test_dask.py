@@ -18,7 +18,18 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import ROOT, Fakes, as_undisturbed, data_of, finished, goes_on, run, start, wait_until, wasp
+from tests.run.harness import (
+    ROOT,
+    Fakes,
+    as_undisturbed,
+    data_of,
+    finished,
+    goes_on,
+    run,
+    start,
+    wait_until,
+    wasp,
+)
 from wasp_cli.errors import WaspError
 from wasp_cli.run.pool import DaskPool, SlurmPool
 
@@ -43,20 +54,42 @@ def dask_cluster(folder: Path, workers: int = 2, cwd: Path = ROOT) -> Iterator[C
         log = folder / f"{name}.log"
         with log.open("w", encoding="utf-8") as file:
             command = [sys.executable, "-m", "dask", *arguments]
-            started.append(subprocess.Popen(command, cwd=cwd, env=environment, stdout=file, stderr=file, text=True, start_new_session=True))
+            started.append(
+                subprocess.Popen(
+                    command,
+                    cwd=cwd,
+                    env=environment,
+                    stdout=file,
+                    stderr=file,
+                    text=True,
+                    start_new_session=True,
+                )
+            )
         return log
 
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        log = start("scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        log = start(
+            "scheduler", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"
+        )
         wait_until(lambda: "Scheduler at:" in log.read_text(encoding="utf-8"))
-        line = next(line for line in log.read_text(encoding="utf-8").splitlines() if "Scheduler at:" in line)
+        line = next(
+            line for line in log.read_text(encoding="utf-8").splitlines() if "Scheduler at:" in line
+        )
         address = line.partition("Scheduler at:")[2].strip()
-        local = ("--local-directory", str(folder / "scratch"), "--no-dashboard", "--host", "127.0.0.1")
+        local = (
+            "--local-directory",
+            str(folder / "scratch"),
+            "--no-dashboard",
+            "--host",
+            "127.0.0.1",
+        )
 
         def add(*names: str) -> None:
             logs = [start(name, "worker", address, "--nthreads", "1", *local) for name in names]
-            wait_until(lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs))
+            wait_until(
+                lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs)
+            )
 
         add(*(f"worker{number}" for number in range(workers)))
         yield Cluster(address, started, add)
@@ -73,8 +106,12 @@ def through(cluster: Cluster) -> tuple[str, ...]:
 
 
 @pytest.mark.slow
-def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named(fakes, small_spec, results, tmp_path):
-    fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse", "goal1 s0 evaluate human {} noisy": "kill"})
+def test_a_grid_has_the_same_bytes_and_what_refuses_or_kills_its_worker_is_named(
+    fakes, small_spec, results, tmp_path
+):
+    fakes.set(
+        seconds=0.05, behave={"s0 ida_q": "refuse", "goal1 s0 evaluate human {} noisy": "kill"}
+    )
     with dask_cluster(tmp_path / "dask", workers=1) as cluster:
         done = wasp("run", small_spec, "--results", results, *through(cluster), code=1)
     assert "2 failed:\n" in done.stderr
@@ -121,7 +158,9 @@ def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes, small_spe
 
 
 @pytest.mark.slow
-def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_spec, results, tmp_path):
+def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(
+    fakes, small_spec, results, tmp_path
+):
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
         process = start("run", small_spec, "--results", results, *through(cluster))
@@ -134,7 +173,10 @@ def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_s
         fakes.set()
         cluster.add("late")
         _, errors = process.communicate(timeout=600)
-    way = f"all dask workers are gone; the run waits, and goes on when one is there: dask worker {cluster.address} --nthreads 1"
+    way = (
+        "all dask workers are gone; the run waits, and goes on when one is there: dask worker "
+        f"{cluster.address} --nthreads 1"
+    )
     assert way in told
     assert " left" not in told.replace("no worker is left", "")
     assert (state["state"], state["left_seconds"]) == ("running", None)
@@ -146,7 +188,9 @@ def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes, small_s
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, small_spec, results, tmp_path):
+def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(
+    fakes, small_spec, results, tmp_path
+):
     """dask would wait for ever."""
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
@@ -164,17 +208,32 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes, smal
     ("arguments", "message"),
     [
         (("--backend", "dask"), "the backend dask needs the address of its scheduler"),
-        (("--backend", "dask", "--scheduler", "nonsense"), "'nonsense' is not the address of a dask scheduler"),
-        (("--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"), "no dask scheduler answers at 'tcp://127.0.0.1:1': connection refused"),
+        (
+            ("--backend", "dask", "--scheduler", "nonsense"),
+            "'nonsense' is not the address of a dask scheduler",
+        ),
+        (
+            ("--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"),
+            "no dask scheduler answers at 'tcp://127.0.0.1:1': connection refused",
+        ),
         (("--backend", "dusk"), "unknown backend 'dusk'"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask, ray and slurm"),
+        (
+            ("--scheduler", "tcp://127.0.0.1:1"),
+            "--scheduler is for the backends dask, ray and slurm",
+        ),
     ],
 )
 def test_a_backend_that_is_not_there_is_a_usage_error(arguments, message, small_spec, tmp_path):
-    assert message in run_here("run", small_spec, "--results", tmp_path / "results", *arguments, columns=400, code=2).stderr
+    assert (
+        message
+        in run_here(
+            "run", small_spec, "--results", tmp_path / "results", *arguments, columns=400, code=2
+        ).stderr
+    )
 
 
-# The grid as Slurm jobs: submitit is real, and `sbatch`, `srun`, `sacct` and `scancel` run the jobs on this machine.
+# The grid as Slurm jobs: submitit is real, and `sbatch`, `srun`, `sacct` and `scancel` run the jobs
+# on this machine.
 
 
 SBATCH = """\
@@ -233,22 +292,55 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_a_grid_as_slurm_jobs_has_the_same_bytes(slurm: Path, fakes: Fakes, small_spec: Path, results: Path) -> None:
-    text = small_spec.read_text().replace("[human, ida, wasp, expert]", "[human, expert]").replace("  laggy: {moderate: 0.7}\n", "")
+def test_a_grid_as_slurm_jobs_has_the_same_bytes(
+    slurm: Path, fakes: Fakes, small_spec: Path, results: Path
+) -> None:
+    text = (
+        small_spec.read_text()
+        .replace("[human, ida, wasp, expert]", "[human, expert]")
+        .replace("  laggy: {moderate: 0.7}\n", "")
+    )
     small_spec.write_text(text)
-    options = ("--backend", "slurm", "-j", "3", "--scheduler", "partition=cpu,time=60,cpus_per_task=3")
+    options = (
+        "--backend",
+        "slurm",
+        "-j",
+        "3",
+        "--scheduler",
+        "partition=cpu,time=60,cpus_per_task=3",
+    )
     wasp("run", small_spec, "--results", results, *options, code=0)
     assert as_undisturbed(small_spec, results)
     scripts = [path.read_text() for path in slurm.glob("*.sh")]
     assert len(scripts) == len(data_of(results))
-    assert all('"threads": 3' in path.read_text() for path in results.glob("store/*/*/_manifest.json"))
-    assert all("--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=3" in script for script in scripts)
+    assert all(
+        '"threads": 3' in path.read_text() for path in results.glob("store/*/*/_manifest.json")
+    )
+    assert all(
+        "--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=3" in script
+        for script in scripts
+    )
 
 
 @pytest.mark.slow
-def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_a_killed_slurm_job_is_told_and_the_rest_is_kept(
+    slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
     fakes.set(behave={"s0 world_model": "kill"})
-    assert "world_model" in wasp("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "-j", "2", code=1).stderr
+    assert (
+        "world_model"
+        in wasp(
+            "run",
+            small_spec,
+            "--results",
+            tmp_path / "results",
+            "--backend",
+            "slurm",
+            "-j",
+            "2",
+            code=1,
+        ).stderr
+    )
     assert data_of(tmp_path / "results")
 
 
@@ -259,24 +351,53 @@ def test_jobs_that_end_while_others_are_cancelled_stop_nothing() -> None:
         cancelled.append(check)
         pool._pending.popitem()
 
-    pool._pending.update({Future(): SimpleNamespace(done=lambda: False, cancel=cancel) for _ in range(2)})
+    pool._pending.update(
+        {Future(): SimpleNamespace(done=lambda: False, cancel=cancel) for _ in range(2)}
+    )
     pool.close(kill=True)
     assert len(cancelled) == 2
 
 
-def test_what_sbatch_refuses_is_told(slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    done = wasp("run", small_spec, "--results", tmp_path / "results", "--backend", "slurm", "--scheduler", "partition=refused", code=1)
+def test_what_sbatch_refuses_is_told(
+    slurm: Path, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    done = wasp(
+        "run",
+        small_spec,
+        "--results",
+        tmp_path / "results",
+        "--backend",
+        "slurm",
+        "--scheduler",
+        "partition=refused",
+        code=1,
+    )
     assert "Slurm takes no job" in done.stderr
     assert "invalid partition" in done.stderr
     (slurm / "busy").touch()
-    done = wasp("run", small_spec, "--results", tmp_path / "results", "--select", "stage=expert,seed=0", "--backend", "slurm")
+    done = wasp(
+        "run",
+        small_spec,
+        "--results",
+        tmp_path / "results",
+        "--select",
+        "stage=expert,seed=0",
+        "--backend",
+        "slurm",
+    )
     assert "Slurm takes no job: sbatch: error: Socket timed out" in done.stderr
     assert len(finished(tmp_path / "results")) == 1
 
 
-def test_bad_options_and_a_machine_without_slurm_are_told_before_anything_runs(slurm: Path, small_spec: Path, tmp_path: Path) -> None:
+def test_bad_options_and_a_machine_without_slurm_are_told_before_anything_runs(
+    slurm: Path, small_spec: Path, tmp_path: Path
+) -> None:
     options = ("run", small_spec, "--results", tmp_path / "none", "--backend", "slurm")
-    for scheduler, said in (("partition", "no option of sbatch"), ("color=red", "knows"), ("a b=c", "no option of sbatch")):
+    for scheduler, said in (
+        ("partition", "no option of sbatch"),
+        ("color=red", "knows"),
+        ("a b=c", "no option of sbatch"),
+    ):
         assert said in run_here(*options, "--scheduler", scheduler, columns=200, code=2).stderr
     (tmp_path / "bin" / "sbatch").unlink()
     assert "needs sbatch" in run_here(*options, columns=200, code=2).stderr

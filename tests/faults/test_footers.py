@@ -1,4 +1,6 @@
-"""A flipped bit in the footer of a cell: every reader of tables names the file and goes on with the rest, and a run heals it."""
+"""A flipped bit in the footer of a cell: every reader of tables names the file and goes on with
+the rest, and a run heals it.
+"""
 
 from pathlib import Path
 
@@ -37,7 +39,9 @@ def flip(path: Path, place: int, bit: int = 0) -> None:
 
 
 def letter(path: Path, column: str) -> int:
-    """The place of a letter of a column's name where the footer has it as the name of a column of the schema."""
+    """The place of a letter of a column's name where the footer has it as the name of a column
+    of the schema.
+    """
     data = path.read_bytes()
     name = bytes([len(column)]) + column.encode()
     return data.index(name, footer(data).start) + 1
@@ -50,7 +54,9 @@ def one_cell(side: Side) -> Path:
 
 @pytest.mark.parametrize("stride", [97, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
-    """Bytes in turn, another bit of each: the cell is as it was, or it is named; the others are read."""
+    """Bytes in turn, another bit of each: the cell is as it was, or it is named; the others are
+    read.
+    """
     before, after = write_results(tmp_path / "before"), write_results(tmp_path / "after")
     path = one_cell(after)
     whole = path.read_bytes()
@@ -59,7 +65,11 @@ def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
     first, *others = right.cells
     wrong = 0
     # Where the type of a column is: asked for its statistics, pyarrow would end the process.
-    types = [place + 1 for place in footer(whole) if whole[place : place + 4] in (b"\x15\x0c\x19%", b"\x15\n\x19%")]
+    types = [
+        place + 1
+        for place in footer(whole)
+        if whole[place : place + 4] in (b"\x15\x0c\x19%", b"\x15\n\x19%")
+    ]
     assert types
     for place in {*footer(whole)[::stride], *types}:
         flip(path, place, place % 8)
@@ -81,13 +91,28 @@ def test_no_bit_of_a_footer_ends_a_reader(stride, tmp_path):
     assert len(compared.having("same")) == len(compared.cells) - 1
 
 
-@pytest.mark.parametrize("column", ["cost", *(pytest.param(name, marks=pytest.mark.slow) for name in ("episode_seed", "decisions"))])
+@pytest.mark.parametrize(
+    "column",
+    [
+        "cost",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("episode_seed", "decisions")),
+    ],
+)
 def test_report_compare_and_view_name_the_file_and_go_on(column, without_figures, tmp_path):
     before, after = write_results(tmp_path / "before"), write_results(tmp_path / "after")
     path = one_cell(after)
     assert column in COLUMNS
     flip(path, letter(path, column))
-    told = run_here("report", after.layout.root, "--no-films", "--no-trained", "--paper", "none", columns=400, code=1)
+    told = run_here(
+        "report",
+        after.layout.root,
+        "--no-films",
+        "--no-trained",
+        "--paper",
+        "none",
+        columns=400,
+        code=1,
+    )
     assert f"{path} is damaged: it has no column {column}" in told.output
     assert "1 of 8 cells are missing (1 damaged)" in told.output
     compared = run_here("compare", before.layout.root, after.layout.root, columns=400, code=0)
@@ -95,7 +120,9 @@ def test_report_compare_and_view_name_the_file_and_go_on(column, without_figures
     assert "7 the same" in compared.output
     with viewed(after.layout.root) as server:
         found = numbers(server)
-        assert [EPISODES_FILE in texts[-1] or texts[-1] == "damaged" for texts in found.values()].count(True) == 1
+        assert [
+            EPISODES_FILE in texts[-1] or texts[-1] == "damaged" for texts in found.values()
+        ].count(True) == 1
         assert [texts[0] for texts in found.values()].count("8") == 7
 
 

@@ -12,7 +12,16 @@ from types import SimpleNamespace
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import ROOT, as_undisturbed, finished, goes_on, group_is_gone, prepared, start, wait_until
+from tests.run.harness import (
+    ROOT,
+    as_undisturbed,
+    finished,
+    goes_on,
+    group_is_gone,
+    prepared,
+    start,
+    wait_until,
+)
 from wasp_cli.errors import TimeLimitExceeded
 from wasp_cli.run.job import interruptible, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
@@ -31,7 +40,9 @@ from wasp_cli.store.plain import read_json_lines
         pytest.param(signal.SIGINT, True, 0, id="ctrl-c without workers", marks=pytest.mark.slow),
     ],
 )
-def test_the_first_signal_lets_finish_what_runs(number, whole_group, jobs, fakes, small_spec, results):
+def test_the_first_signal_lets_finish_what_runs(
+    number, whole_group, jobs, fakes, small_spec, results
+):
     fakes.set(seconds=0.5)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
     wait_until(lambda: len(finished(results)) >= 2 and any(results.glob("runs/*/running/*.json")))
@@ -51,8 +62,12 @@ def test_the_first_signal_lets_finish_what_runs(number, whole_group, jobs, fakes
     goes_on(fakes, small_spec, results)
 
 
-@pytest.mark.parametrize("jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)])
-def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs, fakes, small_spec, results):
+@pytest.mark.parametrize(
+    "jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)]
+)
+def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(
+    jobs, fakes, small_spec, results
+):
     fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
     wait_until(lambda: len(finished(results)) >= 5)
@@ -79,31 +94,48 @@ def test_two_runs_share_one_store(fakes, small_spec, results):
     assert as_undisturbed(small_spec, results)
 
 
-# Nodes that take too long, sleep for ever, hang in native code, kill their worker, or eat memory until they are killed.
+# Nodes that take too long, sleep for ever, hang in native code, kill their worker, or eat memory
+# until they are killed.
 
 
 NODE = "goal1 s0 evaluate human {} noisy"
 LABEL = "goal1 s0 human noisy=0.2"
 
 
-def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retries: int = 0) -> Summary:
+def limited_run(
+    spec: Path, results: Path, pool: Pool, limit: float | None, retries: int = 0
+) -> Summary:
     loaded, layout, plan = prepared(spec, results)
     try:
-        return Runner(layout, new_run(layout, loaded, plan), pool, limit=limit, retries=retries).run(plan)
+        return Runner(
+            layout, new_run(layout, loaded, plan), pool, limit=limit, retries=retries
+        ).run(plan)
     finally:
         pool.close(kill=True)
 
 
 def test_workers_begin_with_signals_held_back():
-    """In a process of its own: in this one the trackers run already, which lift the mask when they start."""
+    """In a process of its own: in this one the trackers run already, which lift the mask when
+    they start.
+    """
     code = (
-        "import signal; from joblib.externals.loky.backend import fork_exec as f; from wasp_cli.run import pool\n"
+        "import signal; from joblib.externals.loky.backend import fork_exec as f; from "
+        "wasp_cli.run import pool\n"
         "began, masks = f.fork_exec, []\n"
-        "f.fork_exec = lambda *a, **k: (masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]\n"
+        "f.fork_exec = lambda *a, **k: "
+        "(masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]\n"
         "with pool.signals_wait(): workers = pool._new_workers(2); workers.submit(int)\n"
-        "workers.shutdown(kill_workers=True); print([set(pool.SIGNALS) <= mask for mask in masks[-2:]])"
+        "workers.shutdown(kill_workers=True); print([set(pool.SIGNALS) <= mask for mask in "
+        "masks[-2:]])"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=True,
+    )
     assert done.stdout == "[True, True]\n"
 
 
@@ -116,7 +148,9 @@ def test_workers_begin_with_signals_held_back():
         ("hang", "it exceeded its time limit and did not stop, so its process was ended"),
     ],
 )
-def test_a_node_that_sleeps_or_hangs_is_ended_and_named_and_the_others_finish(jobs, behaviour, message, fakes, small_spec, tmp_path):
+def test_a_node_that_sleeps_or_hangs_is_ended_and_named_and_the_others_finish(
+    jobs, behaviour, message, fakes, small_spec, tmp_path
+):
     fakes.set(behave={NODE: behaviour})
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=8.0)
     ((node, result),) = summary.failed
@@ -128,7 +162,9 @@ def test_a_node_that_sleeps_or_hangs_is_ended_and_named_and_the_others_finish(jo
 
 
 @pytest.mark.slow
-def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes, small_spec, results):
+def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(
+    fakes, small_spec, results
+):
     fakes.set(behave={NODE: "eat"})
     process = start("run", small_spec, "--results", results, "-j", "2")
     killed = 0
@@ -157,7 +193,9 @@ def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(f
     assert goes_on(fakes, small_spec, results) == 1
 
 
-def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes, small_spec, tmp_path):
+def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(
+    fakes, small_spec, tmp_path
+):
     fakes.set(behave={NODE: "raise once", "goal1 s0 ida_q": "refuse"})
     summary = limited_run(small_spec, tmp_path / "results", InlinePool(), limit=None, retries=2)
     assert [node.label for node, _ in summary.failed] == ["goal1 s0 ida_q"]
@@ -189,16 +227,37 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path):
 
 def test_the_time_is_typed_as_people_write_it(fakes, small_spec, tmp_path, monkeypatch):
     fakes.set(behave={NODE: "sleep"})
-    monkeypatch.setattr("wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=()))
-    done = run_here("run", small_spec, "--results", tmp_path / "results", "-j", "0", "--timeout", "4s", columns=200, code=1)
-    assert f"{LABEL}: it took longer than the limit of 4.0 s\n      allow more time with --timeout" in done.stderr
+    monkeypatch.setattr(
+        "wasp_cli.cli.run.show_report", lambda *_, **__: SimpleNamespace(missing=())
+    )
+    done = run_here(
+        "run",
+        small_spec,
+        "--results",
+        tmp_path / "results",
+        "-j",
+        "0",
+        "--timeout",
+        "4s",
+        columns=200,
+        code=1,
+    )
+    assert (
+        f"{LABEL}: it took longer than the limit of 4.0 s\n      allow more time with --timeout"
+        in done.stderr
+    )
     for wrong in ("soon", "9223372036"):
-        assert f"invalid duration '{wrong}'" in run_here("run", small_spec, "--timeout", wrong, columns=80, code=2).stderr
+        assert (
+            f"invalid duration '{wrong}'"
+            in run_here("run", small_spec, "--timeout", wrong, columns=80, code=2).stderr
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(jobs, fakes, small_spec, tmp_path):
+def test_who_kills_its_worker_is_named_and_who_is_killed_by_chance_is_repeated(
+    jobs, fakes, small_spec, tmp_path
+):
     fakes.set(behave={NODE: "kill", "goal1 s0 world_model": "kill once"}, seconds=0.05)
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=None)
     assert [node.label for node, _ in summary.failed] == [LABEL]

@@ -1,4 +1,6 @@
-"""kill -9 at random instants, of a worker, of the parent, or of everything: nothing finished is lost, nothing half is seen."""
+"""kill -9 at random instants, of a worker, of the parent, or of everything: nothing finished is
+lost, nothing half is seen.
+"""
 
 import json
 import os
@@ -19,21 +21,27 @@ VICTIMS = ("a worker", "the parent", "everything")
 
 
 def artifacts(results: Path) -> dict[str, Path]:
-    return {path.name: path for path in results.glob("store/*/*") if (path / "_manifest.json").exists()}
+    return {
+        path.name: path for path in results.glob("store/*/*") if (path / "_manifest.json").exists()
+    }
 
 
 def require_whole(results: Path) -> None:
     """Every artifact that is visible has each file that its manifest lists, byte for byte."""
     for place in results.glob("store/*/*"):
         files = json.loads((place / "_manifest.json").read_text(encoding="utf-8"))["files"]
-        there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()} - {"_manifest.json"}
+        there = {
+            path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()
+        } - {"_manifest.json"}
         assert there == files.keys()
         for name, known in files.items():
             assert file_digest(place / name) == known["sha256"]
 
 
 def children(parent: int, of: bytes = b"") -> list[int]:
-    """Child processes with this in their command; never loky's resource tracker, which computes no node."""
+    """Child processes with this in their command; never loky's resource tracker, which computes
+    no node.
+    """
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
@@ -55,8 +63,12 @@ def kill(victim: str, process: subprocess.Popen[str], chance: random.Random) -> 
     return True
 
 
-def storm(command: list[str | Path], results: Path, kills: int, longest: float, chance: random.Random) -> tuple[dict[str, int], int]:
-    """Start a run again and again and kill it, until it was killed so often; how often each victim died, and how many runs there were."""
+def storm(
+    command: list[str | Path], results: Path, kills: int, longest: float, chance: random.Random
+) -> tuple[dict[str, int], int]:
+    """Start a run again and again and kill it, until it was killed so often; how often each
+    victim died, and how many runs there were.
+    """
     counts, runs = dict.fromkeys(VICTIMS, 0), 0
     kept: dict[str, int] = {}
     while sum(counts.values()) < kills:
@@ -80,12 +92,21 @@ def storm(command: list[str | Path], results: Path, kills: int, longest: float, 
 
 
 @pytest.mark.parametrize(
-    ("kills", "seed", "tasks"), [(4, 1, "[goal1]"), pytest.param(50, 100, "[goal1, race1, formula1]", marks=pytest.mark.slow)]
+    ("kills", "seed", "tasks"),
+    [(4, 1, "[goal1]"), pytest.param(50, 100, "[goal1, race1, formula1]", marks=pytest.mark.slow)],
 )
 def test_kills_at_random_instants(kills, seed, tasks, fakes, small_spec, results):
-    small_spec.write_text(small_spec.read_text(encoding="utf-8").replace("[goal1]", tasks), encoding="utf-8")
+    small_spec.write_text(
+        small_spec.read_text(encoding="utf-8").replace("[goal1]", tasks), encoding="utf-8"
+    )
     fakes.set(seconds=0.15)
-    counts, runs = storm(["run", small_spec, "--results", results, "-j", "2"], results, kills, 1.2, random.Random(seed))
+    counts, runs = storm(
+        ["run", small_spec, "--results", results, "-j", "2"],
+        results,
+        kills,
+        1.2,
+        random.Random(seed),
+    )
     assert sum(counts.values()) == kills
     assert runs > 1
     assert goes_on(fakes, small_spec, results) == 0 or not list(results.glob("tmp/*"))
@@ -103,9 +124,21 @@ def payload(results: Path) -> dict[str, str]:
 @pytest.mark.slow
 def test_a_storm_over_other_commands_loses_nothing():
     """See `kill_storm`. WASP_KILLS says how many kills, WASP_KILLS_SEED which."""
-    options = ("--kills", os.environ.get("WASP_KILLS", "120"), "--seed", os.environ.get("WASP_KILLS_SEED", "1"))
+    options = (
+        "--kills",
+        os.environ.get("WASP_KILLS", "120"),
+        "--seed",
+        os.environ.get("WASP_KILLS_SEED", "1"),
+    )
     # A process of its own: it forks, which one that has computed with threads must not.
     command = [sys.executable, "-m", "tests.faults.kill_storm", *options]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.endswith("nothing was lost\n")

@@ -1,4 +1,6 @@
-"""Tiny untrained models, held-out episodes, and a cell that an assistant was evaluated in with them."""
+"""Tiny untrained models, held-out episodes, and a cell that an assistant was evaluated in with
+them.
+"""
 
 import pytest
 
@@ -18,7 +20,19 @@ def short():
 def inputs(artifacts, tmp_path_factory):
     folder = tmp_path_factory.mktemp("heldout")
     with short_episodes():
-        HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, artifacts, folder, folder))
+        HeldoutStage().run(
+            Job(
+                "heldout",
+                "race1",
+                0,
+                HeldoutConfig(episodes=2),
+                SETTINGS,
+                {},
+                artifacts,
+                folder,
+                folder,
+            )
+        )
     return artifacts | {"heldout": folder}
 
 
@@ -52,10 +66,17 @@ def chain(root):
     from wasp_cli.stages.base import no_progress
 
     torch.manual_seed(1)
-    folders = {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
+    folders = {
+        "expert": root / "expert",
+        "dataset": root / "whole",
+        "world_model": root / "model",
+        "latents": root / "latents",
+    }
     for name in ("world_model", "latents"):
         folders[name].mkdir()
-    model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
+    model = build(
+        WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2
+    )
     save_world_model(model, folders["world_model"])
     save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["latents"])
     return folders

@@ -12,7 +12,14 @@ from torch import Tensor
 
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
+from wasp_cli.learning.critic_quality import (
+    Pairs,
+    heldout_pairs,
+    pairs,
+    quality,
+    returns_ahead,
+    write_pairs,
+)
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.recorded_values import recorded_values
@@ -27,7 +34,9 @@ KEEP = 0.9
 
 
 class Plain:
-    """Every state is like the next: reward 1, cost 0.5, and the episode goes on with probability KEEP. h counts steps."""
+    """Every state is like the next: reward 1, cost 0.5, and the episode goes on with
+    probability KEEP. h counts steps.
+    """
 
     action_size, noise_size, feature_size = 1, 2, 3
 
@@ -51,8 +60,18 @@ def still(rows: int) -> Latents:
     return Latents(torch.zeros(rows, 1), torch.zeros(rows, 1, dtype=torch.uint8), 2)
 
 
-SMALL = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2, q_updates=400, q_batch=16,
-                      q_learning_rate=1e-2, q_slow=0.2)  # fmt: skip
+SMALL = CriticsConfig(
+    hidden=(8,),
+    updates=300,
+    starts=4,
+    horizon=15,
+    learning_rate=1e-2,
+    slow=0.2,
+    q_updates=400,
+    q_batch=16,
+    q_learning_rate=1e-2,
+    q_slow=0.2,
+)
 torch.manual_seed(0)  # its weights are drawn: what was collected before would decide them
 SKILLS = Skills([1.0], 3, [8], 1)
 RETURNS = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
@@ -64,7 +83,9 @@ def steady(reward: float, cost: float, lengths: tuple[int, ...] = (12, 9, 15)) -
     with torch.no_grad():
         action = SKILLS.expert(torch.tensor([[0.0, 1.0, 0.0]])).numpy()
     return data._replace(
-        action=action.repeat(len(data.first), 0), reward=np.float32(reward) * (1 - data.first), cost=np.float32(cost) * (1 - data.first)
+        action=action.repeat(len(data.first), 0),
+        reward=np.float32(reward) * (1 - data.first),
+        cost=np.float32(cost) * (1 - data.first),
     )
 
 
@@ -83,16 +104,26 @@ def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep):
     assert critics.value_r(start).item() == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
     assert critics.value_c(start).item() == pytest.approx(0.5 / (1 - 0.5 * keep), rel=0.03)
     assert [row["update"] for row in curve] == [*range(20, 301, 20)]
-    assert curve[0]["target_r"] < curve[-1]["target_r"] == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
+    assert (
+        curve[0]["target_r"]
+        < curve[-1]["target_r"]
+        == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
+    )
 
 
 def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows():
-    """Endless where a time limit cuts, one decision before an episode's own end its last score, unknown behind it and where held out."""
+    """Endless where a time limit cuts, one decision before an episode's own end its last score,
+    unknown behind it and where held out.
+    """
     data = steady(2.0, 0.5, (6, 6, 6))
     data.terminal[11] = 1
-    latents, skills = Latents(torch.eye(18), torch.zeros(18, 1, dtype=torch.uint8), 2), Skills([1.0], 20, [8], 1)
+    latents, skills = (
+        Latents(torch.eye(18), torch.zeros(18, 1, dtype=torch.uint8), 2),
+        Skills([1.0], 20, [8], 1),
+    )
     with torch.no_grad():
-        data.action[1:] = skills.expert(latents.at(torch.arange(17)).features)  # so that nothing has to be guessed
+        # so that nothing has to be guessed
+        data.action[1:] = skills.expert(latents.at(torch.arange(17)).features)
     torch.manual_seed(0)
     config = SMALL.model_copy(update={"q_updates": 1000, "hidden": (32,)})
     values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, no_progress)
@@ -115,9 +146,14 @@ class Blind(Plain):
 @pytest.mark.slow
 def test_what_was_recorded_mends_what_imagination_cannot_know():
     data = steady(1.0, 0.5)
-    filtered, ahead = still(1).at(torch.zeros(1, dtype=torch.long)), Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]]))
+    filtered, ahead = (
+        still(1).at(torch.zeros(1, dtype=torch.long)),
+        Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]])),
+    )
     alone, _ = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 0.0}))
-    mended, curve = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 30.0, "q_updates": 700}))
+    mended, curve = trained(
+        Blind(1.0), data, SMALL.model_copy(update={"recorded": 30.0, "q_updates": 700})
+    )
     for latent in (filtered, ahead):
         assert alone.value_r(latent).item() == pytest.approx(0.0, abs=0.05)
         assert mended.value_r(latent).item() == pytest.approx(10.0, rel=0.1)
@@ -135,13 +171,18 @@ def test_held_out_rows_move_nothing(recorded):
     seen, _ = trained(Plain(), data, config, still(36)._replace(h=h))
     out = data.held_out(HELD_OUT)
     assert 0 < out.sum() < 36
-    other = data._replace(**{name: getattr(data, name).copy() for name in ("action", "reward", "cost")})
+    other = data._replace(
+        **{name: getattr(data, name).copy() for name in ("action", "reward", "cost")}
+    )
     for values in (other.reward, other.cost, other.action):
         values[out] = 7.0
     moved = h.clone()
     moved[torch.from_numpy(out)] = 50.0
     again, _ = trained(Plain(), other, config, still(36)._replace(h=moved))
-    assert all(torch.equal(a, b) for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True)
+    )
 
 
 def test_returns_ahead_by_hand():
@@ -149,7 +190,8 @@ def test_returns_ahead_by_hand():
     episode, terminal = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 0, 0, 1])
     sums, beyond = returns_ahead(signal, episode, terminal, 0.5)
     assert sums.tolist() == [3.0, 4.0, 4.0, 16.0, 16.0]
-    assert beyond.tolist() == [0.125, 0.25, 0.5, 0.0, 0.0]  # the second episode ended by itself: nothing is missing
+    # the second episode ended by itself: nothing is missing
+    assert beyond.tolist() == [0.125, 0.25, 0.5, 0.0, 0.0]
 
 
 def test_only_decisions_with_a_recorded_future_count():
@@ -161,11 +203,15 @@ def test_only_decisions_with_a_recorded_future_count():
     assert cut.cut_off == pytest.approx(0.9**29)
     terminal[129] = 1
     assert len(pairs(predicted, signal, episode, terminal, 0.9).real) == (100 - 28) + 30
-    slow = pairs(predicted, signal, episode, np.zeros(130), 0.999)  # no episode is long enough: the first half of the longest counts
+    # no episode is long enough: the first half of the longest counts
+    slow = pairs(predicted, signal, episode, np.zeros(130), 0.999)
     assert len(slow.real) == 51
     assert slow.cut_off == pytest.approx(0.999**50)
-    # What lies beyond the limit is filled up with the mean: a constant signal has the constant's endless sum everywhere.
-    np.testing.assert_allclose(pairs(predicted, np.ones(130), episode, np.zeros(130), 0.999).real, 1000.0)
+    # What lies beyond the limit is filled up with the mean: a constant signal has the constant's
+    # endless sum everywhere.
+    np.testing.assert_allclose(
+        pairs(predicted, np.ones(130), episode, np.zeros(130), 0.999).real, 1000.0
+    )
     assert pairs(predicted, signal, episode, np.zeros(130), 1.0).cut_off == 1.0
 
 
@@ -178,13 +224,20 @@ def test_ranks_and_ratios_have_intervals_over_episodes():
     for name in ("rank", "predicted_over_real"):
         low, value, high = (found[name + end] for end in ("_low", "", "_high"))
         assert low < value < high
-    # One episode has all of the cost: a quarter of the resamples has more than twice as much of it as there is, many have none.
-    rare = quality(Pairs(np.ones(60), np.repeat([0.0, 0.0, 0.0, 4.0], 15), np.repeat([0, 1, 2, 3], 15), 0.0))
+    # One episode has all of the cost: a quarter of the resamples has more than twice as much of it
+    # as there is, many have none.
+    rare = quality(
+        Pairs(np.ones(60), np.repeat([0.0, 0.0, 0.0, 4.0], 15), np.repeat([0, 1, 2, 3], 15), 0.0)
+    )
     assert rare["predicted_over_real"] == 1.0
     assert rare["predicted_over_real_high"] == 1.0
     assert rare["predicted_over_real_low"] == pytest.approx(1 / 3)
     alone = quality(Pairs(a, a + b, np.zeros(60), 0.0))
-    assert (alone["rank"], alone["rank_low"], alone["predicted_over_real_high"]) == (found["rank"], None, None)
+    assert (alone["rank"], alone["rank_low"], alone["predicted_over_real_high"]) == (
+        found["rank"],
+        None,
+        None,
+    )
 
 
 def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path):
@@ -201,7 +254,9 @@ def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path):
             return torch.zeros(200)
 
     latent = Latent(torch.zeros(200, 1), torch.zeros(200, 2))
-    heldout = Heldout(latent, torch.zeros(200, 1), reward, (reward > 0.8).float(), episode, terminal)
+    heldout = Heldout(
+        latent, torch.zeros(200, 1), reward, (reward > 0.8).float(), episode, terminal
+    )
     found = heldout_pairs(Oracle(), heldout, ReturnsConfig(gamma_r=0.9, gamma_c=0.9))
     judged: dict[str, Any] = {name: quality(one) for name, one in found.items()}
     assert judged["r"]["rank"] == pytest.approx(1.0)

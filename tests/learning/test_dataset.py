@@ -1,4 +1,6 @@
-"""Who drives which episode of a dataset, and the stage on a real task: it goes on after a kill, and says what it collected."""
+"""Who drives which episode of a dataset, and the stage on a real task: it goes on after a kill,
+and says what it collected.
+"""
 
 import itertools
 import json
@@ -29,7 +31,15 @@ from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job, no_progress
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
-from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
+from wasp_cli.store.tables import (
+    ADDED,
+    TIMING,
+    VERSION_KEY,
+    read_episodes,
+    read_steps,
+    read_times,
+    same_rows,
+)
 from wasp_cli.tasks.make import make_task
 
 TASK = "race1"
@@ -41,7 +51,17 @@ def job(root: Path, name: str, progress: Any = no_progress, work: str | None = N
     for folder in folders:
         folder.mkdir(exist_ok=True)
     config = DatasetConfig(steps=ENVS * SHARDS * DECISIONS - 8, envs=ENVS)
-    return Job("dataset", TASK, 1, config, {"action_repeat": REPEAT}, {}, {"expert": root / "expert"}, *folders, progress)
+    return Job(
+        "dataset",
+        TASK,
+        1,
+        config,
+        {"action_repeat": REPEAT},
+        {},
+        {"expert": root / "expert"},
+        *folders,
+        progress,
+    )
 
 
 def collected(folder: Path) -> Path:
@@ -50,7 +70,9 @@ def collected(folder: Path) -> Path:
     torch.manual_seed(0)
     size = {"inputs": make_task(TASK, 1).privileged_size, "hidden": [4], "action": 2}
     for fraction in (0.5, 1.0):
-        save_weights(PrivilegedPolicy(**size), folder / "expert" / checkpoint_name(fraction), **size)
+        save_weights(
+            PrivilegedPolicy(**size), folder / "expert" / checkpoint_name(fraction), **size
+        )
     (folder / "expert" / "evaluation.json").write_text(json.dumps({"0.5": {}, "1": {}}))
     summary = stage.DatasetStage().run(job(folder, "whole"))
     (folder / "summary.json").write_text(json.dumps(summary))
@@ -85,7 +107,11 @@ def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_by
     stage.DatasetStage().run(job(root, "resumed", work="killed-work"))
     assert kept.stat().st_mtime_ns == stamp, "the finished shard was not collected again"
     assert files(root / "resumed") == files(root / "whole")
-    assert set(files(root / "whole")) == {"shard-0000.parquet", "shard-0001.parquet", "contents.json"}
+    assert set(files(root / "whole")) == {
+        "shard-0000.parquet",
+        "shard-0001.parquet",
+        "contents.json",
+    }
 
 
 def test_the_stage_says_what_it_collected(root):
@@ -112,7 +138,9 @@ def test_the_table_is_what_can_be_counted_by_hand():
     expert = table["expert"]
     assert expert["steps"] == 25
     assert expert["share"] == pytest.approx(2 / 3)
-    assert expert["return_per_episode"] == pytest.approx(sum(float(data.reward[row]) for row in mine) / 2, rel=1e-5)
+    assert expert["return_per_episode"] == pytest.approx(
+        sum(float(data.reward[row]) for row in mine) / 2, rel=1e-5
+    )
     assert expert["goals_per_episode"] == sum(int(data.goals[row]) for row in mine) / 2
     assert expert["costly_share"] == pytest.approx(sum(float(data.cost[row]) for row in mine) / 25)
     assert expert["sources"][SOURCES[1]] == sum(data.sources[row, 1] > 0 for row in mine) / 25
@@ -129,13 +157,21 @@ def test_sources_that_never_cost_are_named(tmp_path):
     data.sources[:, 1] = 0
     assert unseen_sources(contents(data, SOURCES)) == [SOURCES[1]]
     for number in (0, 1):
-        write_shard(tmp_path / f"shard-{number:04d}.parquet", data.rows((data.episode == 2) == (number == 1)), SOURCES)
+        write_shard(
+            tmp_path / f"shard-{number:04d}.parquet",
+            data.rows((data.episode == 2) == (number == 1)),
+            SOURCES,
+        )
     assert contents_of(tmp_path) == contents(data, SOURCES), "shard after shard as if all were one"
 
 
 def test_drift_and_sticky_noise_add_what_they_say():
     kinds = [Behaviour("sticky", sticky=0.2), Behaviour("sticky", sticky=0.2, correlation=0.6)]
-    rows = (Behaviour("plain"), Behaviour("drift", drift=-0.3), *(kind for kind in kinds for _ in range(400)))
+    rows = (
+        Behaviour("plain"),
+        Behaviour("drift", drift=-0.3),
+        *(kind for kind in kinds for _ in range(400)),
+    )
     driver = commander(*rows)
     for skill in driver._skills:
         for parameter in skill.parameters():
@@ -153,8 +189,12 @@ def test_behaviours_follow_their_shares():
     chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
-    assert all(abs(counts[name] - 50 * share) < 1 for name, share in MixtureConfig().model_dump().items())
-    assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
+    assert all(
+        abs(counts[name] - 50 * share) < 1 for name, share in MixtureConfig().model_dump().items()
+    )
+    assert {
+        b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))
+    } == {-1, 0}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -165,7 +205,9 @@ def test_held_out_episodes_have_the_shares_of_all(seed):
         assert abs(sum(b.name == name for b in held) - share * len(held)) <= 1
     assert {b.repeat for b in held if b.name == "careless"} == {0.9, 0.95}
     names = [b.name for b in chosen]
-    assert len({"".join(names[i : i + 10]) for i in range(0, 400, 10)}) > 30, "the order is random all the same"
+    assert len({"".join(names[i : i + 10]) for i in range(0, 400, 10)}) > 30, (
+        "the order is random all the same"
+    )
 
 
 def commander(*rows: Behaviour) -> Commander:
@@ -176,14 +218,19 @@ def commander(*rows: Behaviour) -> Commander:
 
 def test_commands_do_what_their_behaviour_says():
     rows = (
-        Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0),
+        Behaviour("plain"),
+        Behaviour("early", skill=0),
+        Behaviour("frozen", repeat=1.0),
+        Behaviour("random", replace=1.0),
         Behaviour("delayed", delay=2),
-    )  # fmt: skip
+    )
     driver = commander(*rows)
     random = np.random.default_rng(1)
     seen = [random.normal(size=(5, 5)).astype(np.float32) for _ in range(6)]
     issued = np.stack([driver.command(s) for s in seen])
-    expert, early = (driver._skills[i](torch.from_numpy(np.stack(seen))).detach().numpy() for i in (-1, 0))
+    expert, early = (
+        driver._skills[i](torch.from_numpy(np.stack(seen))).detach().numpy() for i in (-1, 0)
+    )
     np.testing.assert_allclose(issued[:, 0], expert[:, 0], rtol=1e-5)
     np.testing.assert_allclose(issued[:, 1], early[:, 1], rtol=1e-5)
     assert (issued[:, 2] == issued[0, 2]).all()  # a lag repeats from the second command on
@@ -199,18 +246,23 @@ def test_bursts_are_held():
     runs = [len(list(group)) for _, group in itertools.groupby(issued)][:-1]
     assert min(runs[::2]) >= 2
     assert max(runs[::2]) <= 11
-    assert set(runs[1::2]) == {1}  # the intended command stands for one step before the next burst may begin
+    # the intended command stands for one step before the next burst may begin
+    assert set(runs[1::2]) == {1}
 
 
-# Cells in batches of episodes: what a cell of fewer has is taken over, and nothing comes out differently.
+# Cells in batches of episodes: what a cell of fewer has is taken over, and nothing comes out
+# differently.
 
 
-EAGER = {"vote": 0.0}  # IDA that intervenes at some decisions, and not at others, although nothing is trained
+# IDA that intervenes at some decisions, and not at others, although nothing is trained
+EAGER = {"vote": 0.0}
 
 
 @pytest.fixture(scope="module")
 def whole(inputs, tmp_path_factory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
+    return evaluated(
+        inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2
+    )
 
 
 @pytest.fixture
@@ -226,14 +278,26 @@ def begun(monkeypatch) -> list[int]:
     return numbers
 
 
-def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(whole, inputs, tmp_path, begun):
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
+    whole, inputs, tmp_path, begun
+):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=3, side_by_side=2)
     begun.clear()
-    resumed = evaluated(inputs, tmp_path / "resumed", "ida", EAGER, episodes=5, side_by_side=2, earlier=fewer.path.parent)
+    resumed = evaluated(
+        inputs,
+        tmp_path / "resumed",
+        "ida",
+        EAGER,
+        episodes=5,
+        side_by_side=2,
+        earlier=fewer.path.parent,
+    )
     assert set(begun) == {2, 3, 4}
     assert same_rows(whole.path, resumed.path)
     names = [name for name in pq.read_schema(whole.path).names if name not in TIMING]
-    assert pq.read_table(whole.path, columns=names).equals(pq.read_table(resumed.path, columns=names))
+    assert pq.read_table(whole.path, columns=names).equals(
+        pq.read_table(resumed.path, columns=names)
+    )
     for e in (0, 1):  # their times are those of the first time
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
 
@@ -242,27 +306,49 @@ def test_rows_of_an_earlier_version_are_not_continued(inputs, tmp_path, begun):
     """They lack columns, which would then be means over the other episodes alone."""
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)
     table = pq.read_table(fewer.path).drop_columns([*ADDED])
-    pq.write_table(table.replace_schema_metadata({VERSION_KEY: b"3"}), fewer.path, write_page_checksum=True)
+    pq.write_table(
+        table.replace_schema_metadata({VERSION_KEY: b"3"}), fewer.path, write_page_checksum=True
+    )
     begun.clear()
-    again = evaluated(inputs, tmp_path / "again", "ida", EAGER, episodes=3, side_by_side=2, earlier=fewer.path.parent)
+    again = evaluated(
+        inputs,
+        tmp_path / "again",
+        "ida",
+        EAGER,
+        episodes=3,
+        side_by_side=2,
+        earlier=fewer.path.parent,
+    )
     assert set(begun) == {0, 1, 2}
     assert read_episodes([again.path])["int_eff"].null_count == 0
 
 
-def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(whole, inputs, tmp_path):
+def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(
+    whole, inputs, tmp_path
+):
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=4, side_by_side=2)
     copy = shutil.copytree(whole.path.parent, tmp_path / "cut")
     summary = first_episodes(copy, 4)
     assert same_rows(copy / "episodes.parquet", fewer.path)
-    means = {name: np.mean(pq.read_table(fewer.path)[name]) for name in ("return", "cost", "int_rate")}
-    assert summary == {"return": round(means["return"], 2), "cost": round(means["cost"], 1), "int": round(means["int_rate"], 3)}
+    means = {
+        name: np.mean(pq.read_table(fewer.path)[name]) for name in ("return", "cost", "int_rate")
+    }
+    assert summary == {
+        "return": round(means["return"], 2),
+        "cost": round(means["cost"], 1),
+        "int": round(means["int_rate"], 3),
+    }
 
 
 def test_the_branches_of_every_batch_come_back_in_it(whole, tmp_path):
     """What the recorded action earns is what it earned: bit for bit, in all batches."""
     summary = judge(whole, tmp_path, CounterfactualConfig(window=1), side_by_side=2)
     steps = {(step["episode"], step["t"]): step for step in read_steps(whole.path).to_pylist()}
-    rows = [row for row in pq.read_table(tmp_path / BRANCHES_FILE).to_pylist() if row["branch"] == ASSISTED]
+    rows = [
+        row
+        for row in pq.read_table(tmp_path / BRANCHES_FILE).to_pylist()
+        if row["branch"] == ASSISTED
+    ]
     assert {row["episode"] for row in rows} == set(range(5))
     assert len(rows) == summary["interventions"]
     for row in rows:

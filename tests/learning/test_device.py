@@ -7,7 +7,17 @@ from wasp_cli.learning.device import VARIABLE, training_device
 from wasp_cli.learning.world_model import build, loss_weights
 from wasp_cli.models.world_model import Ahead, Batch
 
-SMALL = WorldModelConfig(deter=32, hidden=32, variables=4, classes=4, depth=4, head=32, ahead_starts=6, ahead_images=4, ahead_horizon=3)
+SMALL = WorldModelConfig(
+    deter=32,
+    hidden=32,
+    variables=4,
+    classes=4,
+    depth=4,
+    head=32,
+    ahead_starts=6,
+    ahead_images=4,
+    ahead_horizon=3,
+)
 
 
 def test_the_device_is_what_the_variable_names(monkeypatch):
@@ -33,19 +43,39 @@ def test_losses_in_bfloat16_are_float32_sums_close_to_those_in_float32():
     flags = torch.zeros(3, 8)
     pixels = torch.randint(0, 256, (3, 8, 6, 64, 64), generator=source, dtype=torch.uint8)
     cost = (torch.rand(3, 8, generator=source) < 0.3).float()
-    batch = Batch(pixels, torch.randn(3, 8, 2, generator=source), torch.randn(3, 8, generator=source), cost, flags, flags)
+    batch = Batch(
+        pixels,
+        torch.randn(3, 8, 2, generator=source),
+        torch.randn(3, 8, generator=source),
+        cost,
+        flags,
+        flags,
+    )
     noise = torch.randn(3, 8, 4, 4, generator=source)
     shown = torch.randint(0, 256, (4, 6, 64, 64), generator=source, dtype=torch.uint8)
     events, within = (torch.rand(6, 3, generator=source) < 0.3).float(), torch.ones(6, 3)
-    later = (torch.randn(6, 3, 2, generator=source), torch.randn(6, 3, generator=source), events, within)
+    later = (
+        torch.randn(6, 3, 2, generator=source),
+        torch.randn(6, 3, generator=source),
+        events,
+        within,
+    )
     draws = torch.randn(3, 6, 16, generator=source)
-    ahead = Ahead(torch.tensor([0, 1, 2, 0, 1, 2]), torch.tensor([0, 1, 2, 3, 4, 7]), *later, torch.tensor([0, 1, 2, 0]), shown, draws)
+    ahead = Ahead(
+        torch.tensor([0, 1, 2, 0, 1, 2]),
+        torch.tensor([0, 1, 2, 3, 4, 7]),
+        *later,
+        torch.tensor([0, 1, 2, 0]),
+        shown,
+        draws,
+    )
     found = []
     for mixed in (False, True):
         model.zero_grad()
         with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
             losses, latent = model.losses(batch, noise, torch.arange(0, 8, 2), 0.0, ahead=ahead)
-        assert losses.keys() == loss_weights(SMALL).keys() - {"privileged"}  # that head is beside the model
+        # that head is beside the model
+        assert losses.keys() == loss_weights(SMALL).keys() - {"privileged"}
         assert all(loss.dtype == torch.float32 for loss in losses.values())
         assert latent.z.dtype == torch.float32
         torch.stack(list(losses.values())).sum().backward()

@@ -1,4 +1,6 @@
-"""The training of experts: episodes out of phase, a multiplier that follows whole episodes, and going on after an interruption."""
+"""The training of experts: episodes out of phase, a multiplier that follows whole episodes, and
+going on after an interruption.
+"""
 
 import dataclasses
 import itertools
@@ -25,20 +27,33 @@ from wasp_cli.stages.expert import ExpertStage
 from wasp_cli.tasks.make import make_task
 
 TINY = ExpertConfig(
-    interactions=600, envs=4, rollout=25, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0),
-    bars={"race1": Bars(least_return=1e6)}, acceptance_episodes=2, extension=200, extensions=1,
-)  # fmt: skip
+    interactions=600,
+    envs=4,
+    rollout=25,
+    epochs=2,
+    batch=50,
+    hidden=(8,),
+    evaluation_episodes=2,
+    checkpoints=(0.25, 1.0),
+    bars={"race1": Bars(least_return=1e6)},
+    acceptance_episodes=2,
+    extension=200,
+    extensions=1,
+)
 """Nobody reaches its bar: its one further training is always needed."""
 
 
 def job(root: Path, progress: Any = no_progress, task: str = "race1") -> Job:
     for folder in (root / "out", root / "work"):
         folder.mkdir(parents=True, exist_ok=True)
-    return Job("expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress)
+    return Job(
+        "expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress
+    )
 
 
 def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped():
-    env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)  # every episode terminates after 5 of at most 6
+    # every episode terminates after 5 of at most 6
+    env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     env.spread = True
     env.reset()
     ends: dict[int, list[int]] = {0: [], 1: [], 2: []}
@@ -54,15 +69,20 @@ def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrappe
     assert ends == {0: [2, 7, 12], 1: [4, 9, 14], 2: [5, 10]}
     assert env.curve.returns == [5.0] * 6  # whole episodes only
     assert env.curve.env_steps == 4 * 3 * 14
-    assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)  # every episode costs in its second decision; cut ones count here
+    # every episode costs in its second decision; cut ones count here
+    assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)
 
 
 def test_the_multiplier_follows_the_cost_over_an_episodes_length():
-    """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over three of them does not."""
+    """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over
+    three of them does not.
+    """
     env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
     rule = MultiplierRule(initial=0.5, rate=0.1, bound=10.0, limit=100.0)
     callback = LagrangianCallback(env, rule, 24, no_progress)
-    PPO("MlpPolicy", env, n_steps=2, batch_size=4, n_epochs=1, device="cpu", seed=0).learn(24, callback=callback)
+    PPO("MlpPolicy", env, n_steps=2, batch_size=4, n_epochs=1, device="cpu", seed=0).learn(
+        24, callback=callback
+    )
     costs = [row["cost_per_1000"] for row in callback.curve]
     assert costs == [375.0, 0.0, 0.0, 375.0, 0.0, 375.0]
     expected = 0.5
@@ -102,9 +122,14 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained, tmp_path, rol
     assert summary == expected
     names = sorted(path.name for path in whole.iterdir())
     assert names == [
-        "acceptance.json", "curve.json", "evaluation.json",
-        "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors",
-    ]  # fmt: skip
+        "acceptance.json",
+        "curve.json",
+        "evaluation.json",
+        "skill-0.25.json",
+        "skill-0.25.safetensors",
+        "skill-1.json",
+        "skill-1.safetensors",
+    ]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for name in names:
         assert (whole / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
@@ -122,17 +147,27 @@ def test_the_artifact_says_how_every_checkpoint_does(trained):
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert list(evaluation) == ["0.25", "1"]
     judge = make_task("race1", 2, observe=("privileged",), action_repeat=4)
-    sums = evaluate_privileged(judge, load_privileged(out, 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
+    sums = evaluate_privileged(
+        judge,
+        load_privileged(out, 1.0),
+        [derive("expert-evaluation", "race1", 0, i) for i in range(2)],
+    )
     assert evaluation["1"] == sums.statistics(1)
     assert summary["return"] == evaluation["1"]["return"]
     assert summary["return_at_0.25"] == evaluation["0.25"]["return"]
-    rows = json.loads((out / "curve.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    rows = json.loads(
+        (out / "curve.json").read_text(),
+        parse_constant=lambda name: pytest.fail(f"{name} is no JSON"),
+    )
     assert [row["interactions"] for row in rows] == [100.0 * (k + 1) for k in range(8)]
     assert rows[0]["multiplier"] == TINY.multiplier_init  # it acts from the first rollout
     asked = json.loads((out / "acceptance.json").read_text())
     assert [(row["interactions"], row["accepted"]) for row in asked] == [(600, False), (800, False)]
     fresh = [derive("expert-acceptance", "race1", 0, i) for i in range(2)]
-    assert asked[-1]["return"] == evaluate_privileged(judge, load_privileged(out, 1.0), fresh).statistics(1)["return"]
+    assert (
+        asked[-1]["return"]
+        == evaluate_privileged(judge, load_privileged(out, 1.0), fresh).statistics(1)["return"]
+    )
     assert (summary["interactions"], summary["accepted"]) == (800, False)
 
 
@@ -143,11 +178,20 @@ def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path):
 
 
 def test_statistics_of_episodes():
-    sums = EpisodeSums(*(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500])))
+    sums = EpisodeSums(
+        *(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500]))
+    )
     assert sums.statistics(7) == {
-        "return": 3.0, "return_sd": pytest.approx(np.sqrt(8)), "cost": 15.0, "cost_sd": pytest.approx(np.sqrt(450)),
-        "goals": 6.5, "goals_sd": pytest.approx(np.sqrt(0.5)), "cost_per_1000": 20.0, "success": 0.5, "episodes": 2,
-    }  # fmt: skip
+        "return": 3.0,
+        "return_sd": pytest.approx(np.sqrt(8)),
+        "cost": 15.0,
+        "cost_sd": pytest.approx(np.sqrt(450)),
+        "goals": 6.5,
+        "goals_sd": pytest.approx(np.sqrt(0.5)),
+        "cost_per_1000": 20.0,
+        "success": 0.5,
+        "episodes": 2,
+    }
     one = EpisodeSums(*(field[:1] for field in sums))
     assert one.statistics(7)["return_sd"] is None
 

@@ -1,4 +1,6 @@
-"""Stages on a task whose operators know more than assistants perceive, with tiny untrained models."""
+"""Stages on a task whose operators know more than assistants perceive, with tiny untrained
+models.
+"""
 
 import json
 from pathlib import Path
@@ -35,11 +37,24 @@ TASK = "goal1-two"
 def inputs(tmp_path_factory) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("artifacts")
     size = make_task(TASK, 1, observe=()).privileged_size
-    found = tiny_artifacts(root) | {"expert": tiny_expert(root / "expert", size), "heldout": root / "heldout"}
+    found = tiny_artifacts(root) | {
+        "expert": tiny_expert(root / "expert", size),
+        "heldout": root / "heldout",
+    }
     judged = {"1": {"latent": {"return": 1.0}, "privileged": {"return": 2.0}}}
     (found["policies"] / "evaluation.json").write_text(json.dumps({"skills": judged}))
     found["heldout"].mkdir()
-    job = Job("heldout", TASK, 0, HeldoutConfig(episodes=2), SETTINGS, {}, found, found["heldout"], found["heldout"])
+    job = Job(
+        "heldout",
+        TASK,
+        0,
+        HeldoutConfig(episodes=2),
+        SETTINGS,
+        {},
+        found,
+        found["heldout"],
+        found["heldout"],
+    )
     stage_class("heldout")().run(job)
     return found
 
@@ -52,13 +67,17 @@ def cell(inputs, tmp_path_factory) -> Evaluated:
 def source_of(cell: Evaluated, expert: Path | None) -> Source:
     recorded = Recorded(**read_recorded(cell.path))
     models = cell.inputs["world_model"], cell.inputs["policies"]
-    return Source(TASK, REPEAT, cell.seed, cell.variant, cell.value, recorded, *models, expert=expert)
+    return Source(
+        TASK, REPEAT, cell.seed, cell.variant, cell.value, recorded, *models, expert=expert
+    )
 
 
 def again(cell: Evaluated, expert: Path | None) -> Rerun:
     source = source_of(cell, expert)
     world = source.world()
-    return Rerun(world, load_world_model(source.world_model), source.operator_in(world), source.recorded)
+    return Rerun(
+        world, load_world_model(source.world_model), source.operator_in(world), source.recorded
+    )
 
 
 def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell):
@@ -67,15 +86,31 @@ def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell):
         list(again(cell, None))
 
 
-@pytest.mark.parametrize("method", ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))])
+@pytest.mark.parametrize(
+    "method",
+    ["ida", *(pytest.param(name, marks=pytest.mark.slow) for name in ("diffusion", "wasp"))],
+)
 def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
-    small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
+    small = {
+        "wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1},
+        "ida": {"vote": 0.0},
+    }
     config = METHODS[method].config_model()(**small.get(method, {})).model_dump(mode="json")
     done = evaluated(inputs, tmp_path / "cell", method, config, "noisy", 0.4, task=TASK, episodes=2)
     axes = {"method": method, "method_config": config, "operator": "noisy", "value": 0.4}
     folder, read = tmp_path / "branches", {**inputs, "evaluate": done.path.parent}
     folder.mkdir()
-    job = Job("counterfactual", TASK, 0, CounterfactualConfig(window=3, most=4), SETTINGS, axes, read, folder, folder)
+    job = Job(
+        "counterfactual",
+        TASK,
+        0,
+        CounterfactualConfig(window=3, most=4),
+        SETTINGS,
+        axes,
+        read,
+        folder,
+        folder,
+    )
     summary = stage_class("counterfactual")().run(job)
     assert len(read_branches(folder / BRANCHES_FILE).t) == summary["branched"]
     assert summary["branched"] > 0 or summary["interventions"] == 0
@@ -83,7 +118,9 @@ def test_cells_are_evaluated_and_branched(method, inputs, tmp_path):
 
 def test_the_residual_is_trained_behind_operators_who_know(inputs, tmp_path):
     operators = {"laggy": (0.5,), "limited-skill": (0.25,)}
-    config = ResidualConfig(interactions=64, envs=2, rollout=16, batch=16, hidden=(8,), operators=operators)
+    config = ResidualConfig(
+        interactions=64, envs=2, rollout=16, batch=16, hidden=(8,), operators=operators
+    )
     job = Job("residual", TASK, 0, config, SETTINGS, {}, inputs, tmp_path, tmp_path)
     summary = stage_class("residual")().run(job)
     assert summary["interactions"] == 64
@@ -94,16 +131,22 @@ def test_what_drives_there_reads_the_expert_and_elsewhere_does_not(tmp_path):
     """And the keys of another task are those that it has without this one."""
     path = tmp_path / "both.yaml"
     text = (
-        "name: both\npreset: smoke\ntasks: [TASKS]\nmethods: [human, saferl, wasp]\noperators: {laggy: {moderate: 0.7}}\n"
+        "name: both\npreset: smoke\ntasks: [TASKS]\nmethods: [human, saferl, "
+        "wasp]\noperators: {laggy: {moderate: 0.7}}\n"
         "stages: [counterfactual]\nseeds: [0]\n"
     )
     path.write_text(text.replace("TASKS", f"goal1, {TASK}"))
     grid = lay_out(load(path).spec)
-    reading = {task: {node.kind for node in grid.nodes if node.task == task and "expert" in node.needs} for task in ("goal1", TASK)}
+    reading = {
+        task: {node.kind for node in grid.nodes if node.task == task and "expert" in node.needs}
+        for task in ("goal1", TASK)
+    }
     assert reading["goal1"] == {"dataset", "policies"}
     assert reading[TASK] - reading["goal1"] == {"heldout", "residual", "evaluate", "counterfactual"}
     path.write_text(text.replace("TASKS", "goal1"))
-    assert {node.key for node in lay_out(load(path).spec).nodes} == {node.key for node in grid.nodes if node.task == "goal1"}
+    assert {node.key for node in lay_out(load(path).spec).nodes} == {
+        node.key for node in grid.nodes if node.task == "goal1"
+    }
 
 
 # Clones of operators: densities, what is learned of a rule that is known, and where a plan has one.
@@ -137,7 +180,12 @@ def learned(seen: Issued, updates: int = 400) -> Clone:
 
 
 @pytest.mark.parametrize(
-    ("variant", "value", "ways"), [("laggy", 0.7, [0.7, 0.3, 0.0]), ("noisy", 0.4, [0.0, 0.6, 0.4]), ("laggy", 0.0, [0.0, 1.0, 0.0])]
+    ("variant", "value", "ways"),
+    [
+        ("laggy", 0.7, [0.7, 0.3, 0.0]),
+        ("noisy", 0.4, [0.0, 0.6, 0.4]),
+        ("laggy", 0.0, [0.0, 1.0, 0.0]),
+    ],
 )
 def test_it_learns_how_often_an_operator_repeats_and_slips(variant, value, ways):
     clone = learned(driven(variant, value))
@@ -166,13 +214,26 @@ def test_densities_integrate_to_one_within_the_bounds_and_draws_follow_them():
     many = tuple(part.expand(20_000, -1) for part in one)
     drawn = clone.sample(*many, torch.rand(20_000, 2))
     assert float((drawn == 0.4).float().mean()) == pytest.approx(0.4, abs=0.02)
-    assert float(((drawn + 0.2).abs() < 0.3).float().mean()) == pytest.approx(0.5 + 0.1 * 0.3, abs=0.02)
+    assert float(((drawn + 0.2).abs() < 0.3).float().mean()) == pytest.approx(
+        0.5 + 0.1 * 0.3, abs=0.02
+    )
     assert float(clone.mean(*one)) == pytest.approx(float(drawn.mean()), abs=0.02)
 
 
 def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key():
     clones = {"cloned": {"p7": 7}}
-    grid = lay_out(validate({"name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["human"], "seeds": [0], "operators": clones}))
+    grid = lay_out(
+        validate(
+            {
+                "name": "x",
+                "preset": "smoke",
+                "tasks": ["goal1"],
+                "methods": ["human"],
+                "seeds": [0],
+                "operators": clones,
+            }
+        )
+    )
     ((_, evaluation),) = grid.cells
     node = evaluation.needs[OPERATOR_CLONE]
     assert (node.kind, node.axes["operator"], node.axes["value"]) == ("clone", "person", 7)

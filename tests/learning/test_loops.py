@@ -1,4 +1,6 @@
-"""Vector environments and the closed loop over episodes that end at different times, with a world model and without one."""
+"""Vector environments and the closed loop over episodes that end at different times, with a
+world model and without one.
+"""
 
 from collections.abc import Sequence
 from itertools import count, product
@@ -36,7 +38,8 @@ from wasp_cli.tasks.base import Bools, Observation, Step
 
 
 class Staggered:
-    """A task whose episode of seed s lasts 2 + s % 4 decisions; observations name (seed, step); the reward is the first action.
+    """A task whose episode of seed s lasts 2 + s % 4 decisions; observations name (seed, step); the
+    reward is the first action.
 
     Odd seeds terminate, even ones are cut off by the time limit.
     """
@@ -53,7 +56,10 @@ class Staggered:
 
     def see(self) -> Observation:
         pixels = np.stack(
-            [np.random.default_rng([s, t]).integers(0, 256, (6, 64, 64), dtype=np.uint8) for s, t in zip(self.seed, self.t, strict=True)]
+            [
+                np.random.default_rng([s, t]).integers(0, 256, (6, 64, 64), dtype=np.uint8)
+                for s, t in zip(self.seed, self.t, strict=True)
+            ]
         )
         vector = np.stack([self.seed, self.t, self.over], 1)
         return Observation(pixels, vector.astype(float), vector.astype(np.float32))
@@ -70,9 +76,16 @@ class Staggered:
         ones = live.astype(np.int64)
         cost = live & (self.t == 2)
         return Step(
-            self.see(), np.where(live, action[:, 0], 0.0), cost, 3 * cost.astype(np.int64), {"hazards": cost.astype(np.int64)}, 0 * ones,
-            4 * ones, self.over.copy(), self.over & (self.seed % 2 == 1),
-        )  # fmt: skip
+            self.see(),
+            np.where(live, action[:, 0], 0.0),
+            cost,
+            3 * cost.astype(np.int64),
+            {"hazards": cost.astype(np.int64)},
+            0 * ones,
+            4 * ones,
+            self.over.copy(),
+            self.over & (self.seed % 2 == 1),
+        )
 
 
 def test_episodes_restart_row_by_row_with_their_terminal_observation():
@@ -101,7 +114,9 @@ def test_episodes_restart_row_by_row_with_their_terminal_observation():
 
 @pytest.mark.parametrize("operators", [{"laggy": (0.5,)}, {"reactive": (0.5,)}], ids=list)
 def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators):
-    """Restarting some rows must leave the filter, the operators and their noise of the others where they were."""
+    """Restarting some rows must leave the filter, the operators and their noise of the others
+    where they were.
+    """
 
     def drive(rows: Sequence[int], steps: int) -> np.ndarray:
         config = ResidualConfig(operators=operators)
@@ -119,7 +134,11 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators)
         for _ in range(steps):
             env.step_async(np.full((len(rows), 2), 0.1, np.float32))
             t = env.task.t + 1
-            ending = [row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4]
+            ending = [
+                row
+                for row, s, step in zip(rows, env.task.seed, t, strict=True)
+                if step >= 2 + s % 4
+            ]
             owner = iter([*ending, *ending])
             seen.append(env.step_wait()[0])
         return np.stack(seen)
@@ -138,7 +157,9 @@ class Changing(HumanOnly):
 
 
 def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts):
-    operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1)
+    operator = build_operator(
+        "noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1
+    )
     with pytest.raises(WaspError, match="'Changing' changed the operator's command in place"):
         run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])
 
@@ -146,8 +167,12 @@ def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts):
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts, tmp_path):
     seeds = [0, 1, 2, 3]
     task = Staggered(4)
-    operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(seeds), 4)
-    loop = run_episodes(task, parts.world_model, operator, HumanOnly(), seeds, seeds, keep_latents=True)
+    operator = build_operator(
+        "noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(seeds), 4
+    )
+    loop = run_episodes(
+        task, parts.world_model, operator, HumanOnly(), seeds, seeds, keep_latents=True
+    )
     found, times = trajectories(loop)
     assert [t.steps for t in found] == [2, 3, 4, 5] == [len(t) for t in times]
     for trajectory in found:
@@ -164,14 +189,17 @@ def test_recorded_rows_arrive_with_what_led_to_them():
     actions: list[np.ndarray] = []
 
     def command(privileged: np.ndarray) -> np.ndarray:
-        actions.append(np.random.default_rng(len(actions)).uniform(-1, 1, (3, 2)).astype(np.float32))
+        actions.append(
+            np.random.default_rng(len(actions)).uniform(-1, 1, (3, 2)).astype(np.float32)
+        )
         return actions[-1]
 
     data = record(Staggered(3), [0, 1, 3], command, ["expert", "noisy", "noisy"], number=7)
     assert data.episode.tolist() == [7] * 3 + [8] * 4 + [9] * 6
     assert np.flatnonzero(data.first).tolist() == [0, 3, 7]
     assert data.privileged[:, 1].tolist() == [*range(3), *range(4), *range(6)]
-    assert np.flatnonzero(data.terminal).tolist() == [6, 12]  # the first episode was cut off, the others ended by their rule
+    # the first episode was cut off, the others ended by their rule
+    assert np.flatnonzero(data.terminal).tolist() == [6, 12]
     np.testing.assert_array_equal(data.action[3:7], [[0, 0], *(a[1] for a in actions[:3])])
     np.testing.assert_allclose(data.reward[1:3], [a[0, 0] for a in actions[:2]], rtol=1e-6)
     assert np.flatnonzero(data.cost_env).tolist() == [2, 5, 9]
@@ -203,7 +231,15 @@ class Line:
         self.ended = self.ended | reached
         none, count = np.zeros(self.batch, np.int64), going.astype(np.int64)
         return Step(
-            self._observed(), np.zeros(self.batch), none.astype(bool), none, {}, reached.astype(np.int64), count, self.ended.copy(), reached
+            self._observed(),
+            np.zeros(self.batch),
+            none.astype(bool),
+            none,
+            {},
+            reached.astype(np.int64),
+            count,
+            self.ended.copy(),
+            reached,
         )
 
     def _observed(self) -> Observation:
@@ -213,19 +249,30 @@ class Line:
 
 def pilot() -> Operator:
     """Knows the goal; its `policy` would do nothing."""
-    towards = OperatorContext(lambda _: torch.zeros_like, 1, 1.0, informed=lambda _: lambda known: known[:, 1:])
+    towards = OperatorContext(
+        lambda _: torch.zeros_like, 1, 1.0, informed=lambda _: lambda known: known[:, 1:]
+    )
     return Operator.build(1.0, towards, EpisodeNoise(range(ROWS)), ROWS)
 
 
 def test_an_informed_pilot_flies_to_a_goal_that_the_latent_does_not_have():
-    loop = run_episodes(Line(ROWS), StateWorld(1, 1), pilot(), HumanOnly(), range(ROWS), range(ROWS), keep_latents=True)
+    loop = run_episodes(
+        Line(ROWS),
+        StateWorld(1, 1),
+        pilot(),
+        HumanOnly(),
+        range(ROWS),
+        range(ROWS),
+        keep_latents=True,
+    )
     assert loop.goals.sum(0).tolist() == [1] * ROWS
     assert loop.h.shape == (len(loop.reward), ROWS, 1)
     assert loop.z.shape[-1] == 0
     assert (np.sign(loop.a_h[0, :, 0]) == [-1, 1, -1, 1, -1, 1]).all()
 
 
-# The safety value: its Bellman target against brute force, and what is learned of it in a world that can be searched.
+# The safety value: its Bellman target against brute force, and what is learned of it in a world
+# that can be searched.
 
 
 GAMMA = 0.9
@@ -233,7 +280,9 @@ LENGTHS = (6,) * 200
 
 
 def fixed_point(arrive: Tensor, cost: Tensor, gamma: float) -> Tensor:
-    """The danger [S, K] of actions in a world of S states: `arrive` [S, K] is where they lead, `cost` [S] what arriving there costs."""
+    """The danger [S, K] of actions in a world of S states: `arrive` [S, K] is where they lead,
+    `cost` [S] what arriving there costs.
+    """
     danger = torch.zeros(arrive.shape, dtype=torch.float64)
     for _ in range(2000):
         danger = danger_target(cost[arrive], danger.min(1).values[arrive], gamma)
@@ -241,7 +290,9 @@ def fixed_point(arrive: Tensor, cost: Tensor, gamma: float) -> Tensor:
 
 
 def test_a_failure_that_cannot_be_avoided_is_worth_less_the_further_it_is():
-    """On a slope every action leads one state down, and state 0 fails: its danger k decisions away is gamma^(k - 1)."""
+    """On a slope every action leads one state down, and state 0 fails: its danger k decisions
+    away is gamma^(k - 1).
+    """
     states = 8
     arrive = (torch.arange(states) - 1).clamp(min=0).unsqueeze(1)
     cost = (torch.arange(states) == 0).double()
@@ -250,9 +301,12 @@ def test_a_failure_that_cannot_be_avoided_is_worth_less_the_further_it_is():
 
 
 def test_the_fixed_point_is_when_the_best_plan_fails_first():
-    """Brute force over all plans in a random world: gamma^(k - 1) where the plan that fails last fails in its k-th decision."""
+    """Brute force over all plans in a random world: gamma^(k - 1) where the plan that fails
+    last fails in its k-th decision.
+    """
     source = torch.Generator().manual_seed(1)
-    states, actions, length, gamma = 12, 2, 12, 0.5  # what lies beyond twelve decisions weighs 1 / 4096
+    # what lies beyond twelve decisions weighs 1 / 4096
+    states, actions, length, gamma = 12, 2, 12, 0.5
     arrive = torch.randint(states, (states, actions), generator=source)
     cost = (torch.rand(states, generator=source) < 0.3).double()
     found = fixed_point(arrive, cost, gamma)
@@ -282,7 +336,9 @@ def test_a_value_is_the_lower_of_two_and_never_outside_of_what_margins_can_be():
 
 
 class Brakes:
-    """A vehicle at x with speed v, which the first component of an action changes by up to 0.1: it fails beyond x = 1."""
+    """A vehicle at x with speed v, which the first component of an action changes by up to 0.1:
+    it fails beyond x = 1.
+    """
 
     action_size, noise_size, feature_size = 2, 1, 4
     sizes = SimpleNamespace(action_scales=(1.0,))
@@ -299,21 +355,34 @@ class Brakes:
 
 
 def driven() -> tuple[Latents, np.ndarray, np.ndarray]:
-    """Latents [N] of a vehicle under random commands that last, and the commands and costs of those rows."""
+    """Latents [N] of a vehicle under random commands that last, and the commands and costs of
+    those rows.
+    """
     recorded, world, source = recording(LENGTHS), Brakes(), np.random.default_rng(1)
-    h, cost = np.zeros((len(recorded.first), 2), np.float32), np.zeros(len(recorded.first), np.float32)
+    h, cost = (
+        np.zeros((len(recorded.first), 2), np.float32),
+        np.zeros(len(recorded.first), np.float32),
+    )
     for row, begins in enumerate(recorded.first):
         if begins:
             h[row] = source.uniform(-0.9, 1.0), source.uniform(-0.5, 0.5)
         else:
             before = Latent(torch.from_numpy(h[row - 1 : row]), torch.zeros(1, 2))
-            latent = world.imagine(before, torch.from_numpy(recorded.action[row : row + 1]), torch.zeros(1, 1))
+            latent = world.imagine(
+                before, torch.from_numpy(recorded.action[row : row + 1]), torch.zeros(1, 1)
+            )
             h[row], cost[row] = latent.h[0].numpy(), float(world.cost(latent))
-    return Latents(torch.from_numpy(h), torch.zeros(len(h), 1, dtype=torch.uint8), 2), recorded.action, cost
+    return (
+        Latents(torch.from_numpy(h), torch.zeros(len(h), 1, dtype=torch.uint8), 2),
+        recorded.action,
+        cost,
+    )
 
 
 def braked(x: float, v: float) -> float:
-    """The danger of full braking from (x, v) on, the best plan: none, or gamma^(k - 1) where x = 1 is passed in the k-th decision."""
+    """The danger of full braking from (x, v) on, the best plan: none, or gamma^(k - 1) where x
+    = 1 is passed in the k-th decision.
+    """
     for k in range(12):
         v = max(v - 0.1, -0.5)
         x += v
@@ -326,8 +395,12 @@ def test_training_finds_from_where_braking_comes_too_late():
     latents, action, cost = driven()
     told = recording(LENGTHS)._replace(action=action, cost=cost)
     torch.manual_seed(0)
-    config = ReachabilityConfig(hidden=32, updates=500, batch=64, gamma=GAMMA, slow=0.1, learning_rate=3e-3)
-    value, curve = train_safety_value(Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, 1, no_progress)
+    config = ReachabilityConfig(
+        hidden=32, updates=500, batch=64, gamma=GAMMA, slow=0.1, learning_rate=3e-3
+    )
+    value, curve = train_safety_value(
+        Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, 1, no_progress
+    )
     assert curve[-1]["loss"] < 0.7 * curve[0]["loss"]
     grid = [(x, v) for x in np.linspace(-0.5, 0.9, 12) for v in np.linspace(-0.2, 0.4, 8)]
     features = torch.tensor([(x, v, 1.0, 0.0) for x, v in grid], dtype=torch.float32)
@@ -347,9 +420,13 @@ def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not():
     episode = np.repeat(np.arange(20), 60)
     cost = np.zeros(1200)
     cost[30::60] = 1
-    near = np.array([max(0.0, 1 - abs(30 - t % 60) / 15) if t % 60 <= 30 else 0.0 for t in range(1200)])
+    near = np.array(
+        [max(0.0, 1 - abs(30 - t % 60) / 15) if t % 60 <= 30 else 0.0 for t in range(1200)]
+    )
     both = (foresight(-near, cost, episode), foresight(source.random(1200), cost, episode))
-    knows, guesses = ({name: value for name, value in one.items() if value is not None} for one in both)
+    knows, guesses = (
+        {name: value for name, value in one.items() if value is not None} for one in both
+    )
     assert knows["auc"] > 0.99
     assert knows["foreseen_5"] == 1.0
     assert guesses["auc"] == pytest.approx(0.5, abs=0.06)

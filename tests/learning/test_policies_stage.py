@@ -1,4 +1,6 @@
-"""Which rounds the stage of the policies makes, and which it keeps. How well actors drive is scripted; everything else is real."""
+"""Which rounds the stage of the policies makes, and which it keeps. How well actors drive is
+scripted; everything else is real.
+"""
 
 import copy
 import dataclasses
@@ -21,15 +23,30 @@ from wasp_cli.models.policy import LatentPolicy, Skills, load_skills
 from wasp_cli.stages.policies import PoliciesStage
 
 CONFIG = PoliciesConfig(
-    hidden=(8,), updates=3, batch=16, labelling_rounds=1, labelling_episodes=1, labelling_updates=3, evaluation_episodes=1
+    hidden=(8,),
+    updates=3,
+    batch=16,
+    labelling_rounds=1,
+    labelling_episodes=1,
+    labelling_updates=3,
+    evaluation_episodes=1,
 )
 GOOD = 1e6
 
 
 class Run:
-    """A run of the stage in which the latent drives have these returns, in their order, and reinforcement adds 1 to every weight."""
+    """A run of the stage in which the latent drives have these returns, in their order, and
+    reinforcement adds 1 to every weight.
+    """
 
-    def __init__(self, inputs: dict[str, Path], root: Path, patch: pytest.MonkeyPatch, returns: list[float], **changed: Any) -> None:
+    def __init__(
+        self,
+        inputs: dict[str, Path],
+        root: Path,
+        patch: pytest.MonkeyPatch,
+        returns: list[float],
+        **changed: Any,
+    ) -> None:
         self.judged: list[dict[str, Any]] = []
         self.began: dict[str, Any] | None = None
         self.limit = 0.0
@@ -41,7 +58,9 @@ class Run:
             reward = zeros + next(script) / 250
             return SimpleNamespace(reward=reward, cost_env=zeros, goals=zeros, env_steps=zeros + 4)
 
-        def better(actor: LatentPolicy, task: Any, model: Any, config: Any, limit: float, *rest: Any) -> Any:
+        def better(
+            actor: LatentPolicy, task: Any, model: Any, config: Any, limit: float, *rest: Any
+        ) -> Any:
             self.began, self.limit = copy.deepcopy(actor.state_dict()), limit
             changed = copy.deepcopy(actor)
             with torch.no_grad():
@@ -55,7 +74,11 @@ class Run:
         name = f"run{len(list(root.iterdir()))}"
         config = CONFIG.model_copy(update=changed)
         job = dataclasses.replace(
-            dataset_job(root, name), kind="policies", config=config, settings={"action_repeat": REPEAT}, inputs=inputs
+            dataset_job(root, name),
+            kind="policies",
+            config=config,
+            settings={"action_repeat": REPEAT},
+            inputs=inputs,
         )
         self.summary = PoliciesStage().run(job)
         self.folder = root / name
@@ -88,14 +111,22 @@ def stored(weights: torch.Tensor) -> torch.Tensor:
 
 def same(a: dict[str, Any], b: dict[str, Any], skill: str = "") -> bool:
     """Whether the weights are the same in the precision in which they are kept."""
-    return all(torch.equal(stored(value), stored(b[name])) for name, value in a.items() if name.startswith(skill))
+    return all(
+        torch.equal(stored(value), stored(b[name]))
+        for name, value in a.items()
+        if name.startswith(skill)
+    )
 
 
 def test_a_round_that_reaches_the_bounds_ends_the_training(start):
     run = start([-GOOD, GOOD])
     assert run.began is None
     assert same(run.kept, run.judged[1])
-    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (1, 1, False)
+    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (
+        1,
+        1,
+        False,
+    )
     assert not (run.folder / "reinforcement.json").exists()
 
 
@@ -104,11 +135,19 @@ def test_reinforcement_begins_with_the_best_round_and_changes_the_expert_alone(s
     assert same({f"actors.1.{name}": value for name, value in run.began.items()}, run.judged[0])
     assert not same(run.judged[0], run.judged[1], "actors.1")
     assert same(run.kept, run.judged[0], "actors.0")
-    assert torch.equal(run.kept["actors.1.net.0.weight"], stored(run.judged[0]["actors.1.net.0.weight"] + 1.0))
-    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (1, 2, True)
+    assert torch.equal(
+        run.kept["actors.1.net.0.weight"], stored(run.judged[0]["actors.1.net.0.weight"] + 1.0)
+    )
+    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (
+        1,
+        2,
+        True,
+    )
     last = run.evaluation["rounds"][-1]
     assert (last["reinforced"], last["cost_limit"]) == (128, run.limit)
-    assert run.limit >= 1.25 * 1000 / 1000, "the privileged cost, and half of what is always allowed"
+    assert run.limit >= 1.25 * 1000 / 1000, (
+        "the privileged cost, and half of what is always allowed"
+    )
     text = (run.folder / "reinforcement.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail) == [{"interactions": 128.0, "return": None}]
 
@@ -135,4 +174,6 @@ def test_labels_may_aim_higher_than_what_is_left_to_the_reinforcement(start):
     assert run.evaluation["rounds"][0]["return_share"] == pytest.approx(0.8)
     assert len(run.evaluation["rounds"]) == 2, "the labels went on"
     assert run.began is None
-    assert start([near, near, GOOD]).began is not None, "by default it begins where the labels fell short"
+    assert start([near, near, GOOD]).began is not None, (
+        "by default it begins where the labels fell short"
+    )

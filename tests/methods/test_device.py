@@ -1,4 +1,6 @@
-"""Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
+"""Decisions on another device: no look at a number, fixed shapes whose masks give what gathered
+rows give, and the same draws.
+"""
 
 from typing import Any
 
@@ -21,28 +23,61 @@ from wasp_cli.tasks.make import make_task
 B = 5
 EVERYONE = torch.ones(B, dtype=torch.bool)
 METHODS: dict[str, dict[str, Any]] = {
-    "wasp": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2, "horizon": 6},
-    "printed": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "rollouts": 2, "horizon": 6},
+    "wasp": {
+        "candidates": 12,
+        "elites": 4,
+        "feasible": 4,
+        "iterations": 2,
+        "rollouts": 2,
+        "horizon": 6,
+    },
+    "printed": {
+        "candidates": 12,
+        "elites": 4,
+        "feasible": 4,
+        "iterations": 2,
+        "probe": 12,
+        "rollouts": 2,
+        "horizon": 6,
+    },
     "ida": {"vote": 0.0, "copilot": "diffusion"},
-    "halfway:Halfway": {}, "diffusion": {}, "saferl": {}, "filter": {"candidates": 8, "segment": 4, "rollouts": 2}, "human": {},
-}  # fmt: skip
+    "halfway:Halfway": {},
+    "diffusion": {},
+    "saferl": {},
+    "filter": {"candidates": 8, "segment": 4, "rollouts": 2},
+    "human": {},
+}
 VARIANTS = ("safety-only", "no-case2", "no-rollout")
 CASES = [
-    *((name, {}) for name in METHODS), *(("wasp", {"variant": variant}) for variant in VARIANTS), ("printed", {"variant": "no-case2"}),
-]  # fmt: skip
-NOWHERE = [*((name, {}, "laggy") for name in METHODS), ("wasp", {"variant": "no-case2"}, "noisy"), ("printed", {}, "reaction-time")]
+    *((name, {}) for name in METHODS),
+    *(("wasp", {"variant": variant}) for variant in VARIANTS),
+    ("printed", {"variant": "no-case2"}),
+]
+NOWHERE = [
+    *((name, {}, "laggy") for name in METHODS),
+    ("wasp", {"variant": "no-case2"}, "noisy"),
+    ("printed", {}, "reaction-time"),
+]
 
 
-def made(parts: Parts, method: str, changes: dict[str, Any], variant: str = "laggy") -> tuple[Assistant, Operator]:
+def made(
+    parts: Parts, method: str, changes: dict[str, Any], variant: str = "laggy"
+) -> tuple[Assistant, Operator]:
     assistant = build_assistant(method, METHODS[method] | changes, parts)
     context = OperatorContext(parts.skills.at, 2, 0.08)
-    operator = build_operator(variant, 0.4, context, EpisodeNoise(list(range(B))), B).to(parts.device)
+    operator = build_operator(variant, 0.4, context, EpisodeNoise(list(range(B))), B).to(
+        parts.device
+    )
     assistant.reset(EVERYONE, [10 + b for b in range(B)])
     return assistant, operator
 
 
-def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float, float] | None) -> list[Decision]:
-    """Three decisions in a row; `tau` = thresholds of WASP and the filter, chosen so that some rows fire."""
+def decide(
+    parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float, float] | None
+) -> list[Decision]:
+    """Three decisions in a row; `tau` = thresholds of WASP and the filter, chosen so that some
+    rows fire.
+    """
     assistant, operator = made(parts, method, changes)
     if tau is not None:
         assistant.tau_c, assistant.tau_r = tau
@@ -56,9 +91,16 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
 
 @pytest.mark.parametrize(("method", "changes", "operator"), NOWHERE)
 def test_no_assistant_looks_at_a_number_on_another_device(artifacts, method, changes, operator):
-    """Tensors that have shapes and no values: what asks for one raises, and so does a tensor of the CPU among them."""
+    """Tensors that have shapes and no values: what asks for one raises, and so does a tensor of
+    the CPU among them.
+    """
     nowhere = torch.device("meta")
-    for look in (lambda x: bool(x.sum() > 0), lambda x: x.numpy(), lambda x: x.nonzero(), lambda x: x + torch.zeros(2)):
+    for look in (
+        lambda x: bool(x.sum() > 0),
+        lambda x: x.numpy(),
+        lambda x: x.nonzero(),
+        lambda x: x + torch.zeros(2),
+    ):
         with pytest.raises((RuntimeError, NotImplementedError, TypeError)):
             look(torch.zeros(2, device=nowhere))
     parts = load_parts(artifacts, ReturnsConfig(), nowhere)
@@ -81,13 +123,21 @@ def everything(mask: Tensor) -> Tensor:
 
 
 def thresholds(parts: Parts, method: str, changes: dict[str, Any]) -> tuple[float, float]:
-    """tau_c and tau_r that about half of the rows exceed; the filter has one threshold, of its signal."""
+    """tau_c and tau_r that about half of the rows exceed; the filter has one threshold, of its
+    signal.
+    """
     records = [d.record for d in decide(parts, method, changes, (1e9, 1e9)) if d.record is not None]
     if method == "filter":
         return float(torch.cat([record.signal for record in records]).median()), 0.0
-    costs, gains = torch.cat([record.g_cost for record in records]), torch.cat([record.delta_g for record in records])
+    costs, gains = (
+        torch.cat([record.g_cost for record in records]),
+        torch.cat([record.delta_g for record in records]),
+    )
     gains = gains[gains.isfinite()].sort().values
-    return float(costs.quantile(0.6)), float(gains[len(gains) // 2 - 1 :][:2].mean()) if len(gains) else 0.0  # between two of them
+    # between two of them
+    return float(costs.quantile(0.6)), float(gains[len(gains) // 2 - 1 :][:2].mean()) if len(
+        gains
+    ) else 0.0
 
 
 @pytest.mark.parametrize(("method", "changes"), [case for case in CASES if case[0] in MASKED])
@@ -106,8 +156,10 @@ def same(found: list[Decision], wanted: list[Decision]) -> None:
     for one, other in zip(found, wanted, strict=True):
         assert torch.equal(one.record.gate, other.record.gate)
         fields = zip(
-            (one.action, *one.record, *(one.planned or ())), (other.action, *other.record, *(other.planned or ())), strict=True
-        )  # fmt: skip
+            (one.action, *one.record, *(one.planned or ())),
+            (other.action, *other.record, *(other.planned or ())),
+            strict=True,
+        )
         for mine, theirs in fields:
             torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4, equal_nan=True)
 
@@ -115,7 +167,9 @@ def same(found: list[Decision], wanted: list[Decision]) -> None:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
 @pytest.mark.parametrize(("method", "changes"), CASES)
 def test_a_gpu_decides_what_the_cpu_does(artifacts, parts, method, changes):
-    """The same draws and weights; only sums are in another order: 1e-4 of every number that leads to a decision."""
+    """The same draws and weights; only sums are in another order: 1e-4 of every number that
+    leads to a decision.
+    """
     tau = thresholds(parts, method, changes) if method in ("wasp", "printed") else None
     there = load_parts(artifacts, ReturnsConfig(), torch.device("cuda"))
     found = decide(there, method, changes, tau)
@@ -126,12 +180,22 @@ def test_a_gpu_decides_what_the_cpu_does(artifacts, parts, method, changes):
         torch.testing.assert_close(one.action.cpu(), other.action, atol=1e-4, rtol=1e-4)
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))])
+@pytest.mark.parametrize(
+    "device",
+    [
+        "cpu",
+        pytest.param(
+            "cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+        ),
+    ],
+)
 def test_whoever_drives_sees_what_is_imagined_on_any_device(artifacts, device, monkeypatch):
     monkeypatch.setattr(view, "DECISIONS", 4)
     parts = load_parts(artifacts, ReturnsConfig(), torch.device(device))
     assistant, operator = made(parts, "wasp", {})
-    futures = view.Futures("race1", parts, assistant, make_task("race1", 1, action_repeat=20, observe=("pixels",)))
+    futures = view.Futures(
+        "race1", parts, assistant, make_task("race1", 1, action_repeat=20, observe=("pixels",))
+    )
     latent, a_h = parts.world_model.initial(1), torch.full((1, 2), 0.5, device=device)
     lines = futures.lines(0, latent, a_h, operator, Decision(-a_h), [0.0, 0.0, 0.0], 1.0)
     assert {name: len(line) for name, line in lines.items()} == {"alone": 7, "corrected": 7}
@@ -147,10 +211,16 @@ def on_cpu(decision: Decision) -> Decision:
 
 
 @pytest.mark.parametrize(
-    "drawn", [lambda streams: streams.uniform((4, 3), (2,), purpose=2), lambda streams: [streams.normal(3, 2, purpose=1)]]
+    "drawn",
+    [
+        lambda streams: streams.uniform((4, 3), (2,), purpose=2),
+        lambda streams: [streams.normal(3, 2, purpose=1)],
+    ],
 )
 def test_draws_made_ahead_are_those_of_each_decision(drawn, monkeypatch):
-    """On another device the draws of many decisions are made at once; which those are must not change them."""
+    """On another device the draws of many decisions are made at once; which those are must not
+    change them.
+    """
     seeds, everyone = [3, 4, 5], torch.ones(3, dtype=torch.bool)
     monkeypatch.setattr("wasp_cli.methods.noise.AHEAD", 4)
     each, ahead = DecisionNoise(), DecisionNoise()
@@ -160,7 +230,9 @@ def test_draws_made_ahead_are_those_of_each_decision(drawn, monkeypatch):
     ahead.reset(everyone, seeds)
     calls = []
     make = ahead.made
-    monkeypatch.setattr(ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a))
+    monkeypatch.setattr(
+        ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a)
+    )
     for _ in range(9):
         for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
             assert torch.equal(mine, theirs)

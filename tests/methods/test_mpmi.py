@@ -62,7 +62,8 @@ def test_the_nearest_safe_input_is_executed_and_a_safe_command_stands():
         assert torch.equal(action[row], best)
         assert record.gate[row] == (GATE_NONE if least == float("inf") else GATE_METHOD)
         fates.add((bool(expected(h[row], a_h[row]) > 1.4), least < float("inf")))
-    assert fates == {(False, False), (True, True), (True, False)}  # safe; replaced; unsafe, and nothing safe
+    # safe; replaced; unsafe, and nothing safe
+    assert fates == {(False, False), (True, True), (True, False)}
 
 
 def test_every_input_meets_the_same_draws():
@@ -105,18 +106,26 @@ class Bowl:
         return self.safest.expand(len(features), 2), features[:, 0]
 
 
-def made_reach(gamma: float | str = 0.9, motors: Motors = UNKNOWN, **settings: Any) -> ReachabilityFilter:
+def made_reach(
+    gamma: float | str = 0.9, motors: Motors = UNKNOWN, **settings: Any
+) -> ReachabilityFilter:
     made_reach = object.__new__(ReachabilityFilter)
-    made_reach.config = ReachConfig.model_validate({"gamma": gamma, "candidates": SPREAD, **settings})
+    made_reach.config = ReachConfig.model_validate(
+        {"gamma": gamma, "candidates": SPREAD, **settings}
+    )
     made_reach.value, made_reach.motors = Bowl(), motors
     made_reach.gamma = 0.9 if gamma == "calibrated" else float(gamma)
-    made_reach.candidates = torch.cat([2 * torch.quasirandom.SobolEngine(2).draw(made_reach.config.candidates) - 1, Bowl.extremes])
+    made_reach.candidates = torch.cat(
+        [2 * torch.quasirandom.SobolEngine(2).draw(made_reach.config.candidates) - 1, Bowl.extremes]
+    )
     return made_reach
 
 
 def states(rows: int = 60) -> tuple[Tensor, Tensor]:
     source = torch.Generator().manual_seed(0)
-    return 0.2 + 0.8 * torch.rand(rows, generator=source), 2 * torch.rand(rows, 2, generator=source) - 1
+    return 0.2 + 0.8 * torch.rand(rows, generator=source), 2 * torch.rand(
+        rows, 2, generator=source
+    ) - 1
 
 
 def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_grid():
@@ -129,19 +138,26 @@ def test_the_nearest_action_that_keeps_its_share_of_the_value_is_that_of_a_fine_
         allowed = Bowl()(h[row : row + 1].unsqueeze(-1), grid.unsqueeze(0))[0] >= 0.9 * h[row]
         best = float((grid[allowed] - a_h[row]).norm(dim=-1).min())
         found = float((action[row] - a_h[row]).norm())
-        stands = bool(Bowl()(h[row : row + 1].unsqueeze(-1), a_h[row].view(1, 1, 2)) >= 0.9 * h[row])
+        stands = bool(
+            Bowl()(h[row : row + 1].unsqueeze(-1), a_h[row].view(1, 1, 2)) >= 0.9 * h[row]
+        )
         assert int(record.gate[row]) == (0 if stands else 3)
         if stands:
             assert torch.equal(action[row], a_h[row])
         else:
             moved += 1
             assert best - 0.01 <= found <= best + 0.04  # 2048 candidates lie about 0.04 apart
-            assert bool(Bowl()(h[row : row + 1].unsqueeze(-1), action[row].view(1, 1, 2)) >= 0.9 * h[row] - 1e-6)
+            assert bool(
+                Bowl()(h[row : row + 1].unsqueeze(-1), action[row].view(1, 1, 2))
+                >= 0.9 * h[row] - 1e-6
+            )
     assert 10 < moved < 55
 
 
 def test_where_failure_cannot_be_avoided_the_fallback_acts():
-    action, record = decided(made_reach(0.9), torch.tensor([-0.3, -0.01]), torch.tensor([[0.9, -0.9], [0.0, 0.0]]))
+    action, record = decided(
+        made_reach(0.9), torch.tensor([-0.3, -0.01]), torch.tensor([[0.9, -0.9], [0.0, 0.0]])
+    )
     assert torch.equal(action, Bowl.safest.expand(2, 2))
     assert record.gate.tolist() == [3, 3]
 

@@ -19,7 +19,14 @@ from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.motors import Motors
 
 B, COARSE = 64, Motors((0.3, 0.3))
-SMALL: dict[str, Any] = {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2, "horizon": 6}
+SMALL: dict[str, Any] = {
+    "candidates": 12,
+    "elites": 4,
+    "feasible": 4,
+    "iterations": 2,
+    "rollouts": 2,
+    "horizon": 6,
+}
 VOTE: dict[str, Any] = {"vote": 0.0}
 
 
@@ -110,7 +117,9 @@ def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts,
     assert gates == []
 
 
-def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(commands):
+def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(
+    commands,
+):
     asked: list[tuple[Tensor, Tensor]] = []
 
     def network(features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:

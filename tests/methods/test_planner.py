@@ -1,4 +1,6 @@
-"""The planner alone: nobody's command is read, and its plans are no worse than the expert on what it imagines."""
+"""The planner alone: nobody's command is read, and its plans are no worse than the expert on
+what it imagines.
+"""
 
 from typing import Any, get_args
 
@@ -20,17 +22,31 @@ from wasp_cli.store.tables import Thresholds
 
 B, T = 6, 3
 SMALL: dict[str, Any] = {
-    "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3,
-    "tau_c": 3.0, "tau_r": 0.0,
-}  # fmt: skip
+    "candidates": 24,
+    "elites": 6,
+    "feasible": 6,
+    "iterations": 3,
+    "rollouts": 2,
+    "horizon": 6,
+    "residual_steps": 3,
+    "tau_c": 3.0,
+    "tau_r": 0.0,
+}
 
 
-def drive(planner: Planner, parts: Parts, commands: Tensor, operator: str = "none") -> list[Decision]:
+def drive(
+    planner: Planner, parts: Parts, commands: Tensor, operator: str = "none"
+) -> list[Decision]:
     """Decisions of T steps under commands [T, B, A] of some operator."""
-    who = build_operator(operator, 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(list(range(B))), B)
+    who = build_operator(
+        operator, 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(list(range(B))), B
+    )
     planner.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
     with torch.inference_mode():
-        return [checked(planner.decide(tiny_latents(B, t), a_h, who), planner, a_h, a_h.clone()) for t, a_h in enumerate(commands)]
+        return [
+            checked(planner.decide(tiny_latents(B, t), a_h, who), planner, a_h, a_h.clone())
+            for t, a_h in enumerate(commands)
+        ]
 
 
 def planner(parts: Parts, **changes: Any) -> Planner:
@@ -45,7 +61,10 @@ def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts):
     one = drive(planner(parts), parts, first)
     other = drive(planner(parts), parts, second, "noisy")
     assert all(torch.equal(a.action, b.action) for a, b in zip(one, other, strict=True))
-    assert any((a.action - parts.skills.expert(tiny_latents(B, t).features)).abs().max() > 0.01 for t, a in enumerate(one))
+    assert any(
+        (a.action - parts.skills.expert(tiny_latents(B, t).features)).abs().max() > 0.01
+        for t, a in enumerate(one)
+    )
 
 
 def test_the_gate_is_set_where_the_action_is_not_the_command(parts):
@@ -82,7 +101,9 @@ def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(part
     def plans(tau_r: float) -> list[Any]:
         made, found = planner(parts, alpha=0.0, tau_r=tau_r, tau_c=1e6), []
         real = made._search
-        monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])
+        monkeypatch.setattr(
+            made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1]
+        )
         drive(made, parts, torch.zeros(T, B, 2))
         return found
 
@@ -131,7 +152,9 @@ def test_what_breaks_the_contract_is_said(decision, message):
 
 @pytest.mark.parametrize("to", [0.0, torch.nan])
 def test_a_command_that_was_changed_in_place_is_refused(to):
-    """What is recorded as the command would be what the assistant made of it, without any intervention."""
+    """What is recorded as the command would be what the assistant made of it, without any
+    intervention.
+    """
     commands = COMMANDS.clone()
     given = commands.clone()
     commands[1] = to
@@ -155,7 +178,11 @@ def test_an_entry_says_how_its_method_decides(name):
 
 
 def test_the_variants_of_wasp_are_those_of_its_configuration():
-    assert tuple(METHODS["printed"].variants) == tuple(METHODS["wasp"].variants) == get_args(WASPVariant)
+    assert (
+        tuple(METHODS["printed"].variants)
+        == tuple(METHODS["wasp"].variants)
+        == get_args(WASPVariant)
+    )
 
 
 @pytest.mark.parametrize(

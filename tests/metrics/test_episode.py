@@ -11,7 +11,12 @@ from scipy.stats import pearsonr, spearmanr
 from tests.plans import joined, plans_of, trajectory
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episode_metrics, pool
 from wasp_cli.metrics.necessity import necessity
-from wasp_cli.metrics.ranking import average_precision, average_precision_interval, correlations, recall_at
+from wasp_cli.metrics.ranking import (
+    average_precision,
+    average_precision_interval,
+    correlations,
+    recall_at,
+)
 from wasp_cli.metrics.reliability import BINS, calibration_error, reliability
 from wasp_cli.metrics.windows import sums_ahead
 from wasp_cli.tasks.motors import Motors
@@ -19,7 +24,12 @@ from wasp_cli.tasks.motors import Motors
 
 def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:
     names = [*WEIGHTS, "decisions", "env_steps", "intervened", "planned", "handovers"]
-    return {name: np.array([getattr(row, "return_" if name == "return" else name) for row in rows], np.float64) for name in names}
+    return {
+        name: np.array(
+            [getattr(row, "return_" if name == "return" else name) for row in rows], np.float64
+        )
+        for name in names
+    }
 
 
 def test_by_hand():
@@ -66,19 +76,30 @@ def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one():
 
 
 def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one():
-    """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and too much in one of 500."""
+    """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and
+    too much in one of 500.
+    """
 
     def row(steps: int) -> EpisodeMetrics:
         cost_env = [1] * 20 + [0] * (steps - 20)
         return episode_metrics(
-            trajectory(steps=steps, goals=[1] + [0] * (steps - 1), cost=np.array(cost_env) > 0, cost_env=cost_env), 1, 25.0
+            trajectory(
+                steps=steps,
+                goals=[1] + [0] * (steps - 1),
+                cost=np.array(cost_env) > 0,
+                cost_env=cost_env,
+            ),
+            1,
+            25.0,
         )
 
     assert (row(250).env_steps, row(250).safe_success) == (1000, True)
     assert (row(125).env_steps, row(125).safe_success) == (500, False)
 
 
-ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32))
+ACTIONS = hnp.arrays(
+    np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32)
+)
 
 
 @given(st.lists(st.tuples(ACTIONS, st.integers(0, 2**32 - 1)), min_size=1, max_size=5))
@@ -86,11 +107,17 @@ def test_mag_is_int_times_mag_given_int(episodes):
     rows = []
     for a, seed in episodes:
         acts = np.random.default_rng(seed).random(len(a)) < 0.5
-        rows.append(episode_metrics(trajectory(steps=len(a), a=a, a_h=np.where(acts[:, None], -a, a)), 1, 25.0))
+        rows.append(
+            episode_metrics(
+                trajectory(steps=len(a), a=a, a_h=np.where(acts[:, None], -a, a)), 1, 25.0
+            )
+        )
     for row in rows:
         assert row.mag == pytest.approx(row.int_rate * (row.mag_int or 0.0), abs=1e-12)
     pooled = pool(columns(rows))
-    assert pooled["mag"][0] == pytest.approx(pooled["int_rate"][0] * np.nan_to_num(pooled["mag_int"][0]), abs=1e-12)
+    assert pooled["mag"][0] == pytest.approx(
+        pooled["int_rate"][0] * np.nan_to_num(pooled["mag_int"][0]), abs=1e-12
+    )
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))
@@ -103,23 +130,55 @@ def test_pooling_is_the_metric_of_the_joined_steps(episodes, seed):
         case2 = np.where(rng.random(steps) < 0.5, rng.integers(0, 5, steps) / 4, np.nan)
         a, a_h = rng.uniform(-1, 1, (2, steps, 2)) * (rng.random((steps, 1)) < 0.5)
         gate = rng.integers(0, 3, steps)
-        return trajectory(steps, cost=cost_env > 0, cost_env=cost_env, a=a, a_h=a_h, gate=gate, plans=plans_of(case2))
+        return trajectory(
+            steps,
+            cost=cost_env > 0,
+            cost_env=cost_env,
+            a=a,
+            a_h=a_h,
+            gate=gate,
+            plans=plans_of(case2),
+        )
 
     parts = [invent(int(rng.integers(1, 9))) for _ in range(episodes)]
     one = trajectory(
         sum(part.steps for part in parts),
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ("cost", "cost_env", "a", "a_h", "gate")},
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("cost", "cost_env", "a", "a_h", "gate")
+        },
         plans=joined([part.plans for part in parts if part.plans is not None]),
     )
-    whole, pooled = episode_metrics(one, 1, 25.0), pool(columns([episode_metrics(part, 1, 25.0) for part in parts]))
-    for name in ("viol", "viol_env", "int_rate", "int_rate_05", "int_rate_10", "mag", "mag_int", "safety_gate", "task_gate", "case2"):
+    whole, pooled = (
+        episode_metrics(one, 1, 25.0),
+        pool(columns([episode_metrics(part, 1, 25.0) for part in parts])),
+    )
+    for name in (
+        "viol",
+        "viol_env",
+        "int_rate",
+        "int_rate_05",
+        "int_rate_10",
+        "mag",
+        "mag_int",
+        "safety_gate",
+        "task_gate",
+        "case2",
+    ):
         expected = getattr(whole, name)
-        assert pooled[name][0] == pytest.approx(np.nan if expected is None else expected, nan_ok=True)
+        assert pooled[name][0] == pytest.approx(
+            np.nan if expected is None else expected, nan_ok=True
+        )
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"reward": [0.0, np.nan, 0, 0]}, {"a": np.zeros((4, 3))}, {"cost": np.zeros(3, bool)}, {"a": np.full((4, 2), np.inf)}],
+    [
+        {"reward": [0.0, np.nan, 0, 0]},
+        {"a": np.zeros((4, 3))},
+        {"cost": np.zeros(3, bool)},
+        {"a": np.full((4, 2), np.inf)},
+    ],
     ids=["reward", "action-size", "length", "action"],
 )
 def test_refuses_what_cannot_be_measured(changes):
@@ -128,7 +187,9 @@ def test_refuses_what_cannot_be_measured(changes):
 
 
 def test_refuses_plans_of_other_steps():
-    with pytest.raises(ValueError, match=r"plans\.residuals has shape \(3, 3, 2\), not \(4, 3, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"plans\.residuals has shape \(3, 3, 2\), not \(4, 3, 2\)"
+    ):
         trajectory(plans=plans_of([0.5, np.nan, 0.0]))
 
 
@@ -136,16 +197,24 @@ MOTORS = Motors((0.02, 0.5))
 
 
 def invent(rng: np.random.Generator, steps: int) -> Trajectory:
-    """Commands and actions of which many are beyond the motors, some equal, and some equal but for rounding."""
+    """Commands and actions of which many are beyond the motors, some equal, and some equal but
+    for rounding.
+    """
     a_h = rng.uniform(-1, 1, (steps, 2)) * rng.choice([0.02, 1.0], (steps, 1))
     wanted = rng.uniform(-1, 1, (steps, 2))
     kind = rng.integers(0, 4, steps)[:, None]
-    a = np.where(kind == 0, a_h, np.where(kind == 1, a_h + 4e-7, np.where(kind == 2, np.sign(a_h) * 0.75, wanted)))
+    a = np.where(
+        kind == 0,
+        a_h,
+        np.where(kind == 1, a_h + 4e-7, np.where(kind == 2, np.sign(a_h) * 0.75, wanted)),
+    )
     return trajectory(steps, a_h=a_h, a=np.clip(a, -1, 1))
 
 
 def loops(episode: Trajectory) -> tuple[list[float], list[float]]:
-    """The distance of the forces at every step, and the change of the action at every change of hands."""
+    """The distance of the forces at every step, and the change of the action at every change of
+    hands.
+    """
     distances, changes = [], []
     before = None
     for t in range(episode.steps):
@@ -174,16 +243,26 @@ def test_rates_of_an_episode_and_of_a_cell_are_ratios_of_sums_over_the_steps(epi
         assert row.handovers == len(jumps)
         assert row.jump is None if not jumps else row.jump == pytest.approx(mean(jumps))
     pooled = pool(columns(rows))
-    assert pooled["int_eff"][0] == pytest.approx(mean([float(each > 0) for apart in distances for each in apart]))
-    assert pooled["mag_eff"][0] == pytest.approx(mean([each for apart in distances for each in apart]))
-    assert pooled["jump"][0] == pytest.approx(mean([each for jumps in changes for each in jumps]), nan_ok=True)
+    assert pooled["int_eff"][0] == pytest.approx(
+        mean([float(each > 0) for apart in distances for each in apart])
+    )
+    assert pooled["mag_eff"][0] == pytest.approx(
+        mean([each for apart in distances for each in apart])
+    )
+    assert pooled["jump"][0] == pytest.approx(
+        mean([each for jumps in changes for each in jumps]), nan_ok=True
+    )
 
 
-def test_without_a_change_of_hands_there_is_no_jump_and_without_known_motors_the_action_is_its_force():
+def test_there_is_no_jump_without_a_handover_and_the_action_is_its_force_without_motors():
     always = trajectory(a=np.full((4, 2), 0.3))
     row = episode_metrics(always, 1, 25.0, Motors().force)
     assert (row.jump, row.handovers) == (None, 0)
-    assert (row.int_eff, row.mag_eff) == (row.int_rate, row.mag) == (1.0, pytest.approx(math.hypot(0.3, 0.3)))
+    assert (
+        (row.int_eff, row.mag_eff)
+        == (row.int_rate, row.mag)
+        == (1.0, pytest.approx(math.hypot(0.3, 0.3)))
+    )
     assert row == episode_metrics(always, 1, 25.0)
     quiet = episode_metrics(trajectory(steps=1), 1, 25.0, MOTORS.force)
     assert (quiet.int_eff, quiet.mag_eff, quiet.jump) == (0.0, 0.0, None)
@@ -199,7 +278,11 @@ def brute_force(event: list[bool], score: list[int]) -> float:
     return area
 
 
-@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)))
+@given(
+    st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=1, max_size=40).filter(
+        lambda rows: any(e for e, _ in rows)
+    )
+)
 def test_average_precision_is_the_step_sum(rows):
     event, score = zip(*rows, strict=True)
     found = average_precision(np.array(event), np.array(score, float))
@@ -207,7 +290,9 @@ def test_average_precision_is_the_step_sum(rows):
 
 
 @given(
-    st.lists(st.tuples(st.booleans(), st.integers(0, 6)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)),
+    st.lists(st.tuples(st.booleans(), st.integers(0, 6)), min_size=1, max_size=40).filter(
+        lambda rows: any(e for e, _ in rows)
+    ),
     st.sampled_from([0.0, 0.1, 0.3]),
 )
 def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows, share):
@@ -240,11 +325,24 @@ def test_correlations_are_scipys_on_explicitly_resampled_episodes():
     episode = np.repeat([3, 5, 6, 9], [10, 20, 5, 15])
     score, value = random.integers(0, 6, 50).astype(float), random.normal(size=50) + 0.2 * episode
     found = correlations(score, value, episode, resamples=7, seed=4)
-    assert (found.pearson, found.rank) == pytest.approx((pearsonr(score, value).statistic, spearmanr(score, value).statistic))
+    assert (found.pearson, found.rank) == pytest.approx(
+        (pearsonr(score, value).statistic, spearmanr(score, value).statistic)
+    )
     drawn = np.random.default_rng(4).multinomial(4, np.full(4, 0.25), 7)
     for row, counts in zip(found.resampled, drawn, strict=True):
-        rows = np.concatenate([np.flatnonzero(episode == e) for e, n in zip((3, 5, 6, 9), counts, strict=True) for _ in range(n)])
-        assert row.tolist() == pytest.approx([pearsonr(score[rows], value[rows]).statistic, spearmanr(score[rows], value[rows]).statistic])
+        rows = np.concatenate(
+            [
+                np.flatnonzero(episode == e)
+                for e, n in zip((3, 5, 6, 9), counts, strict=True)
+                for _ in range(n)
+            ]
+        )
+        assert row.tolist() == pytest.approx(
+            [
+                pearsonr(score[rows], value[rows]).statistic,
+                spearmanr(score[rows], value[rows]).statistic,
+            ]
+        )
     assert correlations(score[:5], value[:5], episode[:5]).resampled.shape == (0, 2)
     assert np.isnan(correlations(np.ones(50), value, episode, resamples=2).resampled).all()
 
@@ -262,9 +360,16 @@ def test_bins_and_their_error_are_what_loops_count():
     event = random.random(502) < probability
     rows, error = reliability(event, probability), 0.0
     for number, row in enumerate(rows):
-        here = [i for i, p in enumerate(probability) if number / BINS <= p < (number + 1) / BINS or (number == BINS - 1 and p == 1.0)]
+        here = [
+            i
+            for i, p in enumerate(probability)
+            if number / BINS <= p < (number + 1) / BINS or (number == BINS - 1 and p == 1.0)
+        ]
         assert row.size == len(here)
-        predicted, seen = sum(probability[i] for i in here) / len(here), sum(bool(event[i]) for i in here) / len(here)
+        predicted, seen = (
+            sum(probability[i] for i in here) / len(here),
+            sum(bool(event[i]) for i in here) / len(here),
+        )
         assert row.predicted == pytest.approx(predicted)
         assert row.seen == pytest.approx(seen)
         error += abs(predicted - seen) * len(here) / 502
@@ -306,18 +411,25 @@ BRANCHES = hnp.arrays(np.float64, (4, 9, 3), elements=st.sampled_from([0.0, 0.25
 
 
 @given(BRANCHES, st.sampled_from([0.0, 0.25, 0.6]))
-def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_out_twins(branches, tau_R):
+def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_out_twins(
+    branches, tau_R
+):
     cost_cf, cost_asst, reward_cf, reward_asst = branches
     cost_cf, cost_asst = cost_cf.round(), cost_asst.round()
     found = necessity(cost_cf, cost_asst, reward_cf, reward_asst, tau_R)
     assert found.uir_swapped == necessity(cost_asst, cost_cf, reward_asst, reward_cf, tau_R).uir
     unnecessary = []
     for i in range(9):
-        differs = any(cost_cf[i, w] != cost_asst[i, w] or reward_cf[i, w] != reward_asst[i, w] for w in range(3))
+        differs = any(
+            cost_cf[i, w] != cost_asst[i, w] or reward_cf[i, w] != reward_asst[i, w]
+            for w in range(3)
+        )
         assert found.effective[i] == differs
         assert differs or found.unnecessary[i]
         unnecessary += [found.unnecessary[i]] * differs
-    assert found.uir_eff == pytest.approx(np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True)
+    assert found.uir_eff == pytest.approx(
+        np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True
+    )
 
 
 def test_refuses_branches_of_different_length():

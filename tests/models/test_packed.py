@@ -22,9 +22,18 @@ def world(classes: int = 5) -> SafetyWorldModel:
     """Weights of the size of trained ones: a step of them changes the latent."""
     torch.manual_seed(0)
     sizes = Sizes(
-        action=2, deter=24, hidden=20, variables=6, classes=classes, depth=2, head=16, unimix=0.01, reward_scale=5.0, cost_weight=5.0,
+        action=2,
+        deter=24,
+        hidden=20,
+        variables=6,
+        classes=classes,
+        depth=2,
+        head=16,
+        unimix=0.01,
+        reward_scale=5.0,
+        cost_weight=5.0,
         action_scales=(1.0, 0.1),
-    )  # fmt: skip
+    )
     model = SafetyWorldModel(sizes).eval().requires_grad_(False)
     for head in (model.reward_head, model.cost_head, model.continue_head):
         torch.nn.init.normal_(head[-1].weight, std=0.3)
@@ -35,7 +44,10 @@ def world(classes: int = 5) -> SafetyWorldModel:
 
 def one_hot(model: SafetyWorldModel, rows: int) -> Latent:
     drawn = torch.randint(0, model.rssm.classes, (rows, model.rssm.variables))
-    return Latent(torch.randn(rows, model.rssm.deter).tanh(), F.one_hot(drawn, model.rssm.classes).float().flatten(1))
+    return Latent(
+        torch.randn(rows, model.rssm.deter).tanh(),
+        F.one_hot(drawn, model.rssm.classes).float().flatten(1),
+    )
 
 
 def as_latent(coded: Coded, deter: int) -> Latent:
@@ -54,9 +66,13 @@ def test_a_packed_rollout_is_that_of_the_model(classes):
     wanted = []
     for k in range(H):
         latent = model.imagine(latent, actions[k], noise[k])
-        here = packed.imagine(here, actions[k], packed.chances(noise[k]), room.step(k), COPIES if k == 0 else 1)
+        here = packed.imagine(
+            here, actions[k], packed.chances(noise[k]), room.step(k), COPIES if k == 0 else 1
+        )
         wanted.append(latent)
-    whole = Latent(torch.stack([step.h for step in wanted]), torch.stack([step.z for step in wanted]))
+    whole = Latent(
+        torch.stack([step.h for step in wanted]), torch.stack([step.z for step in wanted])
+    )
     found = as_latent(room, model.rssm.deter)
     assert (found.z == whole.z).all(), "another class was drawn"
     assert found.z.sum() == H * R * model.rssm.variables
@@ -73,18 +89,27 @@ def test_a_policy_reads_joined_features_by_their_classes_and_copies_of_them_as_t
     model = world()
     policy = LatentPolicy(model.feature_size, (16, 16), 2).requires_grad_(False)
     packed = PackedModel(model)
-    coded = packed.imagine(one_hot(model, R), torch.zeros(R, 2), torch.ones(R, model.noise_size), packed.room(1, R).step(0))
+    coded = packed.imagine(
+        one_hot(model, R),
+        torch.zeros(R, 2),
+        torch.ones(R, model.noise_size),
+        packed.room(1, R).step(0),
+    )
     features = coded.features
     assert features.latent is coded
     assert not hasattr(features * 1.0, "latent")
     torch.testing.assert_close(policy(features), policy(features * 1.0), atol=1e-6, rtol=1e-5)
     # A part of the features is another tensor: nothing may be answered from the whole.
-    torch.testing.assert_close(policy(features[3:5]), policy(features * 1.0)[3:5], atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(
+        policy(features[3:5]), policy(features * 1.0)[3:5], atol=1e-6, rtol=1e-5
+    )
 
 
 def test_weights_that_have_changed_are_laid_out_anew():
     net = mlp(10, [8], 3)
-    coded = Coded.of(torch.randn(4, 4), torch.tensor([[0, 3], [1, 5], [2, 4], [0, 5]], dtype=torch.int32), 6)
+    coded = Coded.of(
+        torch.randn(4, 4), torch.tensor([[0, 3], [1, 5], [2, 4], [0, 5]], dtype=torch.int32), 6
+    )
     with torch.no_grad():
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
         held = first_layer(net[0], 4)
@@ -116,7 +141,10 @@ def test_bins_in_their_own_places_and_beyond_the_reach():
     torch.testing.assert_close(scale.bins, torch.tensor([-8.0, -2.0, 0.0, 2.0, 8.0]))
     weights = scale.encode(torch.tensor([[-8.0, 0.0, 3.5], [2.0, 8.0, 1e9]]))
     wanted = torch.tensor(
-        [[[1.0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0.75, 0.25]], [[0, 0, 0, 1, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 1]]]
+        [
+            [[1.0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0.75, 0.25]],
+            [[0, 0, 0, 1, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 1]],
+        ]
     )
     torch.testing.assert_close(weights, wanted)
     torch.testing.assert_close(scale.encode(torch.tensor(-1e9)), torch.tensor([1.0, 0, 0, 0, 0]))
@@ -146,7 +174,10 @@ def test_weights_and_arguments_come_back(tmp_path):
     save_weights(critics, path, features=4, hidden=[8])
     again = LatentCritics(**read_arguments(path))
     load_weights(again, path)
-    assert all(torch.equal(a, b) for a, b in zip(critics.state_dict().values(), again.state_dict().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(critics.state_dict().values(), again.state_dict().values(), strict=True)
+    )
     assert not any(p.requires_grad for p in again.parameters())
 
 
@@ -161,4 +192,9 @@ def test_a_damaged_artifact_is_named(tmp_path, damage):
     elif damage == "no arguments":
         path.with_suffix(".json").write_text("{")
     with pytest.raises(ArtifactError, match="critics"):
-        load_weights(LatentCritics(**read_arguments(path)) if damage != "other shape" else LatentCritics(5, (8,)), path)
+        load_weights(
+            LatentCritics(**read_arguments(path))
+            if damage != "other shape"
+            else LatentCritics(5, (8,)),
+            path,
+        )

@@ -9,7 +9,18 @@ from wasp_cli.models.nets import Encoder
 from wasp_cli.models.rssm import RSSM, Observed, balanced_kl, kl_divergence
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 
-SIZES = Sizes(action=2, deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, unimix=0.01, reward_scale=5.0, cost_weight=5.0)
+SIZES = Sizes(
+    action=2,
+    deter=16,
+    hidden=16,
+    variables=3,
+    classes=4,
+    depth=2,
+    head=16,
+    unimix=0.01,
+    reward_scale=5.0,
+    cost_weight=5.0,
+)
 
 
 def model() -> SafetyWorldModel:
@@ -21,7 +32,14 @@ def batch(rows: int = 2, steps: int = 3) -> Batch:
     source = torch.Generator().manual_seed(1)
     flags = torch.zeros(rows, steps)
     pixels = torch.randint(0, 256, (rows, steps, 6, 64, 64), generator=source, dtype=torch.uint8)
-    return Batch(pixels, torch.randn(rows, steps, 2, generator=source), torch.randn(rows, steps, generator=source), flags + 0, flags, flags)
+    return Batch(
+        pixels,
+        torch.randn(rows, steps, 2, generator=source),
+        torch.randn(rows, steps, generator=source),
+        flags + 0,
+        flags,
+        flags,
+    )
 
 
 def test_centring_by_linearity_is_centring():
@@ -41,14 +59,17 @@ def test_the_terms_of_equation_6_all_reach_the_encoder():
     parameter = world.rssm.posterior_o.weight
     for name, loss in losses.items():
         (gradient,) = torch.autograd.grad(loss, parameter, retain_graph=True, allow_unused=True)
-        # The prediction term trains the prior alone; the reward head starts at zero, so its features get no gradient yet.
+        # The prediction term trains the prior alone; the reward head starts at zero, so its
+        # features get no gradient yet.
         if name not in ("alpha_p", "beta_r"):
             assert gradient is not None, name
             assert gradient.abs().sum() > 0, name
 
 
 def test_the_cost_is_calibrated_where_its_probability_varies():
-    """A head trained with weight 5 on events of probability sigmoid(2 x - 3) answers with that probability, bin by bin."""
+    """A head trained with weight 5 on events of probability sigmoid(2 x - 3) answers with that
+    probability, bin by bin.
+    """
     world = model()
     source = torch.Generator().manual_seed(5)
     optimizer = torch.optim.Adam(world.cost_head.parameters(), lr=3e-3)
@@ -67,14 +88,19 @@ def test_the_cost_is_calibrated_where_its_probability_varies():
     assert (predicted.mean() / wanted.mean()).item() == pytest.approx(1.0, abs=0.15)
     assert raw.mean() > 1.8 * wanted.mean()  # with the weight left in, the answer would be far off
     for group in predicted.argsort().split(800):  # fifths, from safe to dangerous
-        assert predicted[group].mean().item() == pytest.approx(wanted[group].mean().item(), abs=0.05)
+        assert predicted[group].mean().item() == pytest.approx(
+            wanted[group].mean().item(), abs=0.05
+        )
 
 
 def test_filtering_is_deterministic_and_forgets_at_an_episode_start():
     world = model().eval()
     pixels = batch().pixels[:, 0]
     with torch.inference_mode():
-        once, twice = (world.filter(world.initial(2), torch.zeros(2, 2), pixels, torch.ones(2)) for _ in range(2))
+        once, twice = (
+            world.filter(world.initial(2), torch.zeros(2, 2), pixels, torch.ones(2))
+            for _ in range(2)
+        )
         later = world.filter(once, torch.randn(2, 2), pixels, torch.tensor([1.0, 0.0]))
     assert torch.equal(once.h, twice.h)
     torch.testing.assert_close(later.h[0], once.h[0])
@@ -82,9 +108,11 @@ def test_filtering_is_deterministic_and_forgets_at_an_episode_start():
 
 
 def test_an_event_one_step_after_a_reset_is_learned_and_imagined():
-    """The classic failure: a mask one step early makes heads see a blank context, and imagination never predicts the event.
+    """The classic failure: a mask one step early makes heads see a blank context, and imagination
+    never predicts the event.
 
-    Sequences hold two episodes; in each, the action at the start decides whether the next step costs. Images show nothing.
+    Sequences hold two episodes; in each, the action at the start decides whether the next step
+    costs. Images show nothing.
     """
     torch.manual_seed(3)
     world = SafetyWorldModel(SIZES)
@@ -120,7 +148,11 @@ def test_an_event_one_step_after_a_reset_is_learned_and_imagined():
         for t, start in ((0, fresh), (3, Latent(seen.latent.h[:, 3], seen.latent.z[:, 3]))):
             rows = len(start.h)
             for command, low, high in ((1.0, 0.7, 1.0), (-1.0, 0.0, 0.2)):
-                arrived = world.imagine(start, torch.tensor([[command, 0.0]]).expand(rows, 2), torch.zeros(rows, world.noise_size))
+                arrived = world.imagine(
+                    start,
+                    torch.tensor([[command, 0.0]]).expand(rows, 2),
+                    torch.zeros(rows, world.noise_size),
+                )
                 assert (world.cost(arrived) >= low).all(), (t, command)
                 assert (world.cost(arrived) <= high).all(), (t, command)
 
@@ -136,13 +168,17 @@ def logs(*rows: tuple[float, ...]) -> torch.Tensor:
 
 def test_kl_is_the_sum_over_variables_by_hand():
     q, p = logs((0.5, 0.5), (0.9, 0.1)), logs((0.25, 0.75), (0.5, 0.5))
-    by_hand = 0.5 * math.log(2) + 0.5 * math.log(0.5 / 0.75) + 0.9 * math.log(1.8) + 0.1 * math.log(0.2)
+    by_hand = (
+        0.5 * math.log(2) + 0.5 * math.log(0.5 / 0.75) + 0.9 * math.log(1.8) + 0.1 * math.log(0.2)
+    )
     assert kl_divergence(q, p).item() == pytest.approx(by_hand)
     assert kl_divergence(q, q).item() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_free_nats_clip_every_step_by_itself_by_hand():
-    """Two steps, one variable: the one below a free nat counts as 1, the one above as it is, alone in the gradient."""
+    """Two steps, one variable: the one below a free nat counts as 1, the one above as it is,
+    alone in the gradient.
+    """
     q = torch.tensor([[[0.5, 0.5]], [[0.99, 0.01]]], dtype=torch.float64).log().requires_grad_()
     p = torch.tensor([[[0.9, 0.1]], [[0.1, 0.9]]], dtype=torch.float64).log().requires_grad_()
     below = 0.5 * math.log(0.5 / 0.9) + 0.5 * math.log(0.5 / 0.1)
@@ -156,7 +192,8 @@ def test_free_nats_clip_every_step_by_itself_by_hand():
     assert (p.grad[0] == 0).all()
     # d/d log p_i of sum q (log q - log p) is -q_i; half of it for the mean over two steps.
     torch.testing.assert_close(p.grad[1, 0], torch.tensor([-0.99, -0.01], dtype=torch.float64) / 2)
-    # d/d log q_i is q_i (log q_i - log p_i + 1); a tenth of it is the weight of the representation term.
+    # d/d log q_i is q_i (log q_i - log p_i + 1); a tenth of it is the weight of the representation
+    # term.
     by_hand = [0.1 * 0.5 * x * (math.log(x / y) + 1) for x, y in ((0.99, 0.1), (0.01, 0.9))]
     torch.testing.assert_close(q.grad[1, 0], torch.tensor(by_hand, dtype=torch.float64))
 
@@ -169,7 +206,9 @@ def test_samples_are_one_hot_and_follow_the_distribution():
         drawn = rssm.sample(log_probs, -(-uniform.log()).log()).unflatten(-1, (3, 4))
         mode = rssm.sample(log_probs, None).unflatten(-1, (3, 4))
     assert (drawn.sum(-1) == 1).all()
-    torch.testing.assert_close(drawn.mean((0, 1)), torch.tensor([0.7, 0.1, 0.1, 0.1]), atol=0.01, rtol=0)
+    torch.testing.assert_close(
+        drawn.mean((0, 1)), torch.tensor([0.7, 0.1, 0.1, 0.1]), atol=0.01, rtol=0
+    )
     assert (mode[..., 0] == 1).all()
 
 
@@ -181,7 +220,8 @@ def test_an_episode_start_masks_h_z_and_the_action():
         action = torch.randn(1, 6, 2)
         whole = rssm.observe(projected, action, first, noise)
         changed = action.clone()
-        changed[:, :4] += 5.0  # everything before the second episode, and the action that "led" to its first step
+        # everything before the second episode, and the action that "led" to its first step
+        changed[:, :4] += 5.0
         other = rssm.observe(projected + 0, changed, first, noise)
         rest = rssm.observe(projected[:, 3:], action[:, 3:], first[:, 3:], noise[:, 3:])
     assert not torch.equal(whole.latent.h[:, 1], other.latent.h[:, 1])
@@ -190,10 +230,23 @@ def test_an_episode_start_masks_h_z_and_the_action():
 
 
 def test_the_recurrence_reads_the_action_at_every_scale():
-    model = RSSM(action=2, embed=6, deter=8, hidden=8, variables=3, classes=4, unimix=0.01, action_scales=(1.0, 0.1))
+    model = RSSM(
+        action=2,
+        embed=6,
+        deter=8,
+        hidden=8,
+        variables=3,
+        classes=4,
+        unimix=0.01,
+        action_scales=(1.0, 0.1),
+    )
     action = torch.tensor([[0.5, -0.05], [1.0, -0.2]])
-    torch.testing.assert_close(model.scaled(action), torch.tensor([[0.5, -0.05, 1.0, -0.5], [1.0, -0.2, 1.0, -1.0]]))
-    assert (model.scaled(-action) == -model.scaled(action)).all(), "a mirror turns the action over, and so what is read of it"
+    torch.testing.assert_close(
+        model.scaled(action), torch.tensor([[0.5, -0.05, 1.0, -0.5], [1.0, -0.2, 1.0, -1.0]])
+    )
+    assert (model.scaled(-action) == -model.scaled(action)).all(), (
+        "a mirror turns the action over, and so what is read of it"
+    )
 
 
 # A whole sequence and its hand-written way back are the steps that they stand for.
@@ -205,7 +258,16 @@ B, T, A, S, C, D, H = 5, 6, 2, 3, 4, 12, 10
 @pytest.fixture
 def rssm() -> RSSM:
     torch.manual_seed(0)
-    made = RSSM(action=A, embed=20, deter=D, hidden=H, variables=S, classes=C, unimix=0.01, action_scales=(1.0, 0.3)).double()
+    made = RSSM(
+        action=A,
+        embed=20,
+        deter=D,
+        hidden=H,
+        variables=S,
+        classes=C,
+        unimix=0.01,
+        action_scales=(1.0, 0.3),
+    ).double()
     for parameter in made.parameters():  # scales of 1 and shifts of 0 would hide a wrong gradient
         parameter.data += 0.1 * torch.randn_like(parameter)
     return made
@@ -252,7 +314,9 @@ def test_filtering_is_its_steps(rssm):
     whole = (seen.latent.h, seen.latent.z, seen.posterior)
     inputs = [projected, *begin, *trained(rssm, "prior_net", "posterior_o")]
     torch.testing.assert_close(whole, steps, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(gradients(whole, inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        gradients(whole, inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9
+    )
 
 
 def test_imagining_is_its_steps(rssm):
@@ -260,14 +324,18 @@ def test_imagining_is_its_steps(rssm):
     latent, hs, zs = begin, [], []
     for t in range(T):
         h = rssm.recur(latent, action[:, t])
-        latent = Latent(h, rssm.sample(mixed(rssm, rssm.prior_net(h)), noise[t].unflatten(-1, (S, C))))
+        latent = Latent(
+            h, rssm.sample(mixed(rssm, rssm.prior_net(h)), noise[t].unflatten(-1, (S, C)))
+        )
         hs.append(h)
         zs.append(latent.z)
     steps = torch.stack(hs, 1), torch.stack(zs, 1)
     whole = rssm.imagine(begin, action, noise)
     inputs = [*begin, *trained(rssm, "posterior")]
     torch.testing.assert_close(tuple(whole), steps, rtol=1e-10, atol=1e-10)
-    torch.testing.assert_close(gradients(tuple(whole), inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        gradients(tuple(whole), inputs), gradients(steps, inputs), rtol=1e-9, atol=1e-9
+    )
 
 
 def test_half_precision_around_it_does_not_reach_it(rssm):
@@ -277,4 +345,5 @@ def test_half_precision_around_it_does_not_reach_it(rssm):
     with torch.autocast("cpu", torch.bfloat16):
         found = single.imagine(begin, action, noise)
     assert found.h.dtype == torch.float32
-    torch.testing.assert_close(found.h, expected.h, rtol=0.05, atol=0.05)  # the action's layer alone is rounded
+    # the action's layer alone is rounded
+    torch.testing.assert_close(found.h, expected.h, rtol=0.05, atol=0.05)

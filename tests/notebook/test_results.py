@@ -1,4 +1,6 @@
-"""`wasp_cli.results` over the small run that is checked in, which earlier versions wrote: rows, choices, tables, and what goes wrong."""
+"""`wasp_cli.results` over the small run that is checked in, which earlier versions wrote: rows,
+choices, tables, and what goes wrong.
+"""
 
 import contextlib
 import csv
@@ -55,7 +57,9 @@ shown = repr(wasp_cli.results({str(GOLDEN / "store")!r}))
 assert not {{"torch", "mujoco", "matplotlib", "pandas", "stable_baselines3"}} & {{*sys.modules}}, "heavy imports"
 print(shown)
 """
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert "spec='golden': 32 cells" in told
 
 
@@ -65,9 +69,15 @@ def test_every_row_names_its_cell_its_spec_and_its_severity(results: Results) ->
     assert table.num_rows == 96
     assert {*table["spec"].to_pylist()} == {"golden"}
     assert {*table["severity"].to_pylist()} == {"mild", "severe", "moderate", None}
-    row = next(row for row in table.to_pylist() if row["method"] == "wasp" and row["operator"] == "noisy" and row["severity"] == "severe")
+    row = next(
+        row
+        for row in table.to_pylist()
+        if row["method"] == "wasp" and row["operator"] == "noisy" and row["severity"] == "severe"
+    )
     stored = read_episodes([cell_file(GOLDEN / "store" / "store" / "evaluate" / row["key"])])
-    assert {*zip(stored["operator"].to_pylist(), stored["value"].to_pylist(), strict=True)} == {("noisy", row["value"])}
+    assert {*zip(stored["operator"].to_pylist(), stored["value"].to_pylist(), strict=True)} == {
+        ("noisy", row["value"])
+    }
     for other in (results.steps(), results.branches()):
         assert other.column_names[: len(NAMES)] == NAMES
 
@@ -83,7 +93,10 @@ def test_rows_are_those_of_the_files(results: Results) -> None:
     assert cell.steps(1).num_rows == stored["decisions"].to_pylist()[1]
     with pytest.raises(UsageError, match="no episode 99"):
         cell.steps(99)
-    assert results.steps(method="wasp", key=cell.key, columns="reward").column_names == [*NAMES, "reward"]
+    assert results.steps(method="wasp", key=cell.key, columns="reward").column_names == [
+        *NAMES,
+        "reward",
+    ]
 
 
 def test_what_is_published_says_what_it_lacks_and_what_has_two_cells() -> None:
@@ -97,15 +110,26 @@ def test_what_is_published_says_what_it_lacks_and_what_has_two_cells() -> None:
 
 
 def test_rows_are_chosen_by_names(results: Results) -> None:
-    found = results.episodes(method=["wasp", "ida"], operator="noisy", severity="mild", seed=1, columns=["cost"])
+    found = results.episodes(
+        method=["wasp", "ida"], operator="noisy", severity="mild", seed=1, columns=["cost"]
+    )
     assert found.column_names == [*NAMES, "cost"]
-    assert {*zip(*(found[name].to_pylist() for name in ("method", "operator", "severity", "seed")), strict=True)} == {
+    assert {
+        *zip(
+            *(found[name].to_pylist() for name in ("method", "operator", "severity", "seed")),
+            strict=True,
+        )
+    } == {
         ("wasp", "noisy", "mild", 1),
         ("ida", "noisy", "mild", 1),
     }
     assert results.episodes(seed="1", value="0.7").equals(results.episodes(seed=1, value=0.7))  # type: ignore[arg-type]
-    assert results.episodes(method="wasp", variant="full").num_rows < results.episodes(method="wasp").num_rows
-    assert results.episodes(operator="laggy", severity="mild").num_rows == 0  # both are there, not together
+    assert (
+        results.episodes(method="wasp", variant="full").num_rows
+        < results.episodes(method="wasp").num_rows
+    )
+    # both are there, not together
+    assert results.episodes(operator="laggy", severity="mild").num_rows == 0
 
 
 def test_a_misspelt_name_is_no_empty_table(results: Results) -> None:
@@ -123,7 +147,12 @@ def test_a_misspelt_name_is_no_empty_table(results: Results) -> None:
 
 
 def test_tables_are_those_of_the_report(results: Results) -> None:
-    for name, file in (("main", "table1"), ("table2", "table2"), ("figure3", "figure3"), ("statistics", "statistics")):
+    for name, file in (
+        ("main", "table1"),
+        ("table2", "table2"),
+        ("figure3", "figure3"),
+        ("statistics", "statistics"),
+    ):
         table = results.table(name)
         with (GOLDEN / "report" / f"{file}.csv").open() as text:
             rows = list(csv.DictReader(text))
@@ -159,7 +188,9 @@ def test_what_is_not_computed_has_no_rows(copied: Path) -> None:
 
 
 def test_a_folder_with_another_cell_is_refused(copied: Path) -> None:
-    one, other = (wasp_cli.results(copied).cell(f"goal1 s{seed} wasp laggy=0.7").key for seed in (0, 1))
+    one, other = (
+        wasp_cli.results(copied).cell(f"goal1 s{seed} wasp laggy=0.7").key for seed in (0, 1)
+    )
     cells = copied / "store" / "evaluate"
     shutil.copy(cell_file(cells / one), cell_file(cells / other))
     with pytest.raises(StoreError, match="another cell"):
@@ -176,14 +207,21 @@ def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> Non
     assert wasp_cli.results(copied).episodes().num_rows == 6
     assert wasp_cli.results(copied, spec="golden").episodes().num_rows == 96
     both = wasp_cli.results(copied, spec=["golden", "later"])
-    assert pc.value_counts(both.episodes()["spec"]).to_pylist() == [{"values": "golden", "counts": 96}, {"values": "later", "counts": 6}]
+    assert pc.value_counts(both.episodes()["spec"]).to_pylist() == [
+        {"values": "golden", "counts": 96},
+        {"values": "later", "counts": 6},
+    ]
     assert both.cell("goal1 s0 human noisy=0.2").key == plan["cells"][0]["key"]
     with pytest.raises(UsageError, match="a table is of one spec"):
         both.table()
     with pytest.raises(UnknownName, match="goldne"):
         wasp_cli.results(copied, spec="goldne")
     none = wasp_cli.results(copied, spec=[])
-    assert (none.cells, none.trained().num_rows, "spec=none: 0 cells" in repr(none)) == ([], 0, True)
+    assert (none.cells, none.trained().num_rows, "spec=none: 0 cells" in repr(none)) == (
+        [],
+        0,
+        True,
+    )
     (later / "plan.json").write_text(json.dumps({**plan, "cells": [], "branched": []}))
     with pytest.raises(UnknownName, match="unknown table 'main'"):
         wasp_cli.results(copied).table()
@@ -197,7 +235,11 @@ def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> Non
 
 
 def test_a_folder_without_runs_shows_its_store(copied: Path) -> None:
-    whole = wasp_cli.results(copied).episodes().sort_by([("key", "ascending"), ("episode", "ascending")])
+    whole = (
+        wasp_cli.results(copied)
+        .episodes()
+        .sort_by([("key", "ascending"), ("episode", "ascending")])
+    )
     branched = wasp_cli.results(copied).branches().num_rows
     shutil.rmtree(copied / "runs")
     found = wasp_cli.results(copied)
@@ -229,11 +271,17 @@ def test_a_record_that_is_not_ours_is_an_expected_error(copied: Path) -> None:
         wasp_cli.results(copied).episodes()
 
 
-# What docs/results.md shows is run: its lines over the small run that is checked in, its readers over cells of today's layout.
+# What docs/results.md shows is run: its lines over the small run that is checked in, its readers
+# over cells of today's layout.
 
 
 PAGE = ROOT / "docs" / "results.md"
-LINES = [line[2:] for block in blocks(PAGE, "console") for line in block.splitlines() if line.startswith("$ python")]
+LINES = [
+    line[2:]
+    for block in blocks(PAGE, "console")
+    for line in block.splitlines()
+    if line.startswith("$ python")
+]
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,6 @@
-"""`wasp_cli.load_world_model`: the published one filters as the closed loop does, and what it imagines has the asked shapes."""
+"""`wasp_cli.load_world_model`: the published one filters as the closed loop does, and what it
+imagines has the asked shapes.
+"""
 
 import shutil
 import subprocess
@@ -45,7 +47,9 @@ def episode(model: LoadedWorldModel) -> tuple[np.ndarray, np.ndarray, torch.Tens
     return np.array(images), actions, torch.stack(latents)
 
 
-def test_it_filters_as_the_closed_loop_does(model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]) -> None:
+def test_it_filters_as_the_closed_loop_does(
+    model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]
+) -> None:
     images, actions, expected = episode
     latents = model.filter(images, actions)
     assert latents.shape == (8,) == (len(latents),)
@@ -53,7 +57,9 @@ def test_it_filters_as_the_closed_loop_does(model: LoadedWorldModel, episode: tu
     assert (model.filter(images[:1], actions[:0]).features == expected[:1].numpy()).all()
 
 
-def test_it_decodes_what_was_seen(model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]) -> None:
+def test_it_decodes_what_was_seen(
+    model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]
+) -> None:
     images, actions, _ = episode
     latents = model.filter(images, actions)
     decoded = model.decode(latents)
@@ -66,7 +72,9 @@ def test_it_decodes_what_was_seen(model: LoadedWorldModel, episode: tuple[np.nda
     assert error < 0.8 * guess, "hardly better than the mean image"
 
 
-def test_it_imagines_any_leading_dimensions(model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]) -> None:
+def test_it_imagines_any_leading_dimensions(
+    model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]
+) -> None:
     images, actions, _ = episode
     latents = model.filter(images, actions)
     one = model.imagine(latents[3], actions[:4])
@@ -89,16 +97,22 @@ def test_it_imagines_any_leading_dimensions(model: LoadedWorldModel, episode: tu
     assert ((model.cost(grid) >= 0) & (model.cost(grid) <= 1)).all()
 
 
-def test_imagined_steps_are_those_of_the_model(model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]) -> None:
+def test_imagined_steps_are_those_of_the_model(
+    model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]
+) -> None:
     """The deterministic part after one step depends on no draw."""
     images, actions, _ = episode
     start = model.filter(images, actions)[3]
     with torch.inference_mode():
-        expected = model.module.rssm.recur(Latent(start.h[None], start.z[None]), torch.from_numpy(actions[:1]))
+        expected = model.module.rssm.recur(
+            Latent(start.h[None], start.z[None]), torch.from_numpy(actions[:1])
+        )
     assert torch.equal(model.imagine(start, actions[:1]).h, expected)
 
 
-def test_other_shapes_are_refused(model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]) -> None:
+def test_other_shapes_are_refused(
+    model: LoadedWorldModel, episode: tuple[np.ndarray, np.ndarray, torch.Tensor]
+) -> None:
     images, actions, _ = episode
     for wrong in (images.astype(np.float32), np.moveaxis(images, 1, -1), images[0], images[:0]):
         with pytest.raises(TaskError, match=r"uint8 \[T, 6, 64, 64\]"):
@@ -121,7 +135,9 @@ def test_it_is_found_by_folder_label_and_key(model: LoadedWorldModel, tmp_path: 
     assert wasp_cli.load_world_model(folder).manifest["key"] == key
     assert wasp_cli.load_world_model(key[:8], results=PUBLISHED).manifest["key"] == key
     shutil.copytree(folder, tmp_path / "store" / "world_model" / key)
-    assert wasp_cli.load_world_model("goal1 s1 world_model", results=tmp_path).manifest["key"] == key
+    assert (
+        wasp_cli.load_world_model("goal1 s1 world_model", results=tmp_path).manifest["key"] == key
+    )
 
 
 def test_what_is_none_is_refused(tmp_path: Path) -> None:
@@ -135,7 +151,9 @@ def test_what_is_none_is_refused(tmp_path: Path) -> None:
 
 def test_changed_bytes_are_not_loaded(tmp_path: Path, model: LoadedWorldModel) -> None:
     key = str(model.manifest["key"])
-    copy = shutil.copytree(PUBLISHED / "store" / "world_model" / key, tmp_path / "store" / "world_model" / key)
+    copy = shutil.copytree(
+        PUBLISHED / "store" / "world_model" / key, tmp_path / "store" / "world_model" / key
+    )
     weights = copy / "world_model.safetensors"
     changed = bytearray(weights.read_bytes())
     changed[-1] ^= 1
@@ -156,7 +174,12 @@ def test_changed_bytes_are_not_loaded(tmp_path: Path, model: LoadedWorldModel) -
 @pytest.mark.slow
 def test_the_example_runs() -> None:
     done = subprocess.run(
-        [sys.executable, "docs/examples/world_model.py"], cwd=ROOT, capture_output=True, text=True, timeout=600, check=False
+        [sys.executable, "docs/examples/world_model.py"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stdout.splitlines() if line.startswith("+")]

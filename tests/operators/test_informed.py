@@ -1,4 +1,6 @@
-"""Operators who know more than assistants perceive: what they intend in the task, and what is imagined of them."""
+"""Operators who know more than assistants perceive: what they intend in the task, and what is
+imagined of them.
+"""
 
 from pathlib import Path
 
@@ -11,14 +13,29 @@ from tests.artifacts import tiny_expert
 from wasp_cli.learning.closed_loop import told
 from wasp_cli.learning.informed import informed_policies
 from wasp_cli.models.policy import load_privileged
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import (
+    DrawnNoise,
+    EpisodeNoise,
+    Operator,
+    OperatorContext,
+    build_operator,
+)
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.tasks.goal.two import TwoGoals
 
 ROWS, STEPS = 3, 6
-LADDER = {"noisy": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24, "noisy-gaussian": 0.5, "noisy-burst": 0.4,
-          "delayed-noisy": 0.3, "reactive": 0.8, UNIMPAIRED: None}  # fmt: skip
+LADDER = {
+    "noisy": 0.4,
+    "laggy": 0.7,
+    "limited-skill": 0.25,
+    "reaction-time": 0.24,
+    "noisy-gaussian": 0.5,
+    "noisy-burst": 0.4,
+    "delayed-noisy": 0.3,
+    "reactive": 0.8,
+    UNIMPAIRED: None,
+}
 SIMULATED = [name for name in OPERATORS if OPERATORS[name].simulated] + [UNIMPAIRED]
 
 
@@ -37,16 +54,22 @@ def world() -> TwoGoals:
 
 
 def informed(expert: Path) -> OperatorContext:
-    return OperatorContext(skill, 2, world().decision_seconds, informed_policies("goal1-two", {"expert": expert}))
+    return OperatorContext(
+        skill, 2, world().decision_seconds, informed_policies("goal1-two", {"expert": expert})
+    )
 
 
 class Both:
-    """An informed operator in a task, and one of the same rule who is told beforehand what to intend."""
+    """An informed operator in a task, and one of the same rule who is told beforehand what to
+    intend.
+    """
 
     def __init__(self, variant: str, expert: Path) -> None:
         self.task = world()
         value = LADDER[variant]
-        self.operator = build_operator(variant, value, informed(expert), EpisodeNoise(range(ROWS)), ROWS)
+        self.operator = build_operator(
+            variant, value, informed(expert), EpisodeNoise(range(ROWS)), ROWS
+        )
         self.seen = self.task.reset(range(ROWS))
         policy = load_privileged(expert, 0.25 if variant == "limited-skill" else 1.0)
         context = OperatorContext(lambda fraction: policy, 2, self.task.decision_seconds)
@@ -98,9 +121,14 @@ def test_in_imagination_it_follows_the_latent_policy_from_its_real_memory(varian
 
 
 def test_every_row_of_a_mixture_follows_its_own_skill(expert):
-    """As SafeRL-Res is trained: every row meets the command of its own operator, whatever the features are."""
+    """As SafeRL-Res is trained: every row meets the command of its own operator, whatever the
+    features are.
+    """
     noise = EpisodeNoise(range(ROWS))
-    operators: list[Operator] = [build_operator("limited-skill", value, informed(expert), noise, ROWS) for value in (0.25, 1.0)]
+    operators: list[Operator] = [
+        build_operator("limited-skill", value, informed(expert), noise, ROWS)
+        for value in (0.25, 1.0)
+    ]
     mixed = MixedOperator(operators, noise, seed=0)
     mixed.choice = torch.tensor([0, 1, 0])
     known = told(mixed, world().reset(range(ROWS)))

@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import (
+    DrawnNoise,
+    EpisodeNoise,
+    Operator,
+    OperatorContext,
+    build_operator,
+)
 from wasp_cli.operators.burst import MEAN_BURST, burst_rates
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.delayed_noisy import DELAY
@@ -17,7 +23,9 @@ STEPS = 4000
 
 
 def context() -> OperatorContext:
-    return OperatorContext(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
+    return OperatorContext(
+        skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08
+    )
 
 
 def operator(name: str, value: float, rows: int = 1) -> Operator:
@@ -46,7 +54,9 @@ def test_lag_repeats_what_was_issued_and_holds_for_the_expected_time():
     repeated = issued[1:] == issued[:-1]
     assert repeated.float().mean().item() == pytest.approx(0.7, abs=0.03)
     fresh = ~repeated
-    assert torch.equal(issued[1:][fresh], torch.stack([rising(t) for t in range(1, STEPS)])[fresh][:, 0, 0])
+    assert torch.equal(
+        issued[1:][fresh], torch.stack([rising(t) for t in range(1, STEPS)])[fresh][:, 0, 0]
+    )
 
 
 def mistakes(name: str, value: float, episodes: int) -> Tensor:
@@ -66,14 +76,18 @@ def test_a_severer_noise_makes_every_mistake_of_a_milder_one():
 
 
 def test_a_severer_lag_repeats_wherever_a_milder_one_does():
-    mild, severe = (issued[1:, :, 0] == issued[:-1, :, 0] for issued in (mistakes("laggy", 0.5, 3), mistakes("laggy", 0.85, 3)))
+    mild, severe = (
+        issued[1:, :, 0] == issued[:-1, :, 0]
+        for issued in (mistakes("laggy", 0.5, 3), mistakes("laggy", 0.85, 3))
+    )
     assert mild.float().mean() > 0.4
     assert (severe | ~mild).all()
     assert severe.sum() > mild.sum()
 
 
 @pytest.mark.parametrize(
-    ("seconds", "step", "wanted"), [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)]
+    ("seconds", "step", "wanted"),
+    [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)],
 )
 def test_delays_are_whole_decision_steps_rounded_up(seconds, step, wanted):
     assert delay_steps(seconds, step) == wanted
@@ -87,13 +101,19 @@ def test_a_delayed_operator_answers_what_it_saw_then_and_starts_neutral():
 
 
 def test_limited_skill_is_the_earlier_checkpoint():
-    assert torch.allclose(operator("limited-skill", 0.25).command(torch.ones(1, 2)), torch.full((1, 2), 0.25))
+    assert torch.allclose(
+        operator("limited-skill", 0.25).command(torch.ones(1, 2)), torch.full((1, 2), 0.25)
+    )
 
 
 def test_a_mixture_draws_an_operator_for_every_episode():
     rows = 200
     noise = EpisodeNoise(list(range(rows)))
-    mixed = MixedOperator([build_operator("limited-skill", value, context(), noise, rows) for value in (0.5, 0.1)], noise, seed=0)
+    mixed = MixedOperator(
+        [build_operator("limited-skill", value, context(), noise, rows) for value in (0.5, 0.1)],
+        noise,
+        seed=0,
+    )
     mixed.reset(torch.ones(rows, dtype=torch.bool))
     seen = mixed.command(torch.ones(rows, 2))[:, 0]
     assert (seen == 0.5).float().mean().item() == pytest.approx(0.5, abs=0.12)
@@ -117,7 +137,8 @@ def test_gaussian_noise_has_the_stated_spread_around_the_intended_command():
     assert error.mean().abs() < 0.005
     assert error.std().item() == pytest.approx(0.2, rel=0.02)
     inside = (error.abs() < 0.2).float().mean().item()
-    assert inside == pytest.approx(0.683, abs=0.01)  # of a normal distribution; a uniform one has 0.577
+    # of a normal distribution; a uniform one has 0.577
+    assert inside == pytest.approx(0.683, abs=0.01)
 
 
 def test_a_draw_of_zero_gives_a_finite_command():
@@ -165,12 +186,22 @@ def reactive(name: str, value: float, seeds: list[int] = SEEDS) -> Operator:
 
 def random(seed: int) -> Tensor:
     """[REACTIVE_STEPS, REACTIVE_ROWS, 2] in [-1, 1]."""
-    return 2 * torch.rand(REACTIVE_STEPS, REACTIVE_ROWS, 2, generator=torch.Generator().manual_seed(seed)) - 1
+    return (
+        2
+        * torch.rand(
+            REACTIVE_STEPS, REACTIVE_ROWS, 2, generator=torch.Generator().manual_seed(seed)
+        )
+        - 1
+    )
 
 
 def held(alpha: float, executed: float, steps: int, lag: float = 0.5) -> Tensor:
-    """Commands [steps, 2] of one who intends 0.2 and has this alpha, while an assistant always executes the same."""
-    driver = build_operator("reactive", lag, context(), DrawnNoise(torch.full((steps, 1, 1), alpha)), 1)
+    """Commands [steps, 2] of one who intends 0.2 and has this alpha, while an assistant always
+    executes the same.
+    """
+    driver = build_operator(
+        "reactive", lag, context(), DrawnNoise(torch.full((steps, 1, 1), alpha)), 1
+    )
     issued = []
     for _ in range(steps):
         issued.append(driver.command(torch.full((1, 2), 0.2))[0])
@@ -200,7 +231,9 @@ def test_the_equations_against_a_loop_over_single_numbers():
 def test_commands_stay_bounded_and_the_integrator_cannot_wind_up(alpha):
     against = held(alpha, -1.0, 300)
     assert against.abs().max() <= 1
-    driver = build_operator("reactive", 0.5, context(), DrawnNoise(torch.full((320, 1, 1), alpha)), 1)
+    driver = build_operator(
+        "reactive", 0.5, context(), DrawnNoise(torch.full((320, 1, 1), alpha)), 1
+    )
     for _ in range(300):
         driver.command(torch.full((1, 2), 0.2))
         driver.observe(torch.full((1, 2), -1.0))
@@ -229,7 +262,11 @@ def test_alpha_is_the_same_at_every_severity_and_is_kept_for_the_episode():
 
 
 def test_late_and_noisy_is_the_noise_of_the_one_on_the_commands_of_the_other():
-    both, late, noisy = reactive("delayed-noisy", 0.4), reactive("reaction-time", DELAY), reactive("noisy", 0.4)
+    both, late, noisy = (
+        reactive("delayed-noisy", 0.4),
+        reactive("reaction-time", DELAY),
+        reactive("noisy", 0.4),
+    )
     intended = random(4)
     issued = torch.stack([both.command(seen) for seen in intended])
     delayed = torch.stack([late.command(seen) for seen in intended])

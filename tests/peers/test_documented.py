@@ -17,15 +17,31 @@ from tests.peers import IDS
 from wasp_cli.tasks.gym import upstream
 
 DOCS = Path(__file__).parents[2] / "docs/tasks.md"
-ROWS = re.findall(r"^\| (\S+) (\d[\d.]+) \| .* \| `([^`]+)`[^|]*\|$", DOCS.read_text(), re.MULTILINE)
+ROWS = re.findall(
+    r"^\| (\S+) (\d[\d.]+) \| .* \| `([^`]+)`[^|]*\|$", DOCS.read_text(), re.MULTILINE
+)
 KNOWN: dict[str, Any] = {
-    "gymnasium": gymnasium, "PPO": PPO, "GymEnv": GymEnv, "DataCollector": DataCollector, "wrap_env": wrap_env, "sys": sys,
-    "SimpleNamespace": SimpleNamespace, "upstream": upstream, "id": IDS[0],
-}  # fmt: skip
+    "gymnasium": gymnasium,
+    "PPO": PPO,
+    "GymEnv": GymEnv,
+    "DataCollector": DataCollector,
+    "wrap_env": wrap_env,
+    "sys": sys,
+    "SimpleNamespace": SimpleNamespace,
+    "upstream": upstream,
+    "id": IDS[0],
+}
 
 
 def test_there_is_one_for_every_package():
-    assert [name for name, *_ in ROWS] == ["gymnasium", "stable-baselines3", "TorchRL", "Minari", "skrl", "OmniSafe"]
+    assert [name for name, *_ in ROWS] == [
+        "gymnasium",
+        "stable-baselines3",
+        "TorchRL",
+        "Minari",
+        "skrl",
+        "OmniSafe",
+    ]
 
 
 @pytest.mark.parametrize(("name", "version", "line"), ROWS, ids=[name for name, *_ in ROWS])
@@ -37,4 +53,11 @@ def test_a_line_of_use_works(name, version, line, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "safety_gymnasium", None)
     exec(line, dict(KNOWN))
     if name == "OmniSafe":
-        assert len(sys.modules["safety_gymnasium"].make("SafetyPointGoal1-v0", autoreset=True).reset(seed=0)) == 2
+        assert (
+            len(
+                sys.modules["safety_gymnasium"]
+                .make("SafetyPointGoal1-v0", autoreset=True)
+                .reset(seed=0)
+            )
+            == 2
+        )

@@ -22,7 +22,13 @@ def test_the_checker_accepts_every_task(name):
 def test_vectors_in_processes_give_the_same_to_the_bit(mode):
     options: dict[str, Any] = {"action_repeat": 10, "max_episode_steps": 4}
     ours = gymnasium.make_vec(IDS[0], num_envs=2, autoreset_mode=mode, **options)
-    theirs = gymnasium.make_vec(IDS[0], num_envs=2, vectorization_mode="async", vector_kwargs={"autoreset_mode": mode}, **options)
+    theirs = gymnasium.make_vec(
+        IDS[0],
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={"autoreset_mode": mode},
+        **options,
+    )
     try:
         for envs in (ours, theirs):
             envs.reset(seed=3)
@@ -40,8 +46,12 @@ def test_vectors_in_processes_give_the_same_to_the_bit(mode):
 
 def test_usual_wrappers_lie_around_it():
     wrappers = gymnasium.wrappers
-    env: Any = gymnasium.make(IDS[0], action_repeat=100, render_mode="rgb_array", width=32, height=32)
-    env = wrappers.RecordEpisodeStatistics(wrappers.TimeAwareObservation(wrappers.ClipAction(env), normalize_time=False))
+    env: Any = gymnasium.make(
+        IDS[0], action_repeat=100, render_mode="rgb_array", width=32, height=32
+    )
+    env = wrappers.RecordEpisodeStatistics(
+        wrappers.TimeAwareObservation(wrappers.ClipAction(env), normalize_time=False)
+    )
     env = wrappers.RenderCollection(wrappers.NormalizeObservation(env))
     seen, _ = env.reset(seed=0)
     assert seen.shape == (61,)

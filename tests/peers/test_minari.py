@@ -1,4 +1,6 @@
-"""Minari: episodes that its collector recorded, infos included, play again exactly in the environment that the dataset recovers."""
+"""Minari: episodes that its collector recorded, infos included, play again exactly in the
+environment that the dataset recovers.
+"""
 
 import gymnasium
 import minari
@@ -10,7 +12,10 @@ from tests.peers import IDS
 
 
 @pytest.mark.filterwarnings("ignore:`eval_env` is set to None|.*is set to None. For .*:UserWarning")
-@pytest.mark.parametrize(("name", "observation"), [*((name, "state") for name in IDS), (IDS[0], "all"), (IDS[3], "vision")])
+@pytest.mark.parametrize(
+    ("name", "observation"),
+    [*((name, "state") for name in IDS), (IDS[0], "all"), (IDS[3], "vision")],
+)
 def test_what_it_recorded_plays_again(name, observation, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     made = gymnasium.make(name, observation=observation, action_repeat=100)
@@ -22,7 +27,13 @@ def test_what_it_recorded_plays_again(name, observation, tmp_path, monkeypatch):
         while not done:
             *_, terminated, truncated, _ = env.step(random.uniform(-1, 1, 2))
             done = terminated or truncated
-    dataset = env.create_dataset("wasp/test-v0", algorithm_name="random", author="wasp", author_email="w@example.org", code_permalink="-")
+    dataset = env.create_dataset(
+        "wasp/test-v0",
+        algorithm_name="random",
+        author="wasp",
+        author_email="w@example.org",
+        code_permalink="-",
+    )
     assert dataset.total_episodes == 2
 
     again = dataset.recover_environment()
@@ -44,4 +55,8 @@ def test_what_it_recorded_plays_again(name, observation, tmp_path, monkeypatch):
 
 def _pairs(recorded, seen):
     """Of every entry of an observation: what was recorded of all steps, and what is seen now."""
-    return [(recorded[name], seen[name]) for name in seen] if isinstance(seen, dict) else [(recorded, seen)]
+    return (
+        [(recorded[name], seen[name]) for name in seen]
+        if isinstance(seen, dict)
+        else [(recorded, seen)]
+    )

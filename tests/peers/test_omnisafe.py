@@ -1,6 +1,7 @@
 """OmniSafe: PPO-Lag through the six values.
 
-OmniSafe makes its environments with `safety_gymnasium.make`. That package wants gymnasium 0.28.1 and MuJoCo 2.3.3: `upstream` stands in.
+OmniSafe makes its environments with `safety_gymnasium.make`. That package wants gymnasium 0.28.1
+and MuJoCo 2.3.3: `upstream` stands in.
 """
 
 import csv
@@ -13,7 +14,9 @@ from wasp_cli.tasks.gym import upstream
 
 
 def make(id: str, autoreset: bool, **options: Any) -> Any:
-    """Make an environment; OmniSafe asks for one that restarts by itself, and then restarts it itself too."""
+    """Make an environment; OmniSafe asks for one that restarts by itself, and then restarts it
+    itself too.
+    """
     assert autoreset
     return upstream(id, **options)
 
@@ -22,7 +25,12 @@ def test_ppo_lag_trains(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "safety_gymnasium", SimpleNamespace(make=make))
     omnisafe = importlib.import_module("omnisafe")
     settings = {
-        "train_cfgs": {"total_steps": 4000, "vector_env_nums": 1, "parallel": 1, "torch_threads": 1},
+        "train_cfgs": {
+            "total_steps": 4000,
+            "vector_env_nums": 1,
+            "parallel": 1,
+            "torch_threads": 1,
+        },
         "algo_cfgs": {"steps_per_epoch": 2000, "update_iters": 2},
         "logger_cfgs": {"use_wandb": False, "use_tensorboard": False, "log_dir": str(tmp_path)},
         "lagrange_cfgs": {"cost_limit": 25.0},

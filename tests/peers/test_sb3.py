@@ -12,7 +12,9 @@ import wasp_cli.tasks.gym  # noqa: F401  # registers the ids
 from tests.peers import IDS
 
 
-@pytest.mark.filterwarnings("ignore:.*We recommend you to use|.*action space has dtype float64:UserWarning")
+@pytest.mark.filterwarnings(
+    "ignore:.*We recommend you to use|.*action space has dtype float64:UserWarning"
+)
 @pytest.mark.parametrize("observation", ["state", "pixels", "privileged", "all", "vision"])
 @pytest.mark.parametrize("name", IDS)
 def test_the_checker_accepts_it(name, observation):
@@ -20,7 +22,10 @@ def test_the_checker_accepts_it(name, observation):
 
 
 def test_ppo_learns_on_it():
-    env = Monitor(gymnasium.make(IDS[0], observation="privileged", action_repeat=10), info_keywords=("cost", "goals"))
+    env = Monitor(
+        gymnasium.make(IDS[0], observation="privileged", action_repeat=10),
+        info_keywords=("cost", "goals"),
+    )
     model = PPO("MlpPolicy", env, n_steps=200, batch_size=100, seed=0, device="cpu")
     before = {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
     model.learn(1000)
@@ -37,4 +42,7 @@ def test_its_vectors_step_it():
     for _ in range(4):
         _, _, done, infos = envs.step(np.zeros((2, 2)))
     assert done.all()
-    assert all(info["TimeLimit.truncated"] and info["terminal_observation"].shape == (60,) for info in infos)
+    assert all(
+        info["TimeLimit.truncated"] and info["terminal_observation"].shape == (60,)
+        for info in infos
+    )

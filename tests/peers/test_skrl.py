@@ -16,7 +16,11 @@ def test_its_wrapper_passes_everything_on(mode):
 
     def made():
         options = {"observation": "privileged", "action_repeat": 250}
-        return gymnasium.make(IDS[0], **options) if mode is None else gymnasium.make_vec(IDS[0], rows, mode, **options)
+        return (
+            gymnasium.make(IDS[0], **options)
+            if mode is None
+            else gymnasium.make_vec(IDS[0], rows, mode, **options)
+        )
 
     wrapped, plain = wrap_env(made()), made()
     assert (wrapped.num_envs, wrapped.action_space.shape) == (rows, (2,))

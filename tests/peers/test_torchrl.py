@@ -17,7 +17,8 @@ def test_its_wrapper_accepts_it(name, observation):
 @pytest.mark.parametrize("name", IDS)
 def test_its_own_make_accepts_it(name):
     envs.check_env_specs(envs.GymEnv(name))
-    repeated = envs.GymEnv(f"wasp_cli.tasks.gym:{name}", frame_skip=2)  # refused as an option, so that it repeats actions itself
+    # refused as an option, so that it repeats actions itself
+    repeated = envs.GymEnv(f"wasp_cli.tasks.gym:{name}", frame_skip=2)
     assert repeated.wrapper_frame_skip == 2
     assert repeated.rollout(3).batch_size == (3,)
 
@@ -36,7 +37,9 @@ def test_its_reader_finds_the_costs(name):
 
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])  # it refuses NextStep
 def test_it_wraps_the_vector(mode):
-    env = envs.GymWrapper(gymnasium.make_vec(IDS[0], num_envs=3, action_repeat=100, autoreset_mode=mode))
+    env = envs.GymWrapper(
+        gymnasium.make_vec(IDS[0], num_envs=3, action_repeat=100, autoreset_mode=mode)
+    )
     envs.check_env_specs(env)
     steps = env.rollout(25, break_when_any_done=False)
     assert steps.batch_size == (3, 25)

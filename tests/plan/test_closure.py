@@ -18,7 +18,16 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan import node as module
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.node import LENGTH, canonical, closure, closure_hash, key_of, libraries, recipe_of, source_hash
+from wasp_cli.plan.node import (
+    LENGTH,
+    canonical,
+    closure,
+    closure_hash,
+    key_of,
+    libraries,
+    recipe_of,
+    source_hash,
+)
 from wasp_cli.registry import module_of
 from wasp_cli.spec.model import validate
 from wasp_cli.spec.names import training_stages
@@ -52,11 +61,23 @@ def test_imports_are_followed_wherever_they_stand(write):
     write("house/sub/c.py", "try:\n    from ..e import x\nexcept ImportError:\n    x = None\n")
     write("house/d.py", "from house.a import b\n")
     write("house/e.py", "from house import nothing_there\n")
-    assert closure(["house.a"]) == {"house", "house.a", "house.b", "house.d", "house.sub", "house.sub.c", "house.e"}
+    assert closure(["house.a"]) == {
+        "house",
+        "house.a",
+        "house.b",
+        "house.d",
+        "house.sub",
+        "house.sub.c",
+        "house.e",
+    }
 
 
 def test_imports_for_type_checking_do_not_count(write):
-    write("house/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house import b\nelse:\n    from house import c\n")
+    write(
+        "house/a.py",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house import "
+        "b\nelse:\n    from house import c\n",
+    )
     write("house/b.py", "")
     write("house/c.py", "")
     assert closure(["house.a"]) == {"house", "house.a", "house.c"}
@@ -64,7 +85,9 @@ def test_imports_for_type_checking_do_not_count(write):
 
 @pytest.fixture
 def at_home(monkeypatch) -> None:
-    """`house` stands for the package itself, whose registries and config models have rules of their own."""
+    """`house` stands for the package itself, whose registries and config models have rules of
+    their own.
+    """
     monkeypatch.setattr(module, "PACKAGE", "house")
 
 
@@ -79,8 +102,20 @@ def test_registries_are_not_followed(write):
 def test_comments_docstrings_and_layout_do_not_count(write):
     write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 2\n")
     before = source_hash("house.a")
-    documented = ['"""What."""', "# why", "class A:", '    """A."""', "    x: int = 1", '    """x."""']
-    documented += ["    def f(self):", '        """f."""', "        return (1 +", "                2)"]
+    documented = [
+        '"""What."""',
+        "# why",
+        "class A:",
+        '    """A."""',
+        "    x: int = 1",
+        '    """x."""',
+    ]
+    documented += [
+        "    def f(self):",
+        '        """f."""',
+        "        return (1 +",
+        "                2)",
+    ]
     write("house/a.py", "\n".join(documented))
     assert source_hash("house.a") == before
     write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 3\n")
@@ -101,10 +136,17 @@ def test_a_change_far_down_counts_and_one_elsewhere_does_not(write):
 
 @pytest.mark.usefixtures("at_home")
 def test_fields_of_config_models_do_not_count_since_their_values_do(write):
-    text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n    def twice(self):\n        return 2 * self.x\n"
+    text = (
+        "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n    def twice(self):\n        "
+        "return 2 * self.x\n"
+    )
     write("house/configs.py", text)
     before = source_hash("house.configs")
-    write("house/configs.py", text.replace("x: int = 1", "x: int = 5\n    y: int = 3") + "class New(Config):\n    z: int = 1\n")
+    write(
+        "house/configs.py",
+        text.replace("x: int = 1", "x: int = 5\n    y: int = 3")
+        + "class New(Config):\n    z: int = 1\n",
+    )
     assert source_hash("house.configs") == before
     write("house/configs.py", text.replace("2 * self.x", "3 * self.x"))
     assert source_hash("house.configs") != before
@@ -113,12 +155,23 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write):
 
 
 def test_in_packages_of_others_registries_and_configurations_count(write):
-    write("house/a.py", "from house import registry\nfrom house.config import Field\nfrom house.configs import SIZE\n")
+    write(
+        "house/a.py",
+        "from house import registry\nfrom house.config import Field\nfrom house.configs "
+        "import SIZE\n",
+    )
     write("house/registry.py", "from house import b\n")
     write("house/b.py", "x = 1\n")
     write("house/config.py", "class Field:\n    wet = 0.3\n")
     write("house/configs.py", "class Other:\n    wet: float = 0.3\n")
-    assert closure(["house.a"]) == {"house", "house.a", "house.b", "house.registry", "house.config", "house.configs"}
+    assert closure(["house.a"]) == {
+        "house",
+        "house.a",
+        "house.b",
+        "house.registry",
+        "house.config",
+        "house.configs",
+    }
     for name, text in (
         ("registry", "from house import b\ny = 1\n"),
         ("b", "x = 2\n"),
@@ -176,7 +229,9 @@ def test_a_package_of_an_editable_installation_is_covered(write, tmp_path, monke
 def test_nothing_is_imported():
     before = set(sys.modules)
     closure(["wasp_cli.stages.evaluate", module_of(METHODS["wasp"].target)])
-    assert not {name for name in set(sys.modules) - before if name.partition(".")[0] in ("torch", "mujoco")}
+    assert not {
+        name for name in set(sys.modules) - before if name.partition(".")[0] in ("torch", "mujoco")
+    }
 
 
 def test_every_node_of_the_syntax_is_told_apart():
@@ -186,13 +241,27 @@ def test_every_node_of_the_syntax_is_told_apart():
         return "".join(texts)
 
     sources = [
-        "x = 1", "x = 1.0", "x = '1'", "x = True", "x: int = 1", "x += 1", "y = 1", "x = -1",
-        "def x(a=1): 0", "def x(*, a=1): 0", "x = [1]", "x = (1,)", "def x(a): 0", "async def x(a): 0", "x = lambda a: 0",
-    ]  # fmt: skip
+        "x = 1",
+        "x = 1.0",
+        "x = '1'",
+        "x = True",
+        "x: int = 1",
+        "x += 1",
+        "y = 1",
+        "x = -1",
+        "def x(a=1): 0",
+        "def x(*, a=1): 0",
+        "x = [1]",
+        "x = (1,)",
+        "def x(a): 0",
+        "async def x(a): 0",
+        "x = lambda a: 0",
+    ]
     assert len({text(source) for source in sources}) == len(sources)
 
 
-# What the key of each sort of node may cover: a training module in an evaluation, or a picture in a stage, fails here.
+# What the key of each sort of node may cover: a training module in an evaluation, or a picture in a
+# stage, fails here.
 
 
 NEVER = ("tasks.sheet", "tasks.camera.topdown", "tasks.camera.view3d")
@@ -212,11 +281,18 @@ SECTIONS = {
 
 @cache
 def closures() -> dict[str, frozenset[str]]:
-    """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
+    """By node kind, every module in the closure of one, over all tasks, methods, their
+    variants, and operators.
+    """
     document = {
-        "name": "all", "preset": "smoke", "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
-        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS},
-    }  # fmt: skip
+        "name": "all",
+        "preset": "smoke",
+        "tasks": list(TASKS),
+        "methods": list(METHODS),
+        "seeds": [0],
+        "stages": training_stages(),
+        "operators": {name: {"some": 0.25} for name in OPERATORS},
+    }
     found: dict[str, frozenset[str]] = {}
     for node in lay_out(validate(document)).nodes:
         found[node.kind] = found.get(node.kind, frozenset()) | closure(node.modules)
@@ -231,7 +307,9 @@ def short(modules: frozenset[str]) -> set[str]:
 def test_a_node_s_key_covers_its_own_stage_and_settings_and_nobody_else_s(kind):
     covered = short(closures()[kind])
     (section,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
-    assert {module for module in covered if module.startswith("stages")} - STAGES_MAY_HAVE == {f"stages.{kind}"}
+    assert {module for module in covered if module.startswith("stages")} - STAGES_MAY_HAVE == {
+        f"stages.{kind}"
+    }
     configs = {module for module in covered if module.startswith("learning.configs.")}
     assert configs <= {"learning.configs.shared", f"learning.configs.{section}"}
     assert not covered & set(NEVER)
@@ -245,7 +323,17 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind):
     assert reached <= {f"learning.{name}" for name in known.split()}
 
 
-DRAWS = ("matplotlib", "PIL.ImageDraw", "PIL.ImageFont", "imageio", "rich", "jinja2", "markupsafe", "typer", "click")
+DRAWS = (
+    "matplotlib",
+    "PIL.ImageDraw",
+    "PIL.ImageFont",
+    "imageio",
+    "rich",
+    "jinja2",
+    "markupsafe",
+    "typer",
+    "click",
+)
 ROOMS = ("report", "video", "cli", "compare")
 
 
@@ -267,15 +355,24 @@ def test_nothing_in_a_key_draws_lays_out_or_belongs_to_a_report():
     everything = frozenset().union(*closures().values())
     forbidden = (*DRAWS, *(f"wasp_cli.{room}" for room in ROOMS))
     found = {
-        (module, name) for module in everything for name in imported(module) if any(f"{name}.".startswith(f"{part}.") for part in forbidden)
+        (module, name)
+        for module in everything
+        for name in imported(module)
+        if any(f"{name}.".startswith(f"{part}.") for part in forbidden)
     }
     assert found == set()
     assert not {module for module in everything if module.split(".")[1] in ROOMS}
 
 
 VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**60), 2**60)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 IDENTITIES = st.dictionaries(st.text(max_size=6), VALUES, max_size=5)

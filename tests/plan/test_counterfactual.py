@@ -1,4 +1,6 @@
-"""The nodes of counterfactual branches: which there are, what moves their keys, how they are selected."""
+"""The nodes of counterfactual branches: which there are, what moves their keys, how they are
+selected.
+"""
 
 from typing import Any
 
@@ -26,12 +28,17 @@ def moved(before: Grid, after: Grid) -> set[str]:
 
 def test_every_cell_whose_method_may_intervene_is_branched_once():
     laid_out = judged(methods=list(METHODS), variants=["full", "no-case2"], seeds=[3])
-    assisted = [name for name in METHODS if METHODS[name].intervenes] + ["wasp/no-case2", "printed/no-case2"]
+    assisted = [name for name in METHODS if METHODS[name].intervenes] + [
+        "wasp/no-case2",
+        "printed/no-case2",
+    ]
     operators = ("noisy=0.2", "noisy=0.6", "limited-skill=0.25")
     assert sorted(branch_labels(laid_out)) == sorted(
         f"goal1 s3 counterfactual {who} {operator}" for who in assisted for operator in operators
     )
-    assert [cell for cell, _ in laid_out.branched] == [cell for cell, _ in laid_out.cells if METHODS[cell.method].intervenes]
+    assert [cell for cell, _ in laid_out.branched] == [
+        cell for cell, _ in laid_out.cells if METHODS[cell.method].intervenes
+    ]
     assert all(cell.operator != UNIMPAIRED for cell, _ in laid_out.branched)
     assert {node.key for _, node in laid_out.branched} <= laid_out.targets
 
@@ -41,9 +48,11 @@ def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models():
     nodes = by_label(laid_out)
     node = nodes["goal1 s1 counterfactual ida noisy=0.2"]
     assert {name: needed.label for name, needed in node.needs.items()} == {
-        "world_model": "goal1 s9 world_model", "policies": "goal1 s9 policies", "heldout": "goal1 s9 heldout",
+        "world_model": "goal1 s9 world_model",
+        "policies": "goal1 s9 policies",
+        "heldout": "goal1 s9 heldout",
         "evaluate": "goal1 s1 ida noisy=0.2",
-    }  # fmt: skip
+    }
     assert node.seed == 1
     assert node.axes == nodes["goal1 s1 ida noisy=0.2"].axes
     assert "wasp_cli.operators.noisy" in node.modules
@@ -69,10 +78,26 @@ def test_the_code_of_assistants_is_in_the_key_through_the_cell_alone():
 def test_selectors_name_the_branches_of_cells():
     laid_out = judged()
     assert labels(laid_out, "method=wasp,operator=noisy,severity=mild,seed=0") == {
-        "goal1 s0 wasp noisy=0.2", "goal1 s0 counterfactual wasp noisy=0.2",
-    }  # fmt: skip
+        "goal1 s0 wasp noisy=0.2",
+        "goal1 s0 counterfactual wasp noisy=0.2",
+    }
     alone = labels(laid_out, "stage=counterfactual,value=0.6,seed=1")
     assert alone == {f"goal1 s1 counterfactual {method} noisy=0.6" for method in ("ida", "wasp")}
-    plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=counterfactual,method=ida,value=0.6,seed=1"]))
-    kinds = ("expert", "dataset", "world_model", "latents", "policies", "heldout", "ida_q", "calibration ida", "ida noisy=0.6")
+    plan = make_plan(
+        laid_out,
+        {},
+        {},
+        wanted=select(laid_out, ["stage=counterfactual,method=ida,value=0.6,seed=1"]),
+    )
+    kinds = (
+        "expert",
+        "dataset",
+        "world_model",
+        "latents",
+        "policies",
+        "heldout",
+        "ida_q",
+        "calibration ida",
+        "ida noisy=0.6",
+    )
     assert ran(plan) == {f"goal1 s1 {kind}" for kind in (*kinds, "counterfactual ida noisy=0.6")}

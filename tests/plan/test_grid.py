@@ -36,22 +36,34 @@ def by_label(laid_out: Grid) -> dict[str, Node]:
 def changed(**changes: Any) -> set[str]:
     """Labels of the nodes whose key a change moves."""
     before, after = by_label(grid()), by_label(grid(**changes))
-    return {label for label in before.keys() & after.keys() if before[label].key != after[label].key}
+    return {
+        label for label in before.keys() & after.keys() if before[label].key != after[label].key
+    }
 
 
 def test_table_1_has_the_size_of_the_paper():
     severities = {"mild": 0.2, "moderate": 0.4, "severe": 0.6}
-    operators = {"noisy": severities, "laggy": severities, "reaction-time": severities, "limited-skill": {"a": 0.1, "b": 0.25, "c": 0.5}}
+    operators = {
+        "noisy": severities,
+        "laggy": severities,
+        "reaction-time": severities,
+        "limited-skill": {"a": 0.1, "b": 0.25, "c": 0.5},
+    }
     methods = ["human", "ida", "diffusion", "saferl", "filter", "wasp", "expert"]
-    table = grid(tasks=["race1", "formula1", "goal1"], methods=methods, operators=operators, seeds=[0, 1, 2])
+    table = grid(
+        tasks=["race1", "formula1", "goal1"], methods=methods, operators=operators, seeds=[0, 1, 2]
+    )
     assert table.points == 3 * 7 * 4 * 3 * 3
-    assert len(table.cells) == 3 * 6 * 12 * 3 + 3 * 3  # the paper's five methods, the filter, and the expert once for all operators
+    # the paper's five methods, the filter, and the expert once for all operators
+    assert len(table.cells) == 3 * 6 * 12 * 3 + 3 * 3
     assert len({node.key for _, node in table.cells}) == len(table.cells)
 
 
 def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch):
     monkeypatch.setattr(stage_class("latents"), "needs", ("world_modl",))
-    with pytest.raises(WaspError, match="the stage 'latents' needs an unknown stage 'world_modl'") as caught:
+    with pytest.raises(
+        WaspError, match="the stage 'latents' needs an unknown stage 'world_modl'"
+    ) as caught:
         grid()
     assert caught.value.hint == "did you mean 'world_model'?"
 
@@ -59,7 +71,10 @@ def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch):
 def test_what_a_method_reads_may_depend_on_its_settings():
     def needs(**settings: object) -> dict[str, set[str]]:
         nodes = {node.label: node for node in grid(methods=["ida"], **settings).nodes}
-        return {kind: set(nodes[f"goal1 s0 {kind}"].needs) for kind in ("calibration ida", "ida noisy=0.2")}
+        return {
+            kind: set(nodes[f"goal1 s0 {kind}"].needs)
+            for kind in ("calibration ida", "ida noisy=0.2")
+        }
 
     assert all("denoiser" not in kinds for kinds in needs().values())
     assert all("denoiser" in kinds for kinds in needs(ida={"copilot": "diffusion"}).values())
@@ -80,7 +95,9 @@ def test_ablations_share_training_and_the_calibration_of_the_whole():
     assert keys(grid(methods=["wasp"])) < keys(ablation)
     assert sum(node.kind == "calibration" for node in ablation.nodes) == 2
     assert {cell.assistant for cell, _ in ablation.cells} == {"full", "no-case2"}
-    assert {node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"} == {"full", "no-case2"}
+    assert {
+        node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"
+    } == {"full", "no-case2"}
 
 
 def test_the_world_model_moves_everything_after_it():
@@ -103,7 +120,8 @@ def test_what_a_task_has_of_its_own_moves_that_task_alone():
     assert after["formula1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 9
     assert after["goal1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 8
     same = {"formula1": {"world_model": {"updates": 20}}, "race1": {"wasp": {"candidates": 9}}}
-    assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))  # and a task that does not run is no mistake
+    # and a task that does not run is no mistake
+    assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))
 
 
 def test_shared_settings_move_the_stages_that_named_them():
@@ -124,15 +142,32 @@ def test_one_training_seed_serves_all_evaluation_seeds():
 def test_an_evaluation_reads_what_its_method_needs():
     nodes = by_label(grid())
     assert set(nodes["goal1 s0 human noisy=0.2"].needs) == {"world_model", "policies"}
-    assert set(nodes["goal1 s0 wasp noisy=0.2"].needs) == {"world_model", "policies", "critics", "calibration"}
-    assert set(nodes["goal1 s0 calibration ida"].needs) == {"heldout", "world_model", "policies", "ida_q"}
+    assert set(nodes["goal1 s0 wasp noisy=0.2"].needs) == {
+        "world_model",
+        "policies",
+        "critics",
+        "calibration",
+    }
+    assert set(nodes["goal1 s0 calibration ida"].needs) == {
+        "heldout",
+        "world_model",
+        "policies",
+        "ida_q",
+    }
     assert nodes["goal1 s0 wasp noisy=0.2"].needs["calibration"].axes == {
-        "method": "wasp", "method_config": spec().method("wasp").model_dump(mode="json"),
-    }  # fmt: skip
+        "method": "wasp",
+        "method_config": spec().method("wasp").model_dump(mode="json"),
+    }
 
 
 def test_named_stages_are_trained_once_for_each_task_and_chain():
-    laid_out = grid(tasks=["goal1", "race1"], methods=[], stages=["heldout", "world_model"], operators={}, seeds=[0, 1])
+    laid_out = grid(
+        tasks=["goal1", "race1"],
+        methods=[],
+        stages=["heldout", "world_model"],
+        operators={},
+        seeds=[0, 1],
+    )
     assert (laid_out.cells, laid_out.points) == ((), 0)
     kinds = ["expert", "dataset", "world_model", "latents", "policies", "heldout"]
     assert sorted(node.label for node in laid_out.nodes) == sorted(

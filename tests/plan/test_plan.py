@@ -19,11 +19,15 @@ def test_times_come_from_nodes_of_the_same_sort():
     laid_out = grid(seeds=[0], methods=["human", "expert"])
     seconds = {node.sort: 10.0 for node in laid_out.nodes}
     plan = make_plan(laid_out, {}, {}, seconds)
-    # expert, dataset, world model, latents and policies follow one another; the four evaluations share two workers
+    # expert, dataset, world model, latents and policies follow one another; the four evaluations
+    # share two workers
     assert plan.estimate(2) == (pytest.approx(5 * 10 + 4 * 10 / 2), 0)
     assert plan.estimate(100) == (pytest.approx(6 * 10), 0)
     expert = laid_out.nodes[0].sort
-    assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
+    assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (
+        10.0,
+        len(laid_out.nodes) - 1,
+    )
 
 
 def test_the_plan_reads_well():
@@ -32,7 +36,9 @@ def test_the_plan_reads_well():
     assert "48 grid points, 40 cells to evaluate" in text
     assert "failed before: no luck" in text
     assert "no time estimate" in text
-    done = make_plan(laid_out, {node.kind: {node.key for node in laid_out.nodes} for node in laid_out.nodes}, {})
+    done = make_plan(
+        laid_out, {node.kind: {node.key for node in laid_out.nodes} for node in laid_out.nodes}, {}
+    )
     assert "nothing to run" in text_of(done)
 
 
@@ -59,7 +65,9 @@ def test_a_damaged_artifact_is_computed_again(layout):
     (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"123")
     layout.manifest(other.kind, other.key).unlink()
     plan = plan_against(laid_out, layout)
-    step, without_manifest = (next(step for step in plan.steps if step.node == each) for each in (node, other))
+    step, without_manifest = (
+        next(step for step in plan.steps if step.node == each) for each in (node, other)
+    )
     assert (step.state, step.runs, without_manifest.state) == ("damaged", True, "damaged")
     assert "data.bin' has 3 bytes, not 5" in step.reason
     assert "data.bin' has 3 bytes, not 5" in text_of(plan)

@@ -1,4 +1,6 @@
-"""A package of someone else brings a training stage and a method that needs it, through entry points alone."""
+"""A package of someone else brings a training stage and a method that needs it, through entry
+points alone.
+"""
 
 import json
 from collections.abc import Iterator
@@ -61,12 +63,20 @@ seeds: [0]
 def outsider(tmp_path, monkeypatch) -> Iterator[Path]:
     package = tmp_path / "site" / "outsider"
     package.mkdir(parents=True)
-    files = {"__init__": "", "entries": REGISTERED, "settings": SETTINGS, "stage": STAGE, "method": "class Nudge: ..."}
+    files = {
+        "__init__": "",
+        "entries": REGISTERED,
+        "settings": SETTINGS,
+        "stage": STAGE,
+        "method": "class Nudge: ...",
+    }
     for name, text in files.items():
         (package / f"{name}.py").write_text(dedent(text), encoding="utf-8")
     info = package.with_name("outsider-1.0.dist-info")
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outsider\nVersion: 1.0\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: outsider\nVersion: 1.0\n", encoding="utf-8"
+    )
     (info / "entry_points.txt").write_text(ENTRIES, encoding="utf-8")
     (tmp_path / "outside.yaml").write_text(SPEC, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -89,15 +99,21 @@ def checked(code: int | None = None) -> Result:
 def test_another_class_of_the_same_module_has_other_keys(outsider):
     before = keys()
     (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")
-    (outsider / "stage.py").write_text(dedent(STAGE) + "\n\nclass OtherStage(HabitsStage): ...\n", encoding="utf-8")
+    (outsider / "stage.py").write_text(
+        dedent(STAGE) + "\n\nclass OtherStage(HabitsStage): ...\n", encoding="utf-8"
+    )
     written = keys()
     moved = {label for label in before if before[label] != written[label]}
-    (outsider / "entries.py").write_text(REGISTERED.replace("method:Nudge", "method:Shove"), encoding="utf-8")
+    (outsider / "entries.py").write_text(
+        REGISTERED.replace("method:Nudge", "method:Shove"), encoding="utf-8"
+    )
     method = keys()
     cells = {label for label in before if "nudge" in label}
     assert cells
     assert {label for label in before if method[label] != written[label]} == cells
-    (outsider / "entries.py").write_text(REGISTERED.replace("stage:HabitsStage", "stage:OtherStage"), encoding="utf-8")
+    (outsider / "entries.py").write_text(
+        REGISTERED.replace("stage:HabitsStage", "stage:OtherStage"), encoding="utf-8"
+    )
     stage = keys()
     assert {label for label in before if stage[label] != written[label]} == moved
 
@@ -105,8 +121,14 @@ def test_another_class_of_the_same_module_has_other_keys(outsider):
 def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
     spec = outsider.parents[1] / "outside.yaml"
     for wrong, message in (
-        ("habits: {updates: 0, operators: {lagy: [0.5]}}\n", "outside.yaml:8:19: should be greater than or equal to 1, not 0"),
-        ("stages: [habits]\nhabits: {operators: {lagy: [0.5]}}\n", "unknown operator variant 'lagy'"),
+        (
+            "habits: {updates: 0, operators: {lagy: [0.5]}}\n",
+            "outside.yaml:8:19: should be greater than or equal to 1, not 0",
+        ),
+        (
+            "stages: [habits]\nhabits: {operators: {lagy: [0.5]}}\n",
+            "unknown operator variant 'lagy'",
+        ),
     ):
         spec.write_text(SPEC + wrong, encoding="utf-8")
         assert message in checked(code=3).stderr
@@ -124,15 +146,35 @@ def test_its_section_has_values_of_presets_checks_and_a_schema(outsider):
 @pytest.mark.parametrize(
     ("found", "put", "message"),
     [
-        ('StageInfo("habits"', 'StageInfo("tasks"', "the stage 'tasks' of a plugin has the name of a field of every spec"),
-        ('StageInfo("habits"', 'StageInfo("ida"', "the stage 'ida' of a plugin has the name of a method"),
-        ('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
-        ('presets=', 'unit="cell", presets=', "has unit 'cell'"),
-        ('STAGE = StageInfo(', 'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(', "is of type MethodInfo"),
+        (
+            'StageInfo("habits"',
+            'StageInfo("tasks"',
+            "the stage 'tasks' of a plugin has the name of a field of every spec",
+        ),
+        (
+            'StageInfo("habits"',
+            'StageInfo("ida"',
+            "the stage 'ida' of a plugin has the name of a method",
+        ),
+        (
+            'StageInfo("habits"',
+            'StageInfo("Habits!"',
+            "the stage name 'Habits!' should be small letters",
+        ),
+        ("presets=", 'unit="cell", presets=', "has unit 'cell'"),
+        (
+            "STAGE = StageInfo(",
+            'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(',
+            "is of type MethodInfo",
+        ),
         ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
-        ("outsider.stage:HabitsStage", "outsider.stage:Habits", "the stage 'habits' of a plugin does not load: AttributeError"),
+        (
+            "outsider.stage:HabitsStage",
+            "outsider.stage:Habits",
+            "the stage 'habits' of a plugin does not load: AttributeError",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
     assert found in REGISTERED
     (outsider / "entries.py").write_text(REGISTERED.replace(found, put), encoding="utf-8")
@@ -142,14 +184,26 @@ def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
 @pytest.mark.parametrize(
     ("found", "put", "message"),
     [
-        ('("dataset", "world_model")', '("habits",)', "`needs` of the stage 'habits' is no tuple of names of other stages: ('habits',)"),
-        ('("dataset", "world_model")', '("dataset")', "`needs` of the stage 'habits' is no tuple of names of other stages: 'dataset'"),
+        (
+            '("dataset", "world_model")',
+            '("habits",)',
+            "`needs` of the stage 'habits' is no tuple of names of other stages: ('habits',)",
+        ),
+        (
+            '("dataset", "world_model")',
+            '("dataset")',
+            "`needs` of the stage 'habits' is no tuple of names of other stages: 'dataset'",
+        ),
         (
             'settings = ("action_repeat",)',
             'settings = ("nope",)',
             "`settings` of the stage 'habits' is no tuple of names of fields of a spec",
         ),
-        ('settings = ("action_repeat",)', "", "`settings` of the stage 'habits' is no tuple of names of fields of a spec: None"),
+        (
+            'settings = ("action_repeat",)',
+            "",
+            "`settings` of the stage 'habits' is no tuple of names of fields of a spec: None",
+        ),
     ],
 )
 def test_what_a_stage_says_of_itself_is_examined(outsider, found, put, message):
@@ -158,6 +212,8 @@ def test_what_a_stage_says_of_itself_is_examined(outsider, found, put, message):
 
 
 def test_a_variant_that_its_section_does_not_take_is_told_before_anything_runs(outsider):
-    more = REGISTERED.replace('needs=("habits",)', 'needs=("habits",), variants={"full": "full", "half": "half"}')
+    more = REGISTERED.replace(
+        'needs=("habits",)', 'needs=("habits",), variants={"full": "full", "half": "half"}'
+    )
     (outsider / "entries.py").write_text(more, encoding="utf-8")
     assert "unknown key 'variant'" in checked(code=3).stderr

@@ -17,10 +17,17 @@ def store(layout: Layout, node: Node, **changes: Any) -> None:
     """An artifact as a worker leaves it, with changes to its manifest."""
     folder = staging_folder(layout, node.key)
     (folder / "data.bin").write_bytes(b"12345")
-    manifest = {name: getattr(node, name) for name in ("kind", "key", "task", "seed", "axes", "config", "settings")}
+    manifest = {
+        name: getattr(node, name)
+        for name in ("kind", "key", "task", "seed", "axes", "config", "settings")
+    }
     manifest["upstream"] = {name: needed.key for name, needed in node.needs.items()}
     manifest["sources"] = source_hashes(node.modules)
-    manifest["provenance"] = {"versions": machine()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"}
+    manifest["provenance"] = {
+        "versions": machine()["versions"],
+        "seconds": 2.0,
+        "started_at": "2026-01-01T00:00:00",
+    }
     commit(layout, node.kind, node.key, folder, {**manifest, **changes})
 
 
@@ -59,7 +66,9 @@ def test_changed_code_is_named_by_module(layout):
     earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
     store(layout, earlier, sources={**sources, module: "before", "wasp_cli.methods.wasp.gone": "x"})
     found = reasons_of(plan_against(laid_out, layout))
-    assert found == {node.label: f"code changed: {module}, wasp_cli.methods.wasp.gone (no longer used)"}
+    assert found == {
+        node.label: f"code changed: {module}, wasp_cli.methods.wasp.gone (no longer used)"
+    }
 
 
 def test_another_version_of_a_library_is_named(layout):

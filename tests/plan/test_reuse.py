@@ -22,8 +22,12 @@ def recipes(laid_out: Grid) -> dict[str, str]:
     return {node.label: node.recipe for node in laid_out.nodes}
 
 
-def offer(own: Grid, label: str, key: str, behind: dict[str, str] | None = None, at: str = "2026-01-01") -> Offer:
-    """A published result of a node, with all that it needs as today's code would have it, but for `behind` (by label)."""
+def offer(
+    own: Grid, label: str, key: str, behind: dict[str, str] | None = None, at: str = "2026-01-01"
+) -> Offer:
+    """A published result of a node, with all that it needs as today's code would have it, but
+    for `behind` (by label).
+    """
     node = by_label(own)[label]
     today: dict[str, str] = {}
 
@@ -38,7 +42,10 @@ def offer(own: Grid, label: str, key: str, behind: dict[str, str] | None = None,
 
 def version(number: int) -> dict[str, str]:
     """Keys of one version of all that is trained behind the critics, by label."""
-    return {label: f"{number}{letter}" * 10 for label, letter in zip((MODEL, LATENTS, SKILLS, HELDOUT, CRITICS), "abcde", strict=True)}
+    return {
+        label: f"{number}{letter}" * 10
+        for label, letter in zip((MODEL, LATENTS, SKILLS, HELDOUT, CRITICS), "abcde", strict=True)
+    }
 
 
 def chosen(own: Grid, offered: list[Offer]) -> dict[str, str]:
@@ -78,7 +85,10 @@ def upstream(node: Node) -> list[Node]:
 def test_of_several_todays_code_counts_first_and_then_the_newest():
     own = own_grid()
     label = "goal1 s0 human noisy=0.2"
-    older, newer = offer(own, label, "a" * 20, at="2026-01-01"), offer(own, label, "b" * 20, at="2026-02-01")
+    older, newer = (
+        offer(own, label, "a" * 20, at="2026-01-01"),
+        offer(own, label, "b" * 20, at="2026-02-01"),
+    )
     today = offer(own, label, by_label(own)[label].key, at="2025-01-01")
     assert chosen(own, [older, newer]) == {label: newer.key}
     assert chosen(own, [older, newer, today]) == {label: today.key}
@@ -89,7 +99,10 @@ def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer():
     first, second = version(1), version(2)
     offered = [offer(own, MODEL, first[MODEL], at="2026-03-01")]
     for behind, at in ((first, "2026-01-01"), (second, "2026-02-01")):
-        offered += [offer(own, label, behind[label], behind, at) for label in (LATENTS, SKILLS, HELDOUT, CRITICS)]
+        offered += [
+            offer(own, label, behind[label], behind, at)
+            for label in (LATENTS, SKILLS, HELDOUT, CRITICS)
+        ]
     assert chosen(own, offered) == first
 
 
@@ -100,10 +113,21 @@ def test_what_goes_with_nothing_here_is_left_alone():
     assert chosen(own, [foreign]) == {}
     # The rows of a cell are read by nothing, so that they need not go with anything.
     assert chosen(own, [foreign, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
-    # Half of what it goes with is not enough: the skills of today would be others than those behind it.
+    # Half of what it goes with is not enough: the skills of today would be others than those behind
+    # it.
     model = offer(own, MODEL, behind[MODEL])
     assert chosen(own, [foreign, model]) == {MODEL: model.key}
-    assert chosen(own, [foreign, model, *(offer(own, label, behind[label], behind) for label in (LATENTS, SKILLS, HELDOUT))]) == behind
+    assert (
+        chosen(
+            own,
+            [
+                foreign,
+                model,
+                *(offer(own, label, behind[label], behind) for label in (LATENTS, SKILLS, HELDOUT)),
+            ],
+        )
+        == behind
+    )
 
 
 def test_what_lies_behind_everything_that_is_read_need_not_be_there():
@@ -114,24 +138,34 @@ def test_what_lies_behind_everything_that_is_read_need_not_be_there():
     assert chosen(own, offered) == version(1)
     # Judging the world model does read it.
     judged = own_grid(methods=["wasp"])
-    assert chosen(judged, [offer(judged, label, behind[label], behind) for label in version(1)]) == {}
+    assert (
+        chosen(judged, [offer(judged, label, behind[label], behind) for label in version(1)]) == {}
+    )
 
 
 def test_what_is_needed_for_reused_results_alone_meets_nothing():
-    """Remembered latents are large, and not published: nobody computes them where all that is learned from them is reused."""
+    """Remembered latents are large, and not published: nobody computes them where all that is
+    learned from them is reused.
+    """
     own = own_grid(methods=["wasp"], stages=[])
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
     published = {label: key for label, key in version(1).items() if label != LATENTS}
-    assert chosen(own, [offer(own, label, key, behind) for label, key in published.items()]) == published
+    assert (
+        chosen(own, [offer(own, label, key, behind) for label, key in published.items()])
+        == published
+    )
 
 
 def test_heldout_rows_may_be_recorded_again():
-    """They are too large to be published. What was judged on the former ones goes on being used; an older world model does not."""
+    """They are too large to be published. What was judged on the former ones goes on being
+    used; an older world model does not.
+    """
     own = own_grid(methods=["wasp"], stages=[])
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
     published = {label: key for label, key in version(1).items() if label not in (LATENTS, HELDOUT)}
     offered = [offer(own, label, key, behind) for label, key in published.items()]
     assert chosen(own, offered) == published
-    # Critics of another world model do not, and those of today would be trained on latents of today.
+    # Critics of another world model do not, and those of today would be trained on latents of
+    # today.
     foreign = offer(own, CRITICS, published[CRITICS], {**behind, MODEL: "2a" * 10})
     assert chosen(own, [*(each for each in offered if each.kind != "critics"), foreign]) == {}

@@ -1,4 +1,6 @@
-"""Schedules, and times of what was never measured here: from the shipped figures, the size of a node, and the speed of this machine."""
+"""Schedules, and times of what was never measured here: from the shipped figures, the size of a
+node, and the speed of this machine.
+"""
 
 import random
 from itertools import count
@@ -24,7 +26,9 @@ NUMBER = count()
 
 def node(*needs: Node, kind: str = "expert", sort: str = "") -> Node:
     key = f"{next(NUMBER):08d}"
-    return Node(kind, "goal1", 0, {}, {}, {}, {each.key: each for each in needs}, (), key, key, sort or key)
+    return Node(
+        kind, "goal1", 0, {}, {}, {}, {each.key: each for each in needs}, (), key, key, sort or key
+    )
 
 
 def equal(*nodes: Node) -> dict[str, float]:
@@ -65,7 +69,9 @@ def test_a_failure_takes_its_dependents_along_each_once_and_no_other():
     child = node(bad)
     grandchild = node(child, bad, good)
     other = node(good)
-    schedule = Schedule([bad, good, child, grandchild, other], equal(bad, good, child, grandchild, other))
+    schedule = Schedule(
+        [bad, good, child, grandchild, other], equal(bad, good, child, grandchild, other)
+    )
     assert schedule.failed(bad) == [child, grandchild]
     schedule.ended(good)
     ready = [schedule.pop() for _ in range(len(schedule))]
@@ -83,10 +89,13 @@ def test_a_simulation_keeps_to_the_bounds_of_every_schedule(size, workers, seed)
     lasting = {each.key: chance.choice([0.5, 1.0, 3.0]) for each in nodes}
     ends: dict[str, float] = {}
     for each in nodes:
-        ends[each.key] = lasting[each.key] + max((ends[needed.key] for needed in each.needs.values()), default=0.0)
+        ends[each.key] = lasting[each.key] + max(
+            (ends[needed.key] for needed in each.needs.values()), default=0.0
+        )
     work, longest = sum(lasting.values()), max(ends.values())
     total, most = simulated(nodes, lasting, workers)
-    assert max(work / workers, longest) - 1e-9 <= total <= work / workers + longest + 1e-9  # Graham's bound for lists
+    # Graham's bound for lists
+    assert max(work / workers, longest) - 1e-9 <= total <= work / workers + longest + 1e-9
     assert most <= workers
     assert simulated(nodes, lasting, None)[0] == pytest.approx(longest)
     assert simulated(nodes, lasting, 1)[0] == pytest.approx(work)
@@ -98,7 +107,9 @@ def same_speed(monkeypatch) -> None:
 
 
 def planned(spec: str, tmp_path: Path, *settings: str) -> Plan:
-    return plan_against(lay_out(load(ROOT / "specs" / spec, settings).spec), Layout(tmp_path / "absent"))
+    return plan_against(
+        lay_out(load(ROOT / "specs" / spec, settings).spec), Layout(tmp_path / "absent")
+    )
 
 
 @pytest.mark.parametrize("spec", ["selftest.yaml", "quickstart.yaml"])
@@ -112,14 +123,22 @@ def test_the_first_specs_have_a_figure_for_every_node_and_the_plan_says_that_it_
     assert plan.guessed == {node.sort for node in plan.to_run()}
     show(plan, Console(width=200), 2)
     text = capsys.readouterr().out
-    assert f"for {len(plan.to_run())} nodes an estimate, from times of nodes like them or of another machine" in text
+    assert (
+        f"for {len(plan.to_run())} nodes an estimate, from times of nodes like them or of "
+        "another machine" in text
+    )
     work = sum(plan.seconds[node.sort] for node in plan.to_run())
     assert max(work / 2, plan.critical_path()[0]) <= seconds < work
 
 
 def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
     layout = Layout(tmp_path / "absent")
-    settings = ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
+    settings = [
+        "tasks=[goal1]",
+        "seeds=[1]",
+        "methods=[ida]",
+        "operators.noisy={moderate: 0.45, extreme: 0.7}",
+    ]
     grid = lay_out_over(load(ROOT / "specs/table1.yaml", settings).spec, layout)
     plan = plan_against(grid, layout)
     assert plan.count("published", "evaluate"), "the moderate operators are published"
@@ -131,7 +150,9 @@ def test_what_is_published_says_how_long_its_like_takes(tmp_path, capsys):
 
 
 def test_each_value_of_a_sweep_over_presets_has_its_own_figures(tmp_path):
-    alone = [planned("quickstart.yaml", tmp_path, f"preset={preset}") for preset in ("quick", "cpu")]
+    alone = [
+        planned("quickstart.yaml", tmp_path, f"preset={preset}") for preset in ("quick", "cpu")
+    ]
     plan = plan_against(together([each.grid for each in alone]), Layout(tmp_path / "absent"))
     assert plan.critical_path()[0] == pytest.approx(alone[1].critical_path()[0])
 

@@ -18,14 +18,21 @@ WORTH = {"ida": 2, "diffusion": 5, "saferl": 4, "wasp": 1}
 
 
 def with_invented_branches(wanted: Sequence[Wanted], stride: int = 1) -> list[Wanted]:
-    """The cells of methods that intervene with branches at every `stride`-th intervention. No random numbers, and multiples of 1/8."""
-    return [_branched(cell, stride) if METHODS[cell.identity.method].intervenes else cell for cell in wanted]
+    """The cells of methods that intervene with branches at every `stride`-th intervention. No
+    random numbers, and multiples of 1/8.
+    """
+    return [
+        _branched(cell, stride) if METHODS[cell.identity.method].intervenes else cell
+        for cell in wanted
+    ]
 
 
 def _branched(cell: Wanted, stride: int) -> Wanted:
     folder = cell.path.with_suffix("")
     path = invent_branches(cell.path, cell.identity, folder, stride)
-    return replace(cell, branches=Wanted(cell.identity, f"{cell.label}, counterfactual branches", path))
+    return replace(
+        cell, branches=Wanted(cell.identity, f"{cell.label}, counterfactual branches", path)
+    )
 
 
 def invent_branches(cell: Path, identity: CellIdentity, folder: Path, stride: int = 1) -> Path:
@@ -38,8 +45,21 @@ def invent_branches(cell: Path, identity: CellIdentity, folder: Path, stride: in
         costs = np.arange(length) < (number + identity.seed) % 3 + helped
         gained = (number % 5) / 8
         for name, cost, reward in ((ASSISTED, costs & (not helped), gained), (ALONE, costs, 0.25)):
-            values = (step["episode"], step["t"], name, cost, 2 * cost, np.full(length, reward), step["deviation"], step["gate"])
+            values = (
+                step["episode"],
+                step["t"],
+                name,
+                cost,
+                2 * cost,
+                np.full(length, reward),
+                step["deviation"],
+                step["gate"],
+            )
             rows.append(BranchRow(*values))
     folder.mkdir(parents=True)
-    write_branches(folder / BRANCHES_FILE, BranchedCell(identity, WINDOW, stride, TAU_R, read_episodes([cell]).num_rows), rows)
+    write_branches(
+        folder / BRANCHES_FILE,
+        BranchedCell(identity, WINDOW, stride, TAU_R, read_episodes([cell]).num_rows),
+        rows,
+    )
     return folder / BRANCHES_FILE

@@ -17,8 +17,22 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 
 KEY = "0123456789abcdef0123"
-WASP = {"horizon": 4, "residual_steps": 2, "candidates": 30, "elites": 10, "feasible": 10, "search_rollouts": 1}
-PRINTED = {"horizon": 4, "residual_steps": 2, "candidates": 30, "elites": 10, "feasible": 10, "probe": 20}
+WASP = {
+    "horizon": 4,
+    "residual_steps": 2,
+    "candidates": 30,
+    "elites": 10,
+    "feasible": 10,
+    "search_rollouts": 1,
+}
+PRINTED = {
+    "horizon": 4,
+    "residual_steps": 2,
+    "candidates": 30,
+    "elites": 10,
+    "feasible": 10,
+    "probe": 20,
+}
 PLANNING = ("wasp", "printed")
 NAN = math.nan
 
@@ -48,11 +62,20 @@ class Invented:
         self.delta_g = np.full(steps, 0.25 if gated else NAN)
         self.signal = np.full(steps, NAN)
         self.plans = Plans(
-            np.full((steps, 2, 2), NAN), np.full((steps, 3), -1), np.zeros((steps, 3), bool), *np.full((4, steps), NAN)
-        )  # fmt: skip
+            np.full((steps, 2, 2), NAN),
+            np.full((steps, 3), -1),
+            np.zeros((steps, 3), bool),
+            *np.full((4, steps), NAN),
+        )
 
     def fire(
-        self, t: int, gate: int, residuals: Any = ((-0.5, 0.5), (0.25, 0.0)), safe: Any = (3, 12, 30), cost: float = 0.2, alone: float = 0.6
+        self,
+        t: int,
+        gate: int,
+        residuals: Any = ((-0.5, 0.5), (0.25, 0.0)),
+        safe: Any = (3, 12, 30),
+        cost: float = 0.2,
+        alone: float = 0.6,
     ) -> None:
         """A gate fires at decision t, and its plan is executed; without a search `safe` is -1."""
         plans = self.plans
@@ -61,8 +84,17 @@ class Invented:
             self.g_cost[t], self.delta_g[t] = 0.5, 0.625 if self.method == "wasp" else NAN
         else:
             self.delta_g[t] = 0.75
-        plans.residuals[t], plans.safe[t], plans.case2[t] = residuals, safe, (np.array(safe) >= 0) & (np.array(safe) < 10)
-        plans.cost[t], plans.reward[t], plans.alone_cost[t], plans.alone_reward[t] = cost, 1.5, alone, 1.25
+        plans.residuals[t], plans.safe[t], plans.case2[t] = (
+            residuals,
+            safe,
+            (np.array(safe) >= 0) & (np.array(safe) < 10),
+        )
+        plans.cost[t], plans.reward[t], plans.alone_cost[t], plans.alone_reward[t] = (
+            cost,
+            1.5,
+            alone,
+            1.25,
+        )
         self.a[t] = np.clip(self.a_h[t] + plans.residuals[t, 0], -1, 1)
 
     def pay(self, *decisions: int) -> None:
@@ -71,10 +103,20 @@ class Invented:
 
     def trajectory(self) -> Trajectory:
         return Trajectory(
-            reward=self.reward, cost=self.cost_env > 0, cost_env=self.cost_env, env_steps=np.full(self.steps, 4), goals=self.goals,
-            a_h=self.a_h, a=self.a, gate=self.gate, g_cost=self.g_cost, g_return=self.g_return, delta_g=self.delta_g, signal=self.signal,
+            reward=self.reward,
+            cost=self.cost_env > 0,
+            cost_env=self.cost_env,
+            env_steps=np.full(self.steps, 4),
+            goals=self.goals,
+            a_h=self.a_h,
+            a=self.a,
+            gate=self.gate,
+            g_cost=self.g_cost,
+            g_return=self.g_return,
+            delta_g=self.delta_g,
+            signal=self.signal,
             plans=self.plans if self.method in PLANNING else None,
-        )  # fmt: skip
+        )
 
     def manifest(self) -> dict[str, Any]:
         return {
@@ -91,11 +133,21 @@ class Invented:
         rows = [episode_metrics(trajectory, 7, 25.0)] * self.episodes
         cell = CellIdentity("goal1", self.method, self.variant, "laggy", 0.7, 0)
         times = [np.full(self.steps, 2.0)] * self.episodes
-        return write_cell(folder, cell, [trajectory] * self.episodes, rows, self.thresholds, times, range(100, 100 + self.episodes))
+        return write_cell(
+            folder,
+            cell,
+            [trajectory] * self.episodes,
+            rows,
+            self.thresholds,
+            times,
+            range(100, 100 + self.episodes),
+        )
 
     def read(self, folder: Path, manifest: bool = True, episode: int = 0) -> Episode:
         path = self.write(folder)
-        return read_episode(FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), episode)
+        return read_episode(
+            FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), episode
+        )
 
     def store(self, results: Path) -> None:
         """As an artifact."""

@@ -1,4 +1,5 @@
-"""From a finished run of tests/golden/golden.yaml to the store that is checked in: what a report reads, and nothing of the machine.
+"""From a finished run of tests/golden/golden.yaml to the store that is checked in: what a report
+reads, and nothing of the machine.
 
 wasp run tests/golden/golden.yaml --results /tmp/golden
 python -m tests.report.golden_store /tmp/golden
@@ -19,9 +20,28 @@ from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
 
 STORE = Path(__file__).parent.parent / "golden" / "store"
-READ = ("episodes.parquet", "_steps.pq", "branches.parquet", "curve.json", "curves.json", "diagnostics.json", "reinforcement.json")
+READ = (
+    "episodes.parquet",
+    "_steps.pq",
+    "branches.parquet",
+    "curve.json",
+    "curves.json",
+    "diagnostics.json",
+    "reinforcement.json",
+)
 """Files of artifacts that a report reads, beside the manifests."""
-KEPT = ("kind", "key", "label", "task", "seed", "axes", "settings", "upstream", "upstream_kinds", "summary")
+KEPT = (
+    "kind",
+    "key",
+    "label",
+    "task",
+    "seed",
+    "axes",
+    "settings",
+    "upstream",
+    "upstream_kinds",
+    "summary",
+)
 """Of a manifest."""
 
 
@@ -33,7 +53,9 @@ def report_of(results: Path, paper: Paper | None = None) -> Report:
 
 
 def distil(results: Path, target: Path) -> None:
-    """Write the part of `results` that a report reads to `target`, an empty folder or one of an earlier call."""
+    """Write the part of `results` that a report reads to `target`, an empty folder or one of an
+    earlier call.
+    """
     shutil.rmtree(target, ignore_errors=True)
     source, made = Layout(results), Layout(target)
     runs, damaged = last_runs(source)
@@ -45,7 +67,9 @@ def distil(results: Path, target: Path) -> None:
         folder = made.artifact(document["kind"], document["key"])
         folder.mkdir(parents=True)
         # Seconds as if all took the same: a report shows them, and they are the machine's.
-        plain = {name: document[name] for name in KEPT} | {"provenance": {"seconds": 1.0, "started_at": "2026-01-01T00:00:00+00:00"}}
+        plain = {name: document[name] for name in KEPT} | {
+            "provenance": {"seconds": 1.0, "started_at": "2026-01-01T00:00:00+00:00"}
+        }
         (folder / "_manifest.json").write_text(dumps(plain), encoding="utf-8")
         for name in READ:
             if (manifest.parent / name).is_file():

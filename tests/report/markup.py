@@ -37,4 +37,9 @@ class Outline(HTMLParser):
 
     def values(self, *names: str) -> list[str]:
         """What attributes of these names say, of all elements."""
-        return [value or "" for _, attributes in self.found for name, value in attributes.items() if name in names]
+        return [
+            value or ""
+            for _, attributes in self.found
+            for name, value in attributes.items()
+            if name in names
+        ]

@@ -1,12 +1,12 @@
 """Sweeps over invented cells, with numbers that can be worked out by hand.
 
-The n-th of N values adds n goals to what the operator alone reaches, intervenes in (n + 1) of ten steps, and takes away n of N - 1 parts
-of the risk. The c-th operator reaches 4 - c goals in one episode of a cell and 5 - c in the other; three are a success. An episode has 20
-steps:
+The n-th of N values adds n goals to what the operator alone reaches, intervenes in (n + 1) of ten
+steps, and takes away n of N - 1 parts of the risk. The c-th operator reaches 4 - c goals in one
+episode of a cell and 5 - c in the other; three are a success. An episode has 20 steps:
 
-    return  goals + 2.375 in the first episode and goals + 2.625 in the second, so that a cell has 7 - c + n
-    cost    50 at risk 1 (c = 0, n = 0 and Human-only), 0 at risk 0 (the last value)
-    mag_int |(0.375, 0.5)| = 0.625
+    return  goals + 2.375 in the first episode and goals + 2.625 in the second, so that a cell has 7
+    - c + n cost    50 at risk 1 (c = 0, n = 0 and Human-only), 0 at risk 0 (the last value) mag_int
+    |(0.375, 0.5)| = 0.625
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,9 @@ VALUES: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))
 
 
 def invent_sweep(folder: Path, missing: Sequence[CellIdentity] = ()) -> list[Swept]:
-    """The cells of `human`, which no value changes, and of `diffusion`; the first value lacks those that are `missing`."""
+    """The cells of `human`, which no value changes, and of `diffusion`; the first value lacks
+    those that are `missing`.
+    """
     alone = written(folder / "human", "human", 0, 0.0, 1.0)
     found = []
     for n, (text, value) in enumerate(VALUES):
@@ -33,7 +35,11 @@ def invent_sweep(folder: Path, missing: Sequence[CellIdentity] = ()) -> list[Swe
         for cell in own:
             if n == 0 and cell.identity in missing:
                 cell.path.unlink()
-        keys = {cell.identity: f"{prefix}{cell.path.parent.name}" for prefix, cells in (("shared", alone), (n, own)) for cell in cells}
+        keys = {
+            cell.identity: f"{prefix}{cell.path.parent.name}"
+            for prefix, cells in (("shared", alone), (n, own))
+            for cell in cells
+        }
         found.append(Swept(text, value, read_frame([*alone, *own]), keys))
     return found
 
@@ -43,10 +49,19 @@ def written(folder: Path, method: str, goals: int, intervene: float, risk: float
     cells = []
     for (c, severity), seed in product(enumerate((0.2, 0.6)), (0, 1)):
         identity = CellIdentity("goal1", method, "full", "noisy", severity, seed)
-        cells.append(write(folder, identity, two_episodes(identity, 4 - c + goals, intervene, (1.0 - 0.1 * c) * risk), success_goals=3))
+        cells.append(
+            write(
+                folder,
+                identity,
+                two_episodes(identity, 4 - c + goals, intervene, (1.0 - 0.1 * c) * risk),
+                success_goals=3,
+            )
+        )
     return cells
 
 
-def two_episodes(identity: CellIdentity, goals: int, intervene: float, risk: float) -> list[Trajectory]:
+def two_episodes(
+    identity: CellIdentity, goals: int, intervene: float, risk: float
+) -> list[Trajectory]:
     """Two episodes that differ by one goal."""
     return [invent(12 * identity.seed + e, goals + e, intervene, risk) for e in range(2)]

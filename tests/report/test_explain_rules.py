@@ -1,4 +1,6 @@
-"""Other rules, the other WASPs, late assistants and searches that were cut off, as `wasp explain` tells them."""
+"""Other rules, the other WASPs, late assistants and searches that were cut off, as `wasp
+explain` tells them.
+"""
 
 import json
 import tempfile
@@ -13,10 +15,33 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.commands import run_here
-from tests.report.explained import KEY, NAN, PRINTED, WASP, Invented, decision_text, episode_text, text_of
-from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK, Plans, episode_metrics
+from tests.report.explained import (
+    KEY,
+    NAN,
+    PRINTED,
+    WASP,
+    Invented,
+    decision_text,
+    episode_text,
+    text_of,
+)
+from wasp_cli.metrics.episode import (
+    CUT_OFF,
+    GATE_LATE,
+    GATE_METHOD,
+    GATE_SAFETY,
+    GATE_TASK,
+    Plans,
+    episode_metrics,
+)
 from wasp_cli.report.explain import Episode, timeline
-from wasp_cli.report.explain.facts import decision_json, episode_json, merged_runs, places_of, runs_of
+from wasp_cli.report.explain.facts import (
+    decision_json,
+    episode_json,
+    merged_runs,
+    places_of,
+    runs_of,
+)
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.tables import Thresholds
 
@@ -28,16 +53,28 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     made.pay(3, 4)
     episode = made.read(tmp_path)
     text = decision_text(episode, 3)
-    assert "  signal  value  threshold    τ_Q  intervenes\n  vote    1.000      0.990  0.100  yes\n" in text
-    assert "vote: on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1" in text
+    assert (
+        "  signal  value  threshold    τ_Q  intervenes\n  vote    1.000      0.990  0.100  yes\n"
+        in text
+    )
+    assert (
+        "vote: on a scale from -1 (no member of the ensemble prefers the copilot's action "
+        "by more than τ_Q) to 1" in text
+    )
     assert "IDA intervened: the command was changed by" in text
     assert "Plan\n" not in text
     assert "safety gate" not in text
     assert "The command was executed." in decision_text(episode, 4)
     summary = episode_text(episode)
-    assert "  IDA   vote > 0.990          1  12.5%\n  none  -                     7  87.5%\n" in summary
+    assert (
+        "  IDA   vote > 0.990          1  12.5%\n  none  -                     7  87.5%\n"
+        in summary
+    )
     assert places_of(episode.missed) == (4,)
-    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2          -" in summary
+    assert (
+        "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2 "
+        "         -" in summary
+    )
 
 
 def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) -> None:
@@ -45,20 +82,30 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     made.signal[:] = 0.1
     made.signal[3], made.gate[3], made.a[3] = 0.7, GATE_METHOD, [0.0, 0.0]
     episode = made.read(tmp_path)
-    assert "  signal  value  threshold  intervenes\n  Q_c     0.700      0.400  yes\n" in decision_text(episode, 3)
+    assert (
+        "  signal  value  threshold  intervenes\n  Q_c     0.700      0.400  yes\n"
+        in decision_text(episode, 3)
+    )
     assert "  Safety filter  Q_c > 0.400          1  12.5%\n" in episode_text(episode)
     assert "safety gate" not in episode_text(episode) + decision_text(episode, 3)
 
 
 def test_behind_a_vote_the_safety_gate_looks_at_what_was_voted_for(tmp_path: Path) -> None:
-    made = Invented(method="ida-guarded", thresholds=Thresholds(tau_c=0.3, tau_q=0.1), config={**WASP, "vote": 0.99})
+    made = Invented(
+        method="ida-guarded",
+        thresholds=Thresholds(tau_c=0.3, tau_q=0.1),
+        config={**WASP, "vote": 0.99},
+    )
     made.signal[:], made.g_cost[:], made.delta_g[:] = 0.2, 0.125, 0.25
     made.signal[3], made.gate[3], made.a[3] = 1.0, GATE_METHOD, [0.0, 0.0]
     made.signal[4], made.gate[4], made.g_cost[4] = 1.0, GATE_SAFETY, 0.5
     voted, guarded = (decision_text(made.read(tmp_path), t) for t in (3, 4))
     for text in (voted, guarded):
         assert "  vote    1.000      0.990  0.100  yes\n" in text
-        assert "within the next 4 decisions, discounted, if the expert follows IDA's action (Eq. 9)" in text
+        assert (
+            "within the next 4 decisions, discounted, if the expert follows IDA's action (Eq. 9)"
+            in text
+        )
         assert "this assistant has no such gate" in text
     assert "search  none: the method decided by its own rule" in voted
     assert "The safety gate fired (G^c 0.500 > τ_c 0.300)" in guarded
@@ -70,10 +117,16 @@ def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> No
     made.fire(6, GATE_TASK, safe=(12, 25, 30))
     made.delta_g[1] = NAN
     episode = made.read(tmp_path)
-    assert "  task    ΔG -       τ_r 0.500  no: no correction is predicted safe (Eq. 11)" in decision_text(episode, 1)
+    assert (
+        "  task    ΔG -       τ_r 0.500  no: no correction is predicted safe (Eq. 11)"
+        in decision_text(episode, 1)
+    )
     text = decision_text(episode, 6)
     assert "ΔG: expected gain in return by the best safe correction of 20 that are tried" in text
-    assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
+    assert (
+        "expected discounted cost if the operator goes on alone, with the critic beyond the horizon"
+        in text
+    )
     assert "\n  2                    25  I\n" in text
     text = decision_text(episode, 2)
     assert "  task    ΔG -       τ_r 0.500  not asked: the safety gate fired" in text
@@ -83,7 +136,9 @@ def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> No
 
 @pytest.fixture
 def late(tmp_path: Path) -> Episode:
-    """Late three times, two of them with cost; one cost was missed, one paid although a gate fired."""
+    """Late three times, two of them with cost; one cost was missed, one paid although a gate
+    fired.
+    """
     made = Invented()
     made.fire(2, GATE_SAFETY)
     for t in (4, 5, 6):
@@ -94,7 +149,10 @@ def late(tmp_path: Path) -> Episode:
 
 def test_late_is_not_missed(late: Episode) -> None:
     text = " ".join(episode_text(late).split())
-    assert "4 decisions with cost, 1 of them missed (no gate fired), 2 while the assistant was late." in text
+    assert (
+        "4 decisions with cost, 1 of them missed (no gate fired), 2 while the assistant was late."
+        in text
+    )
     assert "1 missed, 1 although a gate fired, 2 while the assistant was late" in text
     assert "late no answer in time 3 37.5%" in text
     assert (places_of(late.missed), places_of(late.late)) == ((1,), (4, 6))
@@ -132,11 +190,19 @@ thresholds = st.one_of(st.none(), st.just(NAN), st.floats(-1, 2), st.just(0.0))
 
 @st.composite
 def cells(draw: st.DrawFn) -> Invented:
-    method = draw(st.sampled_from(["wasp", "printed", "ida", "filter", "human", "diffusion", "theirs"]))
-    variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
+    method = draw(
+        st.sampled_from(["wasp", "printed", "ida", "filter", "human", "diffusion", "theirs"])
+    )
+    variant = draw(
+        st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"])
+    )
     limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
-    config = draw(st.sampled_from([{}, WASP, PRINTED, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))
-    made = Invented(draw(st.integers(1, 6)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
+    config = draw(
+        st.sampled_from([{}, WASP, PRINTED, {"vote": 0.5}, {"horizon": "long", "feasible": None}])
+    )
+    made = Invented(
+        draw(st.integers(1, 6)), method, variant, limits, dict(config), draw(st.integers(1, 2))
+    )
 
     def series(elements: Callable[[], Any]) -> Any:
         return np.array([elements() for _ in range(made.steps)])
@@ -150,8 +216,14 @@ def cells(draw: st.DrawFn) -> Invented:
     planned, searched = (series(lambda: draw(st.booleans())).astype(bool) for _ in range(2))
     searched &= planned
     made.plans = Plans(
-        residuals=np.where(planned[:, None, None], draw(st.sampled_from([0.0, 0.5])), np.full((made.steps, steps, 2), NAN)),
-        safe=np.where(searched[:, None], draw(st.integers(0, 30)), np.full((made.steps, iterations), -1)),
+        residuals=np.where(
+            planned[:, None, None],
+            draw(st.sampled_from([0.0, 0.5])),
+            np.full((made.steps, steps, 2), NAN),
+        ),
+        safe=np.where(
+            searched[:, None], draw(st.integers(0, 30)), np.full((made.steps, iterations), -1)
+        ),
         case2=np.broadcast_to(searched[:, None], (made.steps, iterations)) & draw(st.booleans()),
         cost=series(lambda: draw(numbers)),
         reward=series(lambda: draw(numbers)),
@@ -175,7 +247,9 @@ def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int)
         assert [run.first for run in pieces[1:]] == [run.last + 1 for run in pieces[:-1]]
         assert (pieces[0].first, pieces[-1].last) == (0, episode.decisions - 1)
         for name in ("cost", "intervened"):
-            assert sum(getattr(run, name) for run in pieces) == sum(getattr(run, name) for run in runs_of(episode))
+            assert sum(getattr(run, name) for run in pieces) == sum(
+                getattr(run, name) for run in runs_of(episode)
+            )
         assert tuple(t for run in pieces for t in run.missed) == places_of(episode.missed)
     for t in range(episode.decisions):
         assert decision_lines(episode, t, width)
@@ -200,7 +274,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_command_by_key_label_and_path(results: Path) -> None:
     folder = results / "store" / "evaluate" / KEY
-    said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
+    said = [
+        wasp("explain", cell, "-e", "0", "--results", results)
+        for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))
+    ]
     browser = f"in a browser: wasp view {results} --open /cell/01234567/episode/0\n"
     assert {(done.exit_code, done.stderr) for done in said} == {(0, browser)}
     assert len({done.stdout for done in said}) == 1
@@ -221,7 +298,9 @@ def test_the_command_by_key_label_and_path(results: Path) -> None:
         (["0123"], "Missing option"),
     ],
 )
-def test_wrong_usage_of_the_command_ends_with_2(arguments: list[str], expected: str, results: Path) -> None:
+def test_wrong_usage_of_the_command_ends_with_2(
+    arguments: list[str], expected: str, results: Path
+) -> None:
     done = wasp("explain", *arguments, "--results", results)
     assert (done.exit_code, done.stdout) == (2, "")
     assert expected in done.stderr

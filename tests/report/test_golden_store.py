@@ -1,6 +1,8 @@
-"""A real store that is checked in gives the same report, byte for byte, on every machine and in every version.
+"""A real store that is checked in gives the same report, byte for byte, on every machine and in
+every version.
 
-After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_golden_store.py`. How the store was made: golden_store.py.
+After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_golden_store.py`. How
+the store was made: golden_store.py.
 """
 
 import os
@@ -34,7 +36,11 @@ def report(results: Path) -> Report:
 
 
 def texts(report: Report) -> dict[str, str]:
-    found = {f"{table.name}.{ending}": render(table) for table in report.tables for ending, render in RENDERERS.items()}
+    found = {
+        f"{table.name}.{ending}": render(table)
+        for table in report.tables
+        for ending, render in RENDERERS.items()
+    }
     return {**found, "report.md": report.markdown()}
 
 
@@ -51,8 +57,21 @@ def test_every_table_in_every_format_is_the_same_to_the_byte(report: Report) -> 
 def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Report) -> None:
     assert not report.missing
     assert not report.damaged
-    assert {table.name for table in report.tables} >= {"table1", "table2", "figure3", "paper", "statistics", "severity", "latency"}
-    assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
+    assert {table.name for table in report.tables} >= {
+        "table1",
+        "table2",
+        "figure3",
+        "paper",
+        "statistics",
+        "severity",
+        "latency",
+    }
+    assert {
+        answer.outcome
+        for judged in report.verdict.claims
+        for answers in judged.answers
+        for answer in answers
+    } > {"untested"}
 
 
 @pytest.mark.usefixtures("without_figures")
@@ -61,12 +80,17 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     cell = sorted(partial.glob("store/evaluate/*/episodes.parquet"))[0]
     key = cell.parent.name
     shutil.rmtree(cell.parent)
-    strict = run_here("report", partial, "--no-films", "--no-trained", "--strict", columns=120, code=1)
+    strict = run_here(
+        "report", partial, "--no-films", "--no-trained", "--strict", columns=120, code=1
+    )
     assert "1 of 32 cells is missing" in strict.output
     assert "not computed yet" in strict.output
     recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
     (label,) = (str(one) for one, name in recorded.cells if name == key)
-    pages = [(partial / "reports" / "golden" / name).read_text(encoding="utf-8") for name in ("report.md", "report.html")]
+    pages = [
+        (partial / "reports" / "golden" / name).read_text(encoding="utf-8")
+        for name in ("report.md", "report.html")
+    ]
     assert all(f"{label}: not computed yet" in page for page in pages)
     assert label in strict.output.partition("error: golden: 1 of 32 cells is missing:")[2]
 
@@ -77,9 +101,16 @@ def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: P
     run_here("report", folder, columns=120, code=0)
     page = (folder / "reports" / "golden" / "report.html").read_text(encoding="utf-8")
     films = re.findall(r'<figure class="film".*?</figure>', page, re.DOTALL)
-    assert [re.findall(r"<strong>(.*?)</strong>", film) for film in films] == [["Human-only"], ["IDA"], ["Diffusion"], ["WASP"], ["Expert"]]
+    assert [re.findall(r"<strong>(.*?)</strong>", film) for film in films] == [
+        ["Human-only"],
+        ["IDA"],
+        ["Diffusion"],
+        ["WASP"],
+        ["Expert"],
+    ]
     assert all("url(data:image/webp;base64," in film and "No film" not in film for film in films)
-    assert "under the operator Noisy 0.2" in page  # the first operator has no severity named moderate
+    # the first operator has no severity named moderate
+    assert "under the operator Noisy 0.2" in page
     assert "Of 21 claims" in page
     assert page.index('id="table1"') < page.index("Of 21 claims")
 
@@ -93,11 +124,15 @@ def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: P
     ],
 )
 @pytest.mark.usefixtures("without_figures")
-def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(results: Path, tmp_path: Path, text: str | None, what: str) -> None:
+def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(
+    results: Path, tmp_path: Path, text: str | None, what: str
+) -> None:
     paper = tmp_path / "mine.yaml"
     if text is not None:
         paper.write_text(text)
-    done = run_here("report", results, "--no-films", "--no-trained", "--paper", paper, columns=200, code=3)
+    done = run_here(
+        "report", results, "--no-films", "--no-trained", "--paper", paper, columns=200, code=3
+    )
     assert f"{paper}:" in done.stderr
     assert what in done.stderr
     assert "cannot be read" not in done.stderr
@@ -107,8 +142,23 @@ def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(results: Path, t
 @pytest.mark.usefixtures("without_figures")
 def test_a_paper_of_ones_own_is_the_one_that_is_judged(results: Path, tmp_path: Path) -> None:
     paper = tmp_path / "mine.yaml"
-    statement = "{tasks: [goal1], left: [human], relation: at_most, columns: [int_rate], bound: 0.5}"
-    paper.write_text(f"title: Mine\ntables: []\nclaims:\n- id: alone\n  section: '1'\n  says: Nobody helps\n  statements: [{statement}]\n")
-    done = run_here("report", results, "--no-films", "--no-trained", "--strict", "--paper", paper, columns=200, code=0)
+    statement = (
+        "{tasks: [goal1], left: [human], relation: at_most, columns: [int_rate], bound: 0.5}"
+    )
+    paper.write_text(
+        "title: Mine\ntables: []\nclaims:\n- id: alone\n  section: '1'\n  says: Nobody "
+        f"helps\n  statements: [{statement}]\n"
+    )
+    done = run_here(
+        "report",
+        results,
+        "--no-films",
+        "--no-trained",
+        "--strict",
+        "--paper",
+        paper,
+        columns=200,
+        code=0,
+    )
     assert "The paper's claims: of 1 claim 1 holds" in done.stdout
     assert "Nobody helps" in (results / "reports" / "golden" / "report.md").read_text()

@@ -31,16 +31,29 @@ def shown(results: Path, text: str) -> dict[str, Any]:
 def test_an_evaluation_with_all_that_is_known(results: Path) -> None:
     facts = shown(results, "goal1 s0 wasp noisy=0.2")
     manifest = json.loads((Path(facts["folder"]) / "_manifest.json").read_text())
-    assert (facts["key"], facts["kind"], facts["label"]) == (manifest["key"], "evaluate", "goal1 s0 wasp noisy=0.2")
-    assert (facts["attempt"], facts["seconds"], facts["summary"]) == (1, manifest["provenance"]["seconds"], manifest["summary"])
+    assert (facts["key"], facts["kind"], facts["label"]) == (
+        manifest["key"],
+        "evaluate",
+        "goal1 s0 wasp noisy=0.2",
+    )
+    assert (facts["attempt"], facts["seconds"], facts["summary"]) == (
+        1,
+        manifest["provenance"]["seconds"],
+        manifest["summary"],
+    )
     changed = {each["name"]: (each["value"], each["default"]) for each in facts["changed"]}
     assert changed["episodes"] == (2, 30)
     assert changed["wasp.candidates"] == (8, 300)
     assert "wasp.horizon" not in changed  # as it is by default
     assert facts["settings"]["action_repeat"] == 4
-    assert {each["name"]: each["label"] for each in facts["upstream"]}["world_model"] == "goal1 s0 world_model"
+    assert {each["name"]: each["label"] for each in facts["upstream"]}[
+        "world_model"
+    ] == "goal1 s0 world_model"
     assert {each["state"] for each in facts["upstream"]} == {"present"}
-    assert [(each["name"], each["size"], each["state"]) for each in facts["files"]] == [("data.bin", 32, "whole"), ("half.bin", 4, "whole")]
+    assert [(each["name"], each["size"], each["state"]) for each in facts["files"]] == [
+        ("data.bin", 32, "whole"),
+        ("half.bin", 4, "whole"),
+    ]
     assert facts["provenance"]["versions"]["numpy"]
     assert facts["failure"] == {}
 
@@ -59,7 +72,12 @@ def test_harm_is_seen_where_it_is(results: Path) -> None:
     (folder / "half.bin").unlink()
     facts = shown(results, "goal1 s0 wasp noisy=0.2")
     states = {each["name"]: each["state"] for each in facts["upstream"]}
-    assert states == {"calibration": "present", "critics": "gone", "policies": "damaged", "world_model": "present"}
+    assert states == {
+        "calibration": "present",
+        "critics": "gone",
+        "policies": "damaged",
+        "world_model": "present",
+    }
     assert [each["state"] for each in facts["files"]] == ["changed", "gone"]
     text = run_here("show", facts["key"], "--results", results, columns=80).stdout
     for word in ("CHANGED", "GONE", "DAMAGED"):
@@ -68,6 +86,13 @@ def test_harm_is_seen_where_it_is(results: Path) -> None:
 
 def test_what_failed_says_why(results: Path) -> None:
     facts = shown(results, "goal1 s0 ida_q")
-    assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
+    assert (facts["kind"], facts["failure"]["message"], facts["files"]) == (
+        "ida_q",
+        "the loss is not finite",
+        [],
+    )
     text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
-    assert "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
+    assert (
+        "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n"
+        in text
+    )

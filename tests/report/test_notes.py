@@ -1,4 +1,6 @@
-"""Notes beside the store: reports show them, leave out what is invalid, and say so; no result changes."""
+"""Notes beside the store: reports show them, leave out what is invalid, and say so; no result
+changes.
+"""
 
 import io
 import json
@@ -24,7 +26,11 @@ def results(tmp_path: Path) -> Path:
 
 
 def stored(results: Path) -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in sorted((results / "store").rglob("*")) if path.is_file()}
+    return {
+        str(path): path.stat().st_mtime_ns
+        for path in sorted((results / "store").rglob("*"))
+        if path.is_file()
+    }
 
 
 def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> None:
@@ -32,7 +38,17 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     cell = next(cell for cell in before.frame.cells if cell.identity in before.frame.judged)
     key, bytes_before = before.keys[cell.identity], stored(results)
     done = run_here(
-        "note", key, "it starts within a <b>hazard</b>", "--episode", "1", "--invalid", "--author", "Ada", "--results", results, columns=200
+        "note",
+        key,
+        "it starts within a <b>hazard</b>",
+        "--episode",
+        "1",
+        "--invalid",
+        "--author",
+        "Ada",
+        "--results",
+        results,
+        columns=200,
     )
     assert done.exit_code == 0, done.output
     after = report_of(results)
@@ -43,8 +59,12 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
         np.testing.assert_array_equal(found.episodes[name], values[others])
     assert found.pooled["return"] == pytest.approx(cell.episodes["return"][others].mean())
     weight = cell.episodes["decisions"][others]
-    assert found.pooled["int_rate"] == pytest.approx((cell.episodes["int_rate"][others] * weight).sum() / weight.sum())
-    assert found.pooled["decision_p50_ms"] == pytest.approx(np.median(cell.episodes["decision_p50_ms"][others]))
+    assert found.pooled["int_rate"] == pytest.approx(
+        (cell.episodes["int_rate"][others] * weight).sum() / weight.sum()
+    )
+    assert found.pooled["decision_p50_ms"] == pytest.approx(
+        np.median(cell.episodes["decision_p50_ms"][others])
+    )
     old, new = before.frame.judged[cell.identity], after.frame.judged[cell.identity]
     kept = old.episode != 1
     np.testing.assert_array_equal(new.worth.rho, old.worth.rho[kept])
@@ -52,11 +72,16 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     if kept.any():
         assert found.pooled["uir"] == pytest.approx(old.worth.unnecessary[kept].mean())
     assert "1 episode marked as invalid is in no number here." in after.facts
-    assert any("Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact for fact in after.facts)
+    assert any(
+        "Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact
+        for fact in after.facts
+    )
     for other in before.frame.cells:
         if other.identity != cell.identity:
             (same,) = (each for each in after.frame.cells if each.identity == other.identity)
-            assert {name: same.pooled[name] for name in ("return", "cost")} == {name: other.pooled[name] for name in ("return", "cost")}
+            assert {name: same.pooled[name] for name in ("return", "cost")} == {
+                name: other.pooled[name] for name in ("return", "cost")
+            }
     page = after.html()
     assert "it starts within a &lt;b&gt;hazard" in page
     assert "<b>" not in page
@@ -65,7 +90,10 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     assert stored(results) == bytes_before
 
     # Taken back, everything is as it was.
-    assert run_here("note", key, "", "-e", "1", "--valid", "--results", results, columns=200).exit_code == 0
+    assert (
+        run_here("note", key, "", "-e", "1", "--valid", "--results", results, columns=200).exit_code
+        == 0
+    )
     again = report_of(results)
     assert not any("left out" in fact for fact in again.facts)
     assert "[invalid] it starts within a &lt;b&gt;hazard" in page
@@ -74,19 +102,28 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     console = Console(record=True, file=io.StringIO(), width=200)
     again.terminal(console)
     assert "[invalid]" not in console.export_text()
-    assert [each.pooled for each in again.frame.cells] == [pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells]
+    assert [each.pooled for each in again.frame.cells] == [
+        pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells
+    ]
 
 
 def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     before = report_of(results)
     key = before.keys[before.frame.cells[0].identity]
-    assert run_here("note", key, "<b>wrong</b> weights", "--invalid", "--results", results, columns=200).exit_code == 0
+    assert (
+        run_here(
+            "note", key, "<b>wrong</b> weights", "--invalid", "--results", results, columns=200
+        ).exit_code
+        == 0
+    )
     after = report_of(results)
     assert len(after.frame.cells) == len(before.frame.cells) - 1
     (gap,) = after.frame.missing
     assert "marked as invalid by" in gap.reason
-    require_cells([gap], Layout(results))  # a run is no failure: what was left out was left out by a person
-    assert "1 cell marked as invalid is in no number here." in {*after.facts} & {*after.remarks}  # a terminal shows remarks alone
+    # a run is no failure: what was left out was left out by a person
+    require_cells([gap], Layout(results))
+    # a terminal shows remarks alone
+    assert "1 cell marked as invalid is in no number here." in {*after.facts} & {*after.remarks}
     assert any("is left out" in fact for fact in after.facts)
     assert "INCOMPLETE" in after.markdown()
     assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()
@@ -95,7 +132,10 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
     key = next(iter(report_of(results).keys.values()))
-    assert "worth a look" in run_here("note", key, "worth a look", "--results", results, columns=200, code=0).stdout
+    assert (
+        "worth a look"
+        in run_here("note", key, "worth a look", "--results", results, columns=200, code=0).stdout
+    )
     report = report_of(results)
     assert not report.frame.missing
     assert [note.text for note in report.notes] == ["worth a look"]
@@ -104,19 +144,35 @@ def test_a_note_alone_excludes_nothing(results: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("zzz", "text"), "no evaluation 'zzz'"), (("KEY", ""), "says nothing"), (("KEY", "x", "-e", "99"), "there is no episode 99"),
-        (("KEY", "x", "--valid", "--invalid"), "exclude each other"), (("KEY", "x" * (LONGEST + 1)), "may have"),
+        (("zzz", "text"), "no evaluation 'zzz'"),
+        (("KEY", ""), "says nothing"),
+        (("KEY", "x", "-e", "99"), "there is no episode 99"),
+        (("KEY", "x", "--valid", "--invalid"), "exclude each other"),
+        (("KEY", "x" * (LONGEST + 1)), "may have"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_noted_is_said(results: Path, arguments: tuple[str, ...], expected: str) -> None:
+)
+def test_what_cannot_be_noted_is_said(
+    results: Path, arguments: tuple[str, ...], expected: str
+) -> None:
     key = next(iter(report_of(results).keys.values()))
-    done = run_here("note", *(key if word == "KEY" else word for word in arguments), "--results", results, columns=300, code=2)
+    done = run_here(
+        "note",
+        *(key if word == "KEY" else word for word in arguments),
+        "--results",
+        results,
+        columns=300,
+        code=2,
+    )
     assert expected in done.stderr
     assert not (results / FILE).exists()
 
 
-def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_error(layout: Layout, tmp_path: Path) -> None:
-    good = add_note(layout, Note("0123456789abcdef0123", "a cell", 2, "fine\x1b[31m", "invalid", "me"))
+def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_error(
+    layout: Layout, tmp_path: Path
+) -> None:
+    good = add_note(
+        layout, Note("0123456789abcdef0123", "a cell", 2, "fine\x1b[31m", "invalid", "me")
+    )
     records = [{"key": "../../x", "text": "x"}, {"key": good.key, "mark": "root"}]
     records += [{"key": good.key, "episode": episode} for episode in (True, -1, "3")]
     lines = ["not json", "[]", "{}", *map(json.dumps, records), '{"key": "0123', "[" * 5000]

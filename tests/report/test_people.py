@@ -1,4 +1,6 @@
-"""What a report says of the cells that people drove, against numbers that can be worked out by hand."""
+"""What a report says of the cells that people drove, against numbers that can be worked out by
+hand.
+"""
 
 import json
 import math
@@ -14,7 +16,14 @@ from wasp_cli.report.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats import CellNumbers, Frame, Wanted
 from wasp_cli.report.tables import Table, people
 from wasp_cli.report.tables.main import severity_table
-from wasp_cli.report.tables.people import WORKLOAD, Sitting, compared, over_participants, people_fact, people_tables
+from wasp_cli.report.tables.people import (
+    WORKLOAD,
+    Sitting,
+    compared,
+    over_participants,
+    people_fact,
+    people_tables,
+)
 from wasp_cli.spec.model import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
@@ -26,32 +35,71 @@ LEARNT = 0.5
 """What every place adds."""
 
 
-def beats(late: list[bool], inputs: list[int] | None = None, ages: list[float | None] | None = None, episode: int = 0) -> pa.Table:
+def beats(
+    late: list[bool],
+    inputs: list[int] | None = None,
+    ages: list[float | None] | None = None,
+    episode: int = 0,
+) -> pa.Table:
     count = len(late)
     columns: dict[str, list[Any]] = {
-        "episode": [episode] * count, "t": list(range(count)), "at": [0.08 * t for t in range(count)], "decision_ms": [10.0] * count,
-        "late": late, "behind_ms": [0.0] * count, "rest_ms": [5.0] * count, "input": inputs or [0] * count,
-        "input_age_ms": ages or [None] * count, "round_trip_ms": [1.0] * count, "keys": [""] * count, "focused": [True] * count,
-    }  # fmt: skip
-    return pa.table({field.name: pa.array(columns[field.name], field.type) for field in BEAT}, schema=BEAT)
+        "episode": [episode] * count,
+        "t": list(range(count)),
+        "at": [0.08 * t for t in range(count)],
+        "decision_ms": [10.0] * count,
+        "late": late,
+        "behind_ms": [0.0] * count,
+        "rest_ms": [5.0] * count,
+        "input": inputs or [0] * count,
+        "input_age_ms": ages or [None] * count,
+        "round_trip_ms": [1.0] * count,
+        "keys": [""] * count,
+        "focused": [True] * count,
+    }
+    return pa.table(
+        {field.name: pa.array(columns[field.name], field.type) for field in BEAT}, schema=BEAT
+    )
 
 
-def sitting(participant: int, method: str, place: int, value: float, *, simulated: bool = False, answers: Any = None) -> Sitting:
+def sitting(
+    participant: int,
+    method: str,
+    place: int,
+    value: float,
+    *,
+    simulated: bool = False,
+    answers: Any = None,
+) -> Sitting:
     identity = CellIdentity("goal1", method, "full", "person", float(participant), 0)
-    pooled = {"return": value, "success": 1.0, "cost": 2.0 * value, "int_rate": 0.1 * BETTER[method]}
+    pooled = {
+        "return": value,
+        "success": 1.0,
+        "cost": 2.0 * value,
+        "int_rate": 0.1 * BETTER[method],
+    }
     cell = CellNumbers(identity, f"p{participant}", pooled, {})
     return Sitting(cell, place, answers or {}, beats([False] * 8 + [True] * 2), simulated)
 
 
 def study(participants: int = 8) -> list[Sitting]:
-    """Every participant has a level of their own, every condition an effect, every place adds the same."""
+    """Every participant has a level of their own, every condition an effect, every place adds
+    the same.
+    """
     found = []
     for participant in range(1, participants + 1):
         for place, condition in enumerate(balanced_order(4, participant - 1)):
             method = METHODS[condition]
             scales = {name: 10.0 * participant for name, *_ in QUESTIONS["tlx"]}
             value = 10.0 + participant + BETTER[method] + LEARNT * place
-            found.append(sitting(participant, method, place, value, answers={WORKLOAD: 10.0 * participant, **scales, "trust": 50.0}))
+            found.append(
+                sitting(
+                    participant,
+                    method,
+                    place,
+                    value,
+                    answers={WORKLOAD: 10.0 * participant, **scales, "trust": 50.0},
+                )
+            )
     return found
 
 
@@ -69,24 +117,40 @@ def test_participants_are_the_unit() -> None:
     numbers = [(1, 2.0), (1, 4.0), (2, 5.0), (3, 10.0), (3, math.nan)]
     found = over_participants(numbers)
     means = np.array([3.0, 5.0, 10.0])
-    assert (found.mean, found.sd, found.n) == (pytest.approx(6.0), pytest.approx(means.std(ddof=1)), 3)
+    assert (found.mean, found.sd, found.n) == (
+        pytest.approx(6.0),
+        pytest.approx(means.std(ddof=1)),
+        3,
+    )
     resampled = sorted(float(counts @ means) / 3 for counts in drawn(3))
     assert len(resampled) == RESAMPLES
     assert (found.interval.unit, found.interval.clusters) == ("participant", 3)
-    np.testing.assert_allclose([found.interval.low, found.interval.high], np.quantile(resampled, [0.025, 0.975]), atol=1e-12)
+    np.testing.assert_allclose(
+        [found.interval.low, found.interval.high],
+        np.quantile(resampled, [0.025, 0.975]),
+        atol=1e-12,
+    )
 
 
 def test_measures_by_condition_and_differences_to_driving_alone() -> None:
     found = table(people_tables(study()), "people")
-    # Every condition stood twice in each place: what the places add is the same for all, 1.5 steps on average.
+    # Every condition stood twice in each place: what the places add is the same for all, 1.5 steps
+    # on average.
     for method, title in (("human", "Human-only"), ("ida", "IDA"), ("wasp", "WASP")):
-        assert value(found, title, "return").mean == pytest.approx(10 + 4.5 + BETTER[method] + 1.5 * LEARNT)
+        assert value(found, title, "return").mean == pytest.approx(
+            10 + 4.5 + BETTER[method] + 1.5 * LEARNT
+        )
     assert value(found, "WASP", "return_change").mean == pytest.approx(4.0)
     assert value(found, "WASP", "cost_change").mean == pytest.approx(8.0)
     assert value(found, "Human-only", "return_change").mean is None
     sittings = study()
-    own, alone = ([each for each in sittings if each.cell.identity.method == name] for name in ("wasp", "human"))
-    by_hand = [a.cell.pooled["return"] - b.cell.pooled["return"] for a, b in zip(own, alone, strict=True)]
+    own, alone = (
+        [each for each in sittings if each.cell.identity.method == name]
+        for name in ("wasp", "human")
+    )
+    by_hand = [
+        a.cell.pooled["return"] - b.cell.pooled["return"] for a, b in zip(own, alone, strict=True)
+    ]
     assert compared(own, alone, "return").sd == pytest.approx(np.std(by_hand, ddof=1))
     assert compared(own, alone[1:], "return").n == 7, "only who has both"
 
@@ -100,12 +164,18 @@ def test_the_effect_of_the_order_is_found_and_conditions_cancel_out() -> None:
     assert sum(number for _, number in people.deviations(study(), "return")) == pytest.approx(0.0)
     # A second task is driven after the first, in places of its own.
     later = [replace(each, place=each.place + 4, cell=_on(each.cell, "race1")) for each in study()]
-    assert not any("NOT BALANCED" in note for note in table(people_tables(study() + later), "order").notes)
-    assert any("NOT BALANCED" in note for note in table(people_tables(study() + later[1:]), "order").notes)
+    assert not any(
+        "NOT BALANCED" in note for note in table(people_tables(study() + later), "order").notes
+    )
+    assert any(
+        "NOT BALANCED" in note for note in table(people_tables(study() + later[1:]), "order").notes
+    )
 
 
 def test_numbers_of_participants_are_no_severities() -> None:
-    frame = Frame(tuple(each.cell for each in study()), (), tuple(each.cell.identity for each in study()))
+    frame = Frame(
+        tuple(each.cell for each in study()), (), tuple(each.cell.identity for each in study())
+    )
     assert severity_table(frame) is None
 
 
@@ -127,7 +197,9 @@ def test_decisions_that_were_late_are_counted() -> None:
 
 
 def test_the_age_of_a_key_counts_where_it_is_new() -> None:
-    """A key that is held for long is no slow one, and one of an earlier episode is not new in the next."""
+    """A key that is held for long is no slow one, and one of an earlier episode is not new in
+    the next.
+    """
     first = beats([False] * 4, [1, 1, 2, 2], [50.0, 130.0, 60.0, 140.0])
     second = beats([False] * 2, [2, 3], [9000.0, 70.0], episode=1)
     found = timing_summary(pa.concat_tables([first, second]))
@@ -153,7 +225,9 @@ def test_scripts_do_not_pass_for_people() -> None:
         (None, "is missing"),
     ],
 )
-def test_damage_is_said_and_the_rest_is_read(tmp_path: Path, session: str | None, said: str) -> None:
+def test_damage_is_said_and_the_rest_is_read(
+    tmp_path: Path, session: str | None, said: str
+) -> None:
     whole, other = sitting(1, "human", 0, 1.0), sitting(2, "human", 0, 1.0)
     wanted = []
     for each, text in ((whole, json.dumps({"block": 1})), (other, session)):

@@ -1,4 +1,6 @@
-"""What a table cannot see: changed rows, cells of several versions, and a method that is not installed any more."""
+"""What a table cannot see: changed rows, cells of several versions, and a method that is not
+installed any more.
+"""
 
 import json
 import os
@@ -41,7 +43,8 @@ def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
     write_episodes(table.set_column(place, table.schema.field(place), better), path)
     manifest = side.layout.manifest("evaluate", key)
     record = json.loads(manifest.read_text(encoding="utf-8"))
-    record["files"][EPISODES_FILE]["size"] = path.stat().st_size  # as large as before, for all that a plan sees
+    # as large as before, for all that a plan sees
+    record["files"][EPISODES_FILE]["size"] = path.stat().st_size
     manifest.write_text(json.dumps(record), encoding="utf-8")
     told = run_here("report", side.layout.root, *REPORT, "--verify", columns=300, code=1)
     assert f"'{path}' has other bytes than were stored" in told.output
@@ -50,16 +53,26 @@ def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
 
 def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
     side = write_results(
-        tmp_path / "results", provenance={"git": {"sha": "a" * 40, "dirty": False}, "python": "3.11.7", "processor": "One"}
+        tmp_path / "results",
+        provenance={
+            "git": {"sha": "a" * 40, "dirty": False},
+            "python": "3.11.7",
+            "processor": "One",
+        },
     )
     assert "same versions" not in run_here("report", side.layout.root, *REPORT, columns=300).output
     for _, key in side.cells[:3]:
         path = side.layout.manifest("evaluate", key)
         record = json.loads(path.read_text(encoding="utf-8"))
-        record["provenance"] |= {"versions": {"torch": "1.0.0"}, "git": {"sha": "b" * 40, "dirty": False}, "processor": "Another, AVX2"}
+        record["provenance"] |= {
+            "versions": {"torch": "1.0.0"},
+            "git": {"sha": "b" * 40, "dirty": False},
+            "processor": "Another, AVX2",
+        }
         path.write_text(json.dumps(record), encoding="utf-8")
     said = (
-        "commit aaaaaaa (5 cells), bbbbbbb (3 cells); processor One (5 cells), Another (3 cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
+        "commit aaaaaaa (5 cells), bbbbbbb (3 cells); processor One (5 cells), Another (3 "
+        "cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
     )
     told = run_here("report", side.layout.root, *REPORT, columns=300).output
     assert f"The cells were not computed with the same versions: {said}" in told
@@ -67,7 +80,9 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
 
 def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_path: Path) -> None:
     side = write_results(tmp_path / "results")
-    cut, linked = (side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2])
+    cut, linked = (
+        side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2]
+    )
     cut.write_bytes(cut.read_bytes()[:-200])
     linked.symlink_to(linked.rename(tmp_path / "elsewhere"))
     told = run_here("report", side.layout.root, *REPORT, columns=300, code=1)
@@ -79,7 +94,9 @@ def test_cells_of_an_unknown_method_are_named_where_the_others_are_counted(tmp_p
     results, side = tmp_path / "results", write_results(tmp_path / "results")
     for record in ("spec.json", "plan.json"):
         path = side.layout.run(side.run_id) / record
-        path.write_text(path.read_text(encoding="utf-8").replace('"wasp"', '"<b>held"'), encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8").replace('"wasp"', '"<b>held"'), encoding="utf-8"
+        )
     told = run_here("report", results, *REPORT, columns=200, code=0)
     assert "none is left out" not in told.output
     assert "4 of 4 planned cells of what is installed here are finished" in told.output
@@ -87,11 +104,18 @@ def test_cells_of_an_unknown_method_are_named_where_the_others_are_counted(tmp_p
     page = (results / "reports/tiny/report.md").read_text(encoding="utf-8")
     assert ("&lt;b>held: not installed here" in page, "<b>" in page) == (True, False)
     assert run_here("report", results, *REPORT, "--strict", columns=200).exit_code == 1
-    assert "<b>held: not installed here; its 4" in run_here("compare", results, results, "--strict", columns=200, code=1).output
+    assert (
+        "<b>held: not installed here; its 4"
+        in run_here("compare", results, results, "--strict", columns=200, code=1).output
+    )
 
 
-def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    manifest = next((brought(tmp_path, "goal1 s1 csa noisy=0.45") / "store").glob("evaluate/*/_manifest.json"))
+def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manifest = next(
+        (brought(tmp_path, "goal1 s1 csa noisy=0.45") / "store").glob("evaluate/*/_manifest.json")
+    )
     monkeypatch.chdir(tmp_path)
     Path("evil.py").write_text("open('imported', 'w').close()\n", encoding="utf-8")
     record = json.loads(manifest.read_text(encoding="utf-8")) | {"upstream": {}}
@@ -103,11 +127,21 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     for change in ({"axes": {**record["axes"], "method": "evil:Evil"}}, {"task": "evil:Evil-v0"}):
         assert "a module of one's own" in told(2, **change)
     assert not Path("imported").exists()
-    elsewhere = told(1, settings={**record["settings"], "gone": 1}, provenance={**record["provenance"], "processor": "another"})
-    assert ("error: KeyError: 'gone'" in elsewhere, "computed on another processor" in elsewhere) == (True, False)
+    elsewhere = told(
+        1,
+        settings={**record["settings"], "gone": 1},
+        provenance={**record["provenance"], "processor": "another"},
+    )
+    assert (
+        "error: KeyError: 'gone'" in elsewhere,
+        "computed on another processor" in elsewhere,
+    ) == (True, False)
     devices = []
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
-    monkeypatch.setattr("wasp_cli.stages.evaluate.EvaluateStage.run", lambda *_: devices.append(training_device().type))
+    monkeypatch.setattr(
+        "wasp_cli.stages.evaluate.EvaluateStage.run",
+        lambda *_: devices.append(training_device().type),
+    )
     for cuda in ({}, {"cuda": ["a GPU"]}):
         told(1, provenance={**record["provenance"], **cuda})
     assert devices == ["cpu", "cuda"]
@@ -115,7 +149,9 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(t
     assert "error: KeyError: 'provenance'" in told(1)
 
 
-def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(verify, "why_not", lambda *_: None)
     layout = Layout(brought(tmp_path, "goal1 s1 csa noisy=0.45", "goal1 s1 csa laggy=0.7"))
     first, second = sorted(layout.kind("evaluate").iterdir())
@@ -127,18 +163,34 @@ def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(tmp
     assert verify.draw(layout, 30, 0, anywhere=True).cells == (first.name, second.name)
 
 
-def test_what_differs_with_avx512_is_computed_once_more_with_avx2(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_differs_with_avx512_is_computed_once_more_with_avx2(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def again(_: Path, key: str, within: Path) -> verify.Answer:
         with_avx2 = os.environ.get("ATEN_CPU_CAPABILITY") == "avx2"
         means = () if with_avx2 or key == "same" else (("cost", 1.0, 2.0),)
-        return verify.Answer(key, key, ("cost",) if means else (), (), 0.0, "A" if key != "elsewhere" else "B", "A, AVX512", means)
+        return verify.Answer(
+            key,
+            key,
+            ("cost",) if means else (),
+            (),
+            0.0,
+            "A" if key != "elsewhere" else "B",
+            "A, AVX512",
+            means,
+        )
 
     monkeypatch.setattr(verify, "again", again)
     monkeypatch.delenv("ATEN_CPU_CAPABILITY", raising=False)
-    found = {answer.key: answer for answer in verify.verify(Layout(STORE), ["same", "other", "elsewhere"], 1)}
+    found = {
+        answer.key: answer
+        for answer in verify.verify(Layout(STORE), ["same", "other", "elsewhere"], 1)
+    }
     assert {key: (bool(answer.differing), answer.with_avx2) for key, answer in found.items()} == {
-        "same": (False, False), "elsewhere": (True, False), "other": (False, True),
-    }  # fmt: skip
+        "same": (False, False),
+        "elsewhere": (True, False),
+        "other": (False, True),
+    }
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -151,12 +203,19 @@ def test_workers_end_with_it_and_what_it_made_goes_if_it_can(tmp_path: Path, num
         sys.argv = ["wasp", "verify", {str(STORE)!r}, "-j", "2"]
         wasp_cli.__main__.main()
     """
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True, env={**os.environ, "TMPDIR": str(tmp_path)})
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
     wait_until(lambda: len(list(tmp_path.glob("wasp-verify-*/?"))) == 2)
     process.send_signal(number)
     code = process.wait(60)
     wait_until(lambda: group_is_gone(process.pid), 60)
-    assert (code, len(list(tmp_path.glob("wasp-verify-*")))) == ((130, 0) if number == signal.SIGTERM else (-number, 1))
+    assert (code, len(list(tmp_path.glob("wasp-verify-*")))) == (
+        (130, 0) if number == signal.SIGTERM else (-number, 1)
+    )
 
 
 def test_a_killed_worker_ends_it_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,7 +236,10 @@ def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Pa
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     run_here("export", results, "--tensorboard", tmp_path / "runs", columns=200, code=0)
-    runs = {str(path.parent.relative_to(tmp_path / "runs/golden")): path.parent for path in (tmp_path / "runs").rglob("events.*")}
+    runs = {
+        str(path.parent.relative_to(tmp_path / "runs/golden")): path.parent
+        for path in (tmp_path / "runs").rglob("events.*")
+    }
     assert {"goal1/table/IDA", "goal1/table/Human-only", "goal1/s0/Expert"} <= runs.keys()
     numbers = EventAccumulator(str(runs["goal1/table/IDA"]))
     numbers.Reload()
@@ -191,18 +253,32 @@ def test_tensorboard_reads_curves_and_the_main_table(results: Path, tmp_path: Pa
     steps = [point.step for point in curve.Scalars("return")]
     assert len(steps) > 1
     assert steps == sorted(steps)
-    assert "is there already" in run_here("export", results, "--tensorboard", tmp_path / "runs", columns=200, code=2).stderr
+    assert (
+        "is there already"
+        in run_here(
+            "export", results, "--tensorboard", tmp_path / "runs", columns=200, code=2
+        ).stderr
+    )
 
 
-def test_trackio_reads_them_too(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path))  # the package reads it once, when it is imported
+def test_trackio_reads_them_too(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the package reads it once, when it is imported
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path))
     import trackio
 
-    assert "Trackio metrics" not in run_here("export", results, "--trackio", tmp_path, columns=200, code=0).stdout
+    assert (
+        "Trackio metrics"
+        not in run_here("export", results, "--trackio", tmp_path, columns=200, code=0).stdout
+    )
     names = {run.name for run in trackio.Api().runs("golden")}
     assert {"goal1/table/IDA", "goal1/s0/Expert"} <= names
 
 
 def test_bad_calls_are_told(results: Path, tmp_path: Path) -> None:
-    for arguments, said in (([], "neither"), (["--spec", "other", "--tensorboard", tmp_path / "x"], "spec in these results")):
+    for arguments, said in (
+        ([], "neither"),
+        (["--spec", "other", "--tensorboard", tmp_path / "x"], "spec in these results"),
+    ):
         assert said in run_here("export", results, *arguments, columns=200, code=2).stderr

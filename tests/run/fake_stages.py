@@ -1,9 +1,11 @@
-"""Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
+"""Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran,
+and misbehaves on request.
 
 WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
 "bytes": size of a further file, "weights": whether to leave a safetensors file,
 "free": n (what runs after the first n waits to be interrupted),
-"behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
+"behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit",
+"sleep", "hang" (in native code) or "eat"}}.
 """
 
 import hashlib
@@ -41,14 +43,17 @@ class Fake:
         with open(options["log"], "a", encoding="utf-8") as file:
             file.write(f"{name}\n")
             file.flush()
-            written = file.tell()  # up to here it is the order of beginnings, whoever begins meanwhile
+            # up to here it is the order of beginnings, whoever begins meanwhile
+            written = file.tell()
         print(f"fake {name}")
         job.progress(0.5, "halfway")
         (job.out_dir / "half.bin").write_bytes(b"half")
         time.sleep(options.get("seconds", 0.0))
         if "work" in options:
             hashlib.pbkdf2_hmac("sha256", b"", b"", options["work"])
-        if Path(options["log"]).read_bytes()[:written].count(b"\n") > options.get("free", sys.maxsize):
+        if Path(options["log"]).read_bytes()[:written].count(b"\n") > options.get(
+            "free", sys.maxsize
+        ):
             time.sleep(600)  # until someone interrupts; not for ever, should nobody do so
         for text, behaviour in options.get("behave", {}).items():
             if text in name:
@@ -60,7 +65,10 @@ class Fake:
         if "bytes" in options:
             (job.out_dir / "more.bin").write_bytes(digest.digest() * (options["bytes"] // 32))
         if options.get("weights"):
-            save_file({"w": np.frombuffer(digest.digest(), np.uint8).astype(np.float32)}, job.out_dir / "weights.safetensors")
+            save_file(
+                {"w": np.frombuffer(digest.digest(), np.uint8).astype(np.float32)},
+                job.out_dir / "weights.safetensors",
+            )
         return {"number": int.from_bytes(digest.digest()[:2], "big"), "nothing": float("nan")}
 
 
@@ -68,7 +76,8 @@ def misbehave(behaviour: str, once: Path) -> None:
     if behaviour == "sleep":
         time.sleep(600)
     if behaviour == "hang":
-        hashlib.pbkdf2_hmac("sha256", b"", b"", 100_000_000)  # one call, about a minute: no signal handler of Python's runs meanwhile
+        # one call, about a minute: no signal handler of Python's runs meanwhile
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 100_000_000)
     if behaviour == "eat":
         eaten = []
         for _ in range(600):

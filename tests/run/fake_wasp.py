@@ -1,4 +1,6 @@
-"""`wasp` with fake stages and no report, as a process that tests can kill: python tests/run/fake_wasp.py run SPEC ..."""
+"""`wasp` with fake stages and no report, as a process that tests can kill: python
+tests/run/fake_wasp.py run SPEC ...
+"""
 
 import json
 import os
@@ -18,7 +20,9 @@ if __name__ == "__main__":
 
     fake_stages.install()
 
-    def show_cells(layout: object, recorded: Recorded, *more: object, **options: object) -> SimpleNamespace:
+    def show_cells(
+        layout: object, recorded: Recorded, *more: object, **options: object
+    ) -> SimpleNamespace:
         gate = json.loads(os.environ.get(fake_stages.OPTIONS, "{}")).get("report")
         while gate is not None and not Path(gate).exists():  # until someone lets it be written
             time.sleep(0.02)

@@ -108,7 +108,10 @@ def keys_of(spec: Path, results: Path) -> set[str]:
 
 
 def data_of(results: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
+    return {
+        str(path.relative_to(results / "store")): path.read_bytes()
+        for path in sorted((results / "store").glob("*/*/data.bin"))
+    }
 
 
 def as_undisturbed(spec: Path, results: Path) -> bool:
@@ -122,7 +125,9 @@ def finished(results: Path) -> set[str]:
 
 
 def goes_on(fakes: Fakes, spec: Path, results: Path) -> int:
-    """A run in which nothing goes wrong computes what is not finished, once, and leaves an undisturbed store; how many nodes that were."""
+    """A run in which nothing goes wrong computes what is not finished, once, and leaves an
+    undisturbed store; how many nodes that were.
+    """
     kept, ran = len(finished(results)), len(fakes.executions())
     fakes.set()
     summary = run(spec, results)
@@ -133,12 +138,23 @@ def goes_on(fakes: Fakes, spec: Path, results: Path) -> int:
 
 
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
-    """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
+    """`wasp` with fake stages in a session of its own, so that a signal to its group cannot
+    reach the tests.
+    """
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
-    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    return subprocess.Popen(
+        command,
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
-def wasp(*arguments: str | Path | int, code: int | None = None, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+def wasp(
+    *arguments: str | Path | int, code: int | None = None, cwd: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
     """The same, to its end; where it ends with 1, it says why in words."""
     process = start(*map(str, arguments), cwd=cwd)
     out, errors = process.communicate(timeout=600)

@@ -43,9 +43,17 @@ def moved(monkeypatch) -> Callable[[str], None]:
     hashed, sources = grid.closure_hash, reasons.source_hashes
 
     def change(module: str) -> None:
-        monkeypatch.setattr(grid, "closure_hash", lambda roots: hashed(roots) + ("moved" if module in closure(roots) else ""))
         monkeypatch.setattr(
-            reasons, "source_hashes", lambda roots: {name: "moved" if name == module else old for name, old in sources(roots).items()}
+            grid,
+            "closure_hash",
+            lambda roots: hashed(roots) + ("moved" if module in closure(roots) else ""),
+        )
+        monkeypatch.setattr(
+            reasons,
+            "source_hashes",
+            lambda roots: {
+                name: "moved" if name == module else old for name, old in sources(roots).items()
+            },
         )
 
     return change
@@ -65,7 +73,9 @@ def computed(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def here(computed, fakes, small_spec, tmp_path) -> Path:
-    """A fresh results folder with the published results of the spec, which were computed elsewhere."""
+    """A fresh results folder with the published results of the spec, which were computed
+    elsewhere.
+    """
     return shutil.copytree(computed / "results", tmp_path / "results")
 
 
@@ -74,13 +84,17 @@ def publish(spec: Path, layout: Layout, target: Layout) -> None:
     carry_publication(found, load(spec).spec, layout, target, Slimming())
 
 
-def run(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Session:
+def run(
+    spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published"
+) -> Session:
     done = run_spec(load(spec, settings), results, RunOptions(jobs=0), reuse=choice)
     done.require_complete()
     return done
 
 
-def plan(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Plan:
+def plan(
+    spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published"
+) -> Plan:
     layout = Layout(results)
     return plan_against(lay_out_over(load(spec, settings).spec, layout, choice), layout)
 
@@ -94,7 +108,11 @@ def node_of(plan: Plan, label: str) -> Node:
 
 
 def published_manifest(results: Path, label: str) -> Path:
-    found = [path for path in results.glob("published/store/*/*/_manifest.json") if json.loads(path.read_text())["label"] == label]
+    found = [
+        path
+        for path in results.glob("published/store/*/*/_manifest.json")
+        if json.loads(path.read_text())["label"] == label
+    ]
     return found[0]
 
 

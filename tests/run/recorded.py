@@ -23,9 +23,19 @@ def at(seconds: float) -> str:
     return (START + timedelta(seconds=seconds)).isoformat(timespec="milliseconds")
 
 
-def planned(number: int, label: str, state: str = "missing", needs: Iterable[int] = (), **further: Any) -> dict[str, Any]:
+def planned(
+    number: int, label: str, state: str = "missing", needs: Iterable[int] = (), **further: Any
+) -> dict[str, Any]:
     needed = {f"need{index}": key(index) for index in needs}
-    return {"key": key(number), "kind": "expert", "label": label, "state": state, "reason": "", "needs": needed, **further}
+    return {
+        "key": key(number),
+        "kind": "expert",
+        "label": label,
+        "state": state,
+        "reason": "",
+        "needs": needed,
+        **further,
+    }
 
 
 def process(pid: int) -> dict[str, Any]:
@@ -50,9 +60,17 @@ def write_run(
     folder = layout.run(run_id)
     for part in ("logs", "running"):
         (folder / part).mkdir(parents=True)
-    write_record(folder / "plan.json", {"spec": spec, "nodes": nodes, "cells": [], "branched": [], "parts": []})
+    write_record(
+        folder / "plan.json",
+        {"spec": spec, "nodes": nodes, "cells": [], "branched": [], "parts": []},
+    )
     if events is not None:
-        lines = [json.dumps({"at": at(seconds), "event": event, **facts}) for seconds, event, facts in events]
-        (folder / "journal.jsonl").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        lines = [
+            json.dumps({"at": at(seconds), "event": event, **facts})
+            for seconds, event, facts in events
+        ]
+        (folder / "journal.jsonl").write_text(
+            "".join(f"{line}\n" for line in lines), encoding="utf-8"
+        )
     for number, record in (running or {}).items():
         write_record(layout.running(run_id, key(number)), record)

@@ -62,13 +62,17 @@ def table(text: str) -> dict[str, tuple[int, str]]:
     return {what: (int(count), size) for what, count, size in rows}
 
 
-def test_what_the_newest_run_of_a_spec_reaches_stays(fakes, small_spec, other_spec, results, tmp_path):
+def test_what_the_newest_run_of_a_spec_reaches_stays(
+    fakes, small_spec, other_spec, results, tmp_path
+):
     old, new = keys_of(small_spec, results), keys_of(other_spec, results)
     assert finished(results) == old | new
     assert "nothing was removed" in collect(results)
     shown = table(collect(results, "--dry-run"))
     assert finished(results) == old | new
-    unwanted = Counter(path.parent.name for path in results.glob("store/*/*") if path.name not in new)
+    unwanted = Counter(
+        path.parent.name for path in results.glob("store/*/*") if path.name not in new
+    )
     assert {what: count for what, (count, _) in shown.items() if what in unwanted} == unwanted
     (results / "tmp").rmdir()
     assert "removed" in collect(results, "--yes").splitlines()[-1]
@@ -91,7 +95,9 @@ def test_a_restricted_run_displaces_no_whole_one(fakes, other_spec, results):
 def test_a_narrowed_sweep_displaces_no_whole_one(fakes, small_spec, tmp_path):
     results = tmp_path / "results"
     for methods in ((), ("wasp",)):
-        run_sweep(read_sweep(small_spec, "wasp.tau_c=0.3,0.5", methods), results, RunOptions(jobs=0))
+        run_sweep(
+            read_sweep(small_spec, "wasp.tau_c=0.3,0.5", methods), results, RunOptions(jobs=0)
+        )
     whole = finished(results)
     for folder in (results / "runs").iterdir():
         os.utime(folder, (0, 0))  # or the runs of the values might still begin
@@ -100,7 +106,9 @@ def test_a_narrowed_sweep_displaces_no_whole_one(fakes, small_spec, tmp_path):
 
 
 def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_spec, tmp_path):
-    """As after an update: the plan's keys changed, but a kept artifact was computed from one of before."""
+    """As after an update: the plan's keys changed, but a kept artifact was computed from one of
+    before.
+    """
     results = tmp_path / "results"
     run(small_spec, results)
     layout = Layout(results)
@@ -117,7 +125,8 @@ def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes, small_
 
 def stop(process: Any) -> None:
     process.send_signal(signal.SIGSTOP)
-    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)  # a signal takes its time
+    # a signal takes its time
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
 
 
 def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_path):
@@ -128,14 +137,19 @@ def test_a_run_that_goes_on_loses_nothing(fakes, small_spec, other_spec, tmp_pat
     (journal,) = results.glob("runs/*/journal.jsonl")
     shared = keys_of(small_spec, results) & keys_of(other_spec, results)
     stop(process)  # or it could end before gc looks, and what it computed could go
-    while any(is_held(Layout(results).lock(key)) for key in shared):  # stopped there, it would keep the other run waiting for ever
+    # stopped there, it would keep the other run waiting for ever
+    while any(is_held(Layout(results).lock(key)) for key in shared):
         process.send_signal(signal.SIGCONT)
         time.sleep(0.05)
         stop(process)
     fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
-    while looked < 4 and process.poll() is None and read_json_lines(journal)[-1]["event"] != "run ended":
+    while (
+        looked < 4
+        and process.poll() is None
+        and read_json_lines(journal)[-1]["event"] != "run ended"
+    ):
         before = finished(results)
         collect(results, "--yes", "--runs")
         assert before <= finished(results)
@@ -156,7 +170,10 @@ def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, results, t
     journal = layout.run(run_id) / "journal.jsonl"
     events = [event for event in read_json_lines(journal) if event["event"] != "run ended"]
     write_record(layout.reporting(run_id), {"host": "elsewhere"})  # its report was to follow
-    for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
+    for facts, stays in (
+        (process(os.getpid()), True),
+        ({**process(os.getpid()), "boot": "another"}, False),
+    ):
         events[0] |= {**facts, "locked": False}
         journal.write_text("".join(json.dumps(event) + "\n" for event in events))
         collect(results, "--yes")
@@ -166,7 +183,11 @@ def test_a_run_that_died_holds_nothing(fakes, small_spec, other_spec, results, t
 def test_what_is_being_computed_stays(fakes, small_spec, other_spec, results, tmp_path):
     """By a run that this machine cannot see: its locks tell."""
     layout = Layout(results)
-    evaluation = next(path for path in sorted(results.glob("store/evaluate/*")) if path.name not in keys_of(other_spec, results))
+    evaluation = next(
+        path
+        for path in sorted(results.glob("store/evaluate/*"))
+        if path.name not in keys_of(other_spec, results)
+    )
     reads = set(json.loads((evaluation / "_manifest.json").read_text())["upstream"].values())
     with held(layout.lock(evaluation.name), lambda: None):
         collect(results, "--yes")
@@ -214,9 +235,15 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, 
     run_id = run_ids(layout)[-1]
     before, plan = finished(results), layout.run(run_id) / "plan.json"
     whole = json.loads(plan.read_text())
-    for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
+    for text in (
+        "{",
+        json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]}),
+    ):
         plan.write_text(text)
-        assert "what it needs is unknown" in run_here("gc", results, "--yes", columns=80, code=1).stderr
+        assert (
+            "what it needs is unknown"
+            in run_here("gc", results, "--yes", columns=80, code=1).stderr
+        )
     plan.unlink()
     assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
     assert finished(results) == before
@@ -228,7 +255,9 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes, small_spec, other_spec, 
     assert finished(results) == keys_of(other_spec, results)
 
 
-def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fakes, small_spec, other_spec, results, tmp_path):
+def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
+    fakes, small_spec, other_spec, results, tmp_path
+):
     layout = Layout(results)
     shown = unreached(layout, set(), runs=False, before=None)
     fakes.set(free=len(fakes.executions()))  # it waits at its first node
@@ -243,13 +272,21 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(fak
         process.communicate(timeout=600)
 
 
-def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_spec, results, tmp_path, monkeypatch):
+def test_a_removal_that_is_killed_leaves_nothing_half(
+    fakes, small_spec, other_spec, results, tmp_path, monkeypatch
+):
     layout = Layout(results)
     whole = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
     with monkeypatch.context() as patch:
         patch.setattr(reach, "discard", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
-            remove_unreached(layout, set(), unreached(layout, set(), runs=False, before=None), runs=False, before=None)
+            remove_unreached(
+                layout,
+                set(),
+                unreached(layout, set(), runs=False, before=None),
+                runs=False,
+                before=None,
+            )
     left = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
     assert len(left) == len(whole) - 1
     assert left.items() <= whole.items()
@@ -257,7 +294,8 @@ def test_a_removal_that_is_killed_leaves_nothing_half(fakes, small_spec, other_s
     assert not list(layout.tmp.iterdir())
 
 
-# `wasp publish --archive`: a folder for an archive, whose sums hold, and from which rows are read again.
+# `wasp publish --archive`: a folder for an archive, whose sums hold, and from which rows are read
+# again.
 
 
 PUBLISHED = Path(__file__).parents[2] / "results" / "published"
@@ -273,9 +311,12 @@ def target(tmp_path):
     return Layout(tmp_path / "published")
 
 
-def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(target, tmp_path, monkeypatch):
+def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(
+    target, tmp_path, monkeypatch
+):
     (tmp_path / "LICENSE").write_text("of another package")
-    monkeypatch.setattr(publish, "__file__", str(tmp_path / "wasp_cli/run/publish.py"))  # as in a folder of installed packages
+    # as in a folder of installed packages
+    monkeypatch.setattr(publish, "__file__", str(tmp_path / "wasp_cli/run/publish.py"))
     file = tmp_path / "mine-1.0.tar.gz"
     count = write_archive(target, "mine", file)
     with tarfile.open(file) as archive:
@@ -283,7 +324,9 @@ def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(
         archive.extractall(tmp_path / "unpacked", filter="data")
     root = tmp_path / "unpacked/mine-1.0"
     lines = (root / "SHA256SUMS").read_text().splitlines()
-    assert {line.split("  ")[1] for line in lines} | {"SHA256SUMS"} == {str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()}
+    assert {line.split("  ")[1] for line in lines} | {"SHA256SUMS"} == {
+        str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()
+    }
     for line in lines:
         digest, name = line.split("  ")
         assert hashlib.sha256((root / name).read_bytes()).hexdigest() == digest
@@ -296,7 +339,9 @@ def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(
     assert open_results(root).episodes().num_rows == 30
 
 
-def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten_or_cut_off(target, tmp_path, monkeypatch):
+def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten_or_cut_off(
+    target, tmp_path, monkeypatch
+):
     first, second = tmp_path / "a/mine.tar.gz", tmp_path / "b/mine.tar.gz"
     for file in (first, second):
         file.parent.mkdir()
@@ -313,20 +358,37 @@ def test_the_same_folder_gives_the_same_bytes_and_nothing_is_overwritten_or_cut_
     assert not (tmp_path / "c.tar.gz").exists()
 
 
-# `wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what somebody noted.
+# `wasp gc` and what nobody can compute again: what a person drove, what was fitted to it, and what
+# somebody noted.
 
 
 LONG_AGO = time.time() - 7200
-MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED, UNWANTED = range(1, 12)
+MODEL, ALONE, OTHER, CLONE, CLONED, BRANCHES, NEWEST, BEGUN, BEGUN_MODEL, NOTED, UNWANTED = range(
+    1, 12
+)
 
 
-def stored(layout: Layout, kind: str, number: int, reads: int | None = None, variant: str = "noisy", *, session: bool = False) -> Path:
+def stored(
+    layout: Layout,
+    kind: str,
+    number: int,
+    reads: int | None = None,
+    variant: str = "noisy",
+    *,
+    session: bool = False,
+) -> Path:
     staging = staging_folder(layout, key(number))
     (staging / "rows").write_bytes(b"rows")
     if session:
         write_record(staging / SESSION_FILE, {"number": 1})
     upstream = {} if reads is None else {"read": key(reads)}
-    manifest = {"kind": kind, "key": key(number), "label": f"n{number}", "axes": {"operator": variant}, "upstream": upstream}
+    manifest = {
+        "kind": kind,
+        "key": key(number),
+        "label": f"n{number}",
+        "axes": {"operator": variant},
+        "upstream": upstream,
+    }
     return commit(layout, kind, key(number), staging, manifest)
 
 
@@ -378,5 +440,8 @@ def test_what_a_note_is_about_stays(layout):
     assert left(layout) == {MODEL, NOTED}
     (layout.root / "notes.jsonl").unlink()
     (layout.root / "notes.jsonl").mkdir()
-    assert "the notes cannot be read" in run_here("gc", layout.root, "--yes", columns=80, code=1).stderr
+    assert (
+        "the notes cannot be read"
+        in run_here("gc", layout.root, "--yes", columns=80, code=1).stderr
+    )
     assert left(layout) == {MODEL, NOTED}

@@ -1,4 +1,6 @@
-"""Packs of small artifacts: the same files again, by several processes at once, and an error of a pack that is not ours."""
+"""Packs of small artifacts: the same files again, by several processes at once, and an error of
+a pack that is not ours.
+"""
 
 import io
 import lzma
@@ -21,7 +23,11 @@ SHIPPED = Path(__file__).parents[2] / "results" / "published"
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in (folder / "store").rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in (folder / "store").rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.fixture
@@ -66,7 +72,8 @@ def test_a_clone_has_the_same_files(root, tmp_path):
 
 def test_several_processes_unpack_at_once_and_one_that_was_killed_is_gone_on_with(root, tmp_path):
     clone = cloned(root, tmp_path / "clone")
-    shutil.copytree(root / "store/evaluate/bb", clone / "store/evaluate/bb")  # as far as it had come
+    # as far as it had come
+    shutil.copytree(root / "store/evaluate/bb", clone / "store/evaluate/bb")
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(unpack, [clone] * 40))
     assert files(clone) == files(root)
@@ -74,12 +81,22 @@ def test_several_processes_unpack_at_once_and_one_that_was_killed_is_gone_on_wit
 
 
 @pytest.mark.parametrize(
-    "member", ["evaluate/aa", "../aa/rows", "evaluate/../../rows", "/evaluate/aa/rows", "critics/aa/rows", "evaluate//rows"]
+    "member",
+    [
+        "evaluate/aa",
+        "../aa/rows",
+        "evaluate/../../rows",
+        "/evaluate/aa/rows",
+        "critics/aa/rows",
+        "evaluate//rows",
+    ],
 )
 def test_a_pack_with_anything_but_files_of_artifacts_is_refused(tmp_path, member):
     (tmp_path / "packs").mkdir()
     (tmp_path / "packs/mine.tar.xz").write_bytes(lzma.compress(tar_of({member: b"bad"})))
-    with pytest.raises(ArtifactError, match=r"mine\.tar\.xz' is damaged: .*is no file of an artifact"):
+    with pytest.raises(
+        ArtifactError, match=r"mine\.tar\.xz' is damaged: .*is no file of an artifact"
+    ):
         Layout(tmp_path)
     assert not (tmp_path / "store").exists()
 
@@ -88,7 +105,9 @@ def test_a_pack_with_anything_but_files_of_artifacts_is_refused(tmp_path, member
 def test_a_pack_that_was_cut_or_is_none_is_damaged(root, cut):
     pack = next((root / "packs").glob("[!.]*"))
     (root / "packs" / f".{pack.name}").unlink()
-    pack.write_bytes(pack.read_bytes()[:cut] if cut else b"version https://git-lfs.github.com/spec/v1\n")
+    pack.write_bytes(
+        pack.read_bytes()[:cut] if cut else b"version https://git-lfs.github.com/spec/v1\n"
+    )
     with pytest.raises(ArtifactError, match="is damaged"):
         unpack(root)
 
@@ -149,7 +168,9 @@ def test_a_full_disk_is_told(root, monkeypatch):
         unpack(root)
 
 
-def test_what_is_published_goes_into_a_pack_of_its_own_and_a_clone_computes_nothing(here, computed, small_spec, tmp_path):
+def test_what_is_published_goes_into_a_pack_of_its_own_and_a_clone_computes_nothing(
+    here, computed, small_spec, tmp_path
+):
     layer = here / "published"
     (layer / "packs").mkdir()
     shutil.rmtree(layer / "store")
@@ -163,6 +184,10 @@ def test_what_is_published_goes_into_a_pack_of_its_own_and_a_clone_computes_noth
 
 
 def test_everything_that_git_leaves_to_packs_is_in_one():
-    assert write_pack(SHIPPED, "forgotten") is None, "wasp publish packs what it adds; commit the pack"
+    assert write_pack(SHIPPED, "forgotten") is None, (
+        "wasp publish packs what it adds; commit the pack"
+    )
     ignored = (SHIPPED.parents[1] / ".gitignore").read_text().splitlines()
-    assert {line.split("/")[-2] for line in ignored if line.startswith("results/published/store/")} == set(KINDS)
+    assert {
+        line.split("/")[-2] for line in ignored if line.startswith("results/published/store/")
+    } == set(KINDS)

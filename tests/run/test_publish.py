@@ -1,4 +1,6 @@
-"""`wasp publish` over fake stages: what it copies, what it refuses, and that nothing of a machine goes along."""
+"""`wasp publish` over fake stages: what it copies, what it refuses, and that nothing of a
+machine goes along.
+"""
 
 import json
 import math
@@ -56,7 +58,11 @@ def publish(spec: Path, results: Path, *options: str | Path, code: int = 0) -> s
 
 
 def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
-    return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes())
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_everything_small_is_published_and_nothing_else_is_written(results, small_spec):
@@ -80,15 +86,27 @@ def test_everything_small_is_published_and_nothing_else_is_written(results, smal
 
 def test_manifests_say_where_results_came_from_and_name_nobody(results, finished, small_spec):
     for path in results.glob("store/evaluate/*/_manifest.json"):
-        path.write_text(path.read_text().replace('"provenance": {', '"provenance": {"cuda": ["a GPU"],'))
+        path.write_text(
+            path.read_text().replace('"provenance": {', '"provenance": {"cuda": ["a GPU"],')
+        )
     publish(small_spec, results)
     layout, layer = Layout(results), Layout(results / "published")
     for path in layer.store.glob("*/*"):
-        ours, theirs = (read_manifest(each, path.parent.name, path.name) for each in (layout, layer))
+        ours, theirs = (
+            read_manifest(each, path.parent.name, path.name) for each in (layout, layer)
+        )
         assert ours["provenance"]["host"] == HOST
         assert set(theirs["provenance"]) == set(ours["provenance"]) & set(PUBLIC)
-        assert all(theirs["provenance"].get(name) == ours["provenance"].get(name) for name in ("git", "cuda"))
-        assert {**theirs, "provenance": 0} == {**ours, "provenance": 0, "recipe": theirs["recipe"], "behind": theirs["behind"]}
+        assert all(
+            theirs["provenance"].get(name) == ours["provenance"].get(name)
+            for name in ("git", "cuda")
+        )
+        assert {**theirs, "provenance": 0} == {
+            **ours,
+            "provenance": 0,
+            "recipe": theirs["recipe"],
+            "behind": theirs["behind"],
+        }
         assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
         text = (path / "_manifest.json").read_text()
         assert not any(name in text for name in (HOST, str(results), str(finished)))
@@ -101,7 +119,9 @@ def test_a_report_of_other_cells_is_left_out(results, small_spec):
     assert not (results / "published/reports").exists()
 
 
-def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_has_written_its_own(results, small_spec):
+def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_has_written_its_own(
+    results, small_spec
+):
     layout, whole = Layout(results), load(small_spec)
     run_id = new_run(layout, whole, plan_against(lay_out(whole.spec), layout), reports=True)
     for record, there in ((this_process(), True), (process(dead_pid()), False)):
@@ -111,10 +131,14 @@ def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_h
         assert layout.reporting(run_id).exists() == there
 
 
-def test_where_it_may_not_write_nothing_is_published_and_nothing_said(results, small_spec, tmp_path):
+def test_where_it_may_not_write_nothing_is_published_and_nothing_said(
+    results, small_spec, tmp_path
+):
     shutil.rmtree(results / "reports")
     assert "published in" not in publish(small_spec, results, "--largest", "0")
-    assert "is no folder of published results" in publish(small_spec, results, "--to", results, code=2)
+    assert "is no folder of published results" in publish(
+        small_spec, results, "--to", results, code=2
+    )
     (tmp_path / "elsewhere").mkdir()
     (results / "published").symlink_to(tmp_path / "elsewhere")
     publish(small_spec, results, code=1)
@@ -131,16 +155,28 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results, small_spec):
     layer = Layout(results / "published")
     for path in (first, second, third):
         assert corruption(layer, "evaluate", path.name) is None
-        assert {each.name for each in path.iterdir()} == {each.name for each in (results / "store/evaluate" / path.name).iterdir()}
+        assert {each.name for each in path.iterdir()} == {
+            each.name for each in (results / "store/evaluate" / path.name).iterdir()
+        }
     assert not layer.tmp.exists()
 
 
 def test_a_copy_with_fewer_steps_stays_and_is_told(results, small_spec):
     publish(small_spec, results)
     manifest = sorted((results / "published/store").glob("evaluate/*/_manifest.json"))[0]
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "slim": {"_steps.pq": {"left_out": "all but the first"}}}))
+    manifest.write_text(
+        json.dumps(
+            {
+                **json.loads(manifest.read_text()),
+                "slim": {"_steps.pq": {"left_out": "all but the first"}},
+            }
+        )
+    )
     for options, told in ((), True), (("--steps", "2"), True), (("--steps", "1"), False):
-        assert ("1 of the cells there have fewer steps and stay as they are" in publish(small_spec, results, *options)) == told
+        assert (
+            "1 of the cells there have fewer steps and stay as they are"
+            in publish(small_spec, results, *options)
+        ) == told
 
 
 @pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])
@@ -150,7 +186,9 @@ def test_what_is_not_there_or_not_whole_is_refused(harm, results, small_spec):
     if harm == "gone":
         shutil.rmtree(victim)
     else:
-        (victim / "data.bin").write_bytes(b"" if harm == "other size" else bytes((victim / "data.bin").stat().st_size))
+        (victim / "data.bin").write_bytes(
+            b"" if harm == "other size" else bytes((victim / "data.bin").stat().st_size)
+        )
     told = publish(small_spec, results, code=1)
     assert "1 results cannot be published" in told
     assert label in told
@@ -170,7 +208,10 @@ def test_what_names_this_machine_is_refused(private, place, results, small_spec)
         victim = sorted(results.glob("store/expert/*"))[0]
         (victim / "half.bin").write_bytes(f"see {text}".encode())
         manifest = json.loads((victim / "_manifest.json").read_text())
-        manifest["files"]["half.bin"] = {"size": (victim / "half.bin").stat().st_size, "sha256": file_digest(victim / "half.bin")}
+        manifest["files"]["half.bin"] = {
+            "size": (victim / "half.bin").stat().st_size,
+            "sha256": file_digest(victim / "half.bin"),
+        }
         (victim / "_manifest.json").write_text(json.dumps(manifest))
     told = publish(small_spec, results, code=1)
     assert "it names " + {"host": "this machine"}.get(private, "the results folder") in told
@@ -188,7 +229,10 @@ def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path
     spec, layout, target = load(small_spec).spec, Layout(results), Layout(tmp_path / "layer")
     found = publish_module.publication(spec, layout, target, [], math.inf, "none")
     waits = threading.Event()
-    real, second = publish_module.copy_files, threading.Thread(target=carry_publication, args=(found, spec, layout, target, Slimming()))
+    real, second = (
+        publish_module.copy_files,
+        threading.Thread(target=carry_publication, args=(found, spec, layout, target, Slimming())),
+    )
 
     def copied(*arguments: Any) -> Any:
         made = real(*arguments)
@@ -199,13 +243,17 @@ def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path
         return made
 
     monkeypatch.setattr(publish_module, "copy_files", copied)
-    monkeypatch.setattr(publish_module, "waiting_aloud", lambda text: lambda: waits.set() or True, raising=False)
+    monkeypatch.setattr(
+        publish_module, "waiting_aloud", lambda text: lambda: waits.set() or True, raising=False
+    )
     carry_publication(found, spec, layout, target, Slimming())
     second.join(300)
     assert keys(target.root) == keys(results)
     for path in target.store.glob("*/*"):
         assert corruption(target, path.parent.name, path.name) is None
-        assert {each.name for each in path.iterdir()} == {each.name for each in (layout.store / path.relative_to(target.store)).iterdir()}
+        assert {each.name for each in path.iterdir()} == {
+            each.name for each in (layout.store / path.relative_to(target.store)).iterdir()
+        }
     assert {path.name for path in target.root.iterdir()} == {"store", "reports"}
 
 
@@ -225,13 +273,22 @@ def test_what_was_reused_is_published_only_on_demand(results, small_spec, fakes,
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", results, columns=200, code=2)
     assert "is no folder of published results" in done.stderr
     shutil.copytree(results / "published", fresh / "published")
-    assert "published with this code" in run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200).output
+    assert (
+        "published with this code"
+        in run_here(
+            "plan", small_spec, "--results", fresh, "--reuse", "published", columns=200
+        ).output
+    )
     run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
     before = tree(fresh / "published")
     told = publish(small_spec, fresh, "--reuse", "published")
     assert tree(fresh / "published") == before
     assert "nodes that were not computed, since nothing needs them: expert, " in told
-    # Somewhere else, what stands behind it would be missing only because nobody asked for it; what is there goes along as it was.
+    # Somewhere else, what stands behind it would be missing only because nobody asked for it; what
+    # is there goes along as it was.
     publish(small_spec, fresh, "--reuse", "published", "--to", tmp_path / "third")
     for path in (tmp_path / "third").glob("store/*/*/_manifest.json"):
-        assert path.read_bytes() == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
+        assert (
+            path.read_bytes()
+            == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
+        )

@@ -38,13 +38,24 @@ def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):
 
 
 def test_weights_that_were_rounded_after_their_cells_are_not_used(here, small_spec):
-    """As before weights were rounded at the end of training: cells computed with them would have other rows under the same keys."""
+    """As before weights were rounded at the end of training: cells computed with them would
+    have other rows under the same keys.
+    """
     path = published_manifest(here, "goal1 s0 world_model")
-    rewrite(path, lambda manifest: manifest.update(slim={"data.bin": {"left_out": "weights in half precision"}}))
+    rewrite(
+        path,
+        lambda manifest: manifest.update(
+            slim={"data.bin": {"left_out": "weights in half precision"}}
+        ),
+    )
     before = plan(small_spec, here)
     (note,) = before.grid.notes
     assert "has other weights than its cells were computed with" in note
-    assert not [step for step in before.steps if step.node.key == path.parent.name and step.state == "published"]
+    assert not [
+        step
+        for step in before.steps
+        if step.node.key == path.parent.name and step.state == "published"
+    ]
 
 
 def test_what_breaks_in_the_store_is_brought_in_again(here, fakes, small_spec, moved):
@@ -53,7 +64,9 @@ def test_what_breaks_in_the_store_is_brought_in_again(here, fakes, small_spec, m
     (here / "store/evaluate").rename(here / "gone")
     broken = next((here / "store/diagnostics").glob("*/data.bin"))
     broken.write_bytes(b"")
-    assert {step.node.kind for step in plan(small_spec, here).steps if step.state == "published"} == {"evaluate", "diagnostics"}
+    assert {
+        step.node.kind for step in plan(small_spec, here).steps if step.state == "published"
+    } == {"evaluate", "diagnostics"}
     run(small_spec, here)
     assert not fakes.executions()
     assert broken.stat().st_size
@@ -112,18 +125,37 @@ def test_untrusted_results_can_make_us_compute_and_no_more(harm, here, fakes, sm
     assert any(" evaluate human " in line and " s1 " in line for line in fakes.executions())
     assert (here / "secret.bin").read_bytes() == secret
     assert {item.name for item in here.iterdir()} <= {
-        "secret.bin", "away", "published", "store", "tmp", "runs", "failures", "work", "locks", "index.json",
-    }  # fmt: skip
+        "secret.bin",
+        "away",
+        "published",
+        "store",
+        "tmp",
+        "runs",
+        "failures",
+        "work",
+        "locks",
+        "index.json",
+    }
 
 
 def test_a_process_reads_a_manifest_once_and_again_when_it_changes(here, small_spec, monkeypatch):
     source, reads, read = Layout(here / "published"), [], artifact.read_manifest
     (first, *_), _ = offers(source)
-    monkeypatch.setattr(artifact, "read_manifest", lambda *asked: reads.append(asked) or read(*asked))
-    rewrite(source.manifest(first.kind, first.key), lambda manifest: manifest["provenance"].update(started_at="2001-01-01"))
-    assert ("2001-01-01" in {each.started_at for each in offers(source)[0]}, len(reads)) == (True, 1)
+    monkeypatch.setattr(
+        artifact, "read_manifest", lambda *asked: reads.append(asked) or read(*asked)
+    )
+    rewrite(
+        source.manifest(first.kind, first.key),
+        lambda manifest: manifest["provenance"].update(started_at="2001-01-01"),
+    )
+    assert ("2001-01-01" in {each.started_at for each in offers(source)[0]}, len(reads)) == (
+        True,
+        1,
+    )
     source.manifest(first.kind, first.key).write_text("{}")
-    assert lay_out_over(load(small_spec).spec, Layout(here), str(source.root)).reused, "one that is damaged makes no other folder of it"
+    assert lay_out_over(load(small_spec).spec, Layout(here), str(source.root)).reused, (
+        "one that is damaged makes no other folder of it"
+    )
 
 
 def test_two_artifacts_of_one_key_take_nobodys_place(here, fakes, small_spec):
@@ -141,18 +173,27 @@ def test_two_artifacts_of_one_key_take_nobodys_place(here, fakes, small_spec):
     assert len({step.node.key for step in found.steps}) == len(lay_out(load(small_spec).spec).nodes)
 
 
-def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(here, fakes, small_spec, moved):
+def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
+    here, fakes, small_spec, moved
+):
     moved(COMMON)
     for number, kind in enumerate(("world_model", "policies")):
         for path in here.glob(f"published/store/{kind}/*/_manifest.json"):
-            rewrite(path, lambda manifest, number=number: manifest["behind"].update({"f" * 20: f"{number}" * 20}))
+            rewrite(
+                path,
+                lambda manifest, number=number: manifest["behind"].update(
+                    {"f" * 20: f"{number}" * 20}
+                ),
+            )
     done = run(small_spec, here, MORE)
     assert done.summary.complete
     assert kinds(fakes.executions())["world_model"] == 2
 
 
 def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, small_spec):
-    offer = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())).offer
+    offer = next(
+        iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())
+    ).offer
     (offer.source.artifact(offer.kind, offer.key) / "data.bin").write_bytes(b"something else")
     with pytest.raises(ArtifactError, match="has other bytes than"):
         import_artifact(Layout(here), offer, lambda: False)
@@ -163,9 +204,15 @@ def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, sma
 def test_a_published_cell_whose_table_does_not_read_is_refused_in_words(here, small_spec):
     table = published_manifest(here, "goal1 s0 human noisy=0.2").with_name("episodes.parquet")
     table.write_bytes(b"no table")
-    offer = next(offer for offer in offers(Layout(here / "published"))[0] if offer.key == table.parent.name)
+    offer = next(
+        offer for offer in offers(Layout(here / "published"))[0] if offer.key == table.parent.name
+    )
     files = {table.name: {"size": 8, "sha256": file_digest(table)}}
-    cut = replace(offer, episodes=1, manifest={**offer.manifest, "files": files, "provenance": {"earlier": offer.key}})
+    cut = replace(
+        offer,
+        episodes=1,
+        manifest={**offer.manifest, "files": files, "provenance": {"earlier": offer.key}},
+    )
     with pytest.raises(ArtifactError, match="does not read") as caught:
         import_artifact(Layout(here), cut, lambda: False)
     assert caught.value.hint == "run with --reuse none"

@@ -42,11 +42,17 @@ def test_a_run_computes_every_node_once_and_a_second_run_none(fakes, small_spec,
     _, _, plan = prepared(small_spec, results)
     summary = run(small_spec, results)
     assert summary.complete
-    assert summary.done == len(plan.steps) == len(fakes.executions()) == len(set(fakes.executions()))
+    assert (
+        summary.done == len(plan.steps) == len(fakes.executions()) == len(set(fakes.executions()))
+    )
     _, _, again = prepared(small_spec, results)
     assert again.count("cached") == len(again.steps)
     (folder,) = (results / "runs").iterdir()
-    assert not [left for place in (results / "tmp", results / "work", folder / "running") for left in place.iterdir()]
+    assert not [
+        left
+        for place in (results / "tmp", results / "work", folder / "running")
+        for left in place.iterdir()
+    ]
     assert run(small_spec, results).done == 0
 
 
@@ -61,8 +67,10 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes, small_spec, 
     assert "Traceback" in Path(result.log).read_text(encoding="utf-8")
     _, layout, plan = prepared(small_spec, results)
     assert {(step.state, step.node.kind) for step in plan.steps if step.state != "cached"} == {
-        ("failed", "ida_q"), ("missing", "calibration"), ("missing", "evaluate"),
-    }  # fmt: skip
+        ("failed", "ida_q"),
+        ("missing", "calibration"),
+        ("missing", "evaluate"),
+    }
     fakes.set()
     repaired = run(small_spec, results)
     assert repaired.complete
@@ -83,14 +91,30 @@ def test_a_node_whose_lock_cannot_be_taken_is_on_record_as_failed(fakes, small_s
 
 def test_the_manifest_tells_what_where_and_how(fakes, small_spec, layout, monkeypatch):
     # The run begins on another machine than a node is computed on, as with Slurm.
-    monkeypatch.setattr("wasp_cli.run.runner.provenance", lambda: provenance() | machine() | {"processor": "another", "host": "another"})
+    monkeypatch.setattr(
+        "wasp_cli.run.runner.provenance",
+        lambda: provenance() | machine() | {"processor": "another", "host": "another"},
+    )
     run(small_spec, layout.root)
-    (path,) = [path for path in layout.store.glob("critics/*/_manifest.json") if json.loads(path.read_text())["seed"] == 1]
+    (path,) = [
+        path
+        for path in layout.store.glob("critics/*/_manifest.json")
+        if json.loads(path.read_text())["seed"] == 1
+    ]
     manifest = json.loads(path.read_text(encoding="utf-8"))
     assert manifest["key"] == path.parent.name
     assert manifest["label"] == "goal1 s1 critics"
-    assert manifest["upstream"].keys() == {"dataset", "world_model", "latents", "policies", "heldout"}
-    assert manifest["settings"] == {"action_repeat": 4, "returns": {"gamma_r": 0.99, "gamma_c": 0.95, "lam": 0.95}}
+    assert manifest["upstream"].keys() == {
+        "dataset",
+        "world_model",
+        "latents",
+        "policies",
+        "heldout",
+    }
+    assert manifest["settings"] == {
+        "action_repeat": 4,
+        "returns": {"gamma_r": 0.99, "gamma_c": 0.95, "lam": 0.95},
+    }
     assert manifest["summary"]["nothing"] is None
     assert manifest["provenance"]["attempt"] == 1
     assert manifest["provenance"]["versions"]["torch"]
@@ -107,8 +131,17 @@ def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, layout):
     assert not damaged
     assert list(runs) == ["small"]
     events = read_json_lines(layout.run(runs["small"]) / "journal.jsonl")
-    counts = {name: sum(event["event"] == name for event in events) for name in ("done", "failed", "blocked", "run started", "run ended")}
-    assert counts == {"done": summary.done, "failed": 1, "blocked": len(summary.blocked), "run started": 1, "run ended": 1}
+    counts = {
+        name: sum(event["event"] == name for event in events)
+        for name in ("done", "failed", "blocked", "run started", "run ended")
+    }
+    assert counts == {
+        "done": summary.done,
+        "failed": 1,
+        "blocked": len(summary.blocked),
+        "run started": 1,
+        "run ended": 1,
+    }
     recorded = read_run(layout, runs["small"])
     loaded, _, plan = prepared(small_spec, layout.root)
     assert recorded.spec == loaded.spec
@@ -129,8 +162,12 @@ def test_workers_give_the_same_bytes_as_this_process(fakes, small_spec, tmp_path
     assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
 
 
-def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes, small_spec, tmp_path):
-    """The other one goes on until no worker has anything to do: meanwhile everything is done that does not need it."""
+def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(
+    fakes, small_spec, tmp_path
+):
+    """The other one goes on until no worker has anything to do: meanwhile everything is done
+    that does not need it.
+    """
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     first, run_id, started = plan.to_run()[0], new_run(layout, loaded, plan), threading.Event()
     runner = Runner(layout, run_id, InlinePool())
@@ -138,7 +175,9 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     def other() -> None:
         with held(layout.lock(first.key), lambda: True):
             started.set()
-            wait_until(lambda: '"waiting"' in layout.journal(run_id).read_text(encoding="utf-8"), 60.0)
+            wait_until(
+                lambda: '"waiting"' in layout.journal(run_id).read_text(encoding="utf-8"), 60.0
+            )
 
     thread = threading.Thread(target=other)
     thread.start()
@@ -148,7 +187,9 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     assert summary.complete
     needing = {first.key}
     for node in plan.to_run():  # needed ones first
-        needing |= {node.key} if any(needed.key in needing for needed in node.needs.values()) else set()
+        needing |= (
+            {node.key} if any(needed.key in needing for needed in node.needs.values()) else set()
+        )
     others = [node.label for node in plan.to_run() if node.key not in needing]
     assert others, "there is nothing else to do"
     ran = [line.split()[:3] for line in fakes.executions()]
@@ -157,7 +198,9 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
 
 
 class Dying(InlinePool):
-    """Its first nodes die: here while they run, elsewhere before they begin. `most` says how many ran alone at once."""
+    """Its first nodes die: here while they run, elsewhere before they begin. `most` says how
+    many ran alone at once.
+    """
 
     jobs = 2
 
@@ -185,28 +228,39 @@ class Dying(InlinePool):
         return result
 
 
-def test_what_ran_when_a_worker_was_killed_runs_again_with_nothing_beside_it(fakes, small_spec, tmp_path):
+def test_what_ran_when_a_worker_was_killed_runs_again_with_nothing_beside_it(
+    fakes, small_spec, tmp_path
+):
     pool = Dying(local=True, deaths=2)
     assert run(small_spec, tmp_path / "results", pool).complete
     assert (len(pool.single), pool.most) == (2, 1)
 
 
-def test_workers_elsewhere_that_cannot_begin_are_asked_twice_and_say_why(fakes, small_spec, tmp_path):
+def test_workers_elsewhere_that_cannot_begin_are_asked_twice_and_say_why(
+    fakes, small_spec, tmp_path
+):
     pool = Dying(local=False, deaths=99)
     failed = run(small_spec, tmp_path / "results", pool).failed
     assert pool.asked == ["expert"] * 4
-    assert {result.message for _, result in failed} == {"its process ended twice: ModuleNotFoundError"}
+    assert {result.message for _, result in failed} == {
+        "its process ended twice: ModuleNotFoundError"
+    }
 
 
-def test_nodes_elsewhere_have_one_thread_whatever_this_machine_has(fakes, small_spec, tmp_path, monkeypatch):
+def test_nodes_elsewhere_have_one_thread_whatever_this_machine_has(
+    fakes, small_spec, tmp_path, monkeypatch
+):
     monkeypatch.setattr("wasp_cli.run.session.cores", lambda: 64)
     monkeypatch.setattr("wasp_cli.run.session.pool_of", lambda *_: Dying(local=False, deaths=0))
     run_spec(load(small_spec, ["methods=[]"]), tmp_path / "results", RunOptions(jobs=2))
-    manifests = [json.loads(path.read_text()) for path in tmp_path.glob("results/store/*/*/_manifest.json")]
+    manifests = [
+        json.loads(path.read_text()) for path in tmp_path.glob("results/store/*/*/_manifest.json")
+    ]
     assert {manifest["provenance"]["threads"] for manifest in manifests} == {1}
 
 
-# One node in a worker, and worker processes under the signals that a terminal sends to the whole group.
+# One node in a worker, and worker processes under the signals that a terminal sends to the whole
+# group.
 
 
 @pytest.fixture
@@ -218,12 +272,16 @@ def job(fakes, small_spec, tmp_path) -> NodeJob:
 
 
 def test_what_c_libraries_print_goes_to_the_log(job, capfd, monkeypatch):
-    monkeypatch.setattr(Fake, "run", lambda self, job: {"written": os.write(1, b"one") + os.write(2, b"two")})
+    monkeypatch.setattr(
+        Fake, "run", lambda self, job: {"written": os.write(1, b"one") + os.write(2, b"two")}
+    )
     result = execute(job)
     assert result.summary == {"written": 6}
     begun, ended = Path(result.log).read_text(encoding="utf-8").splitlines()
     assert begun.startswith(f"{job.label}: begun 20")
-    assert ended.startswith(f"onetwo{job.label}: done in "), "a log says when the node began and ended, also where nothing is printed"
+    assert ended.startswith(f"onetwo{job.label}: done in "), (
+        "a log says when the node began and ended, also where nothing is printed"
+    )
     os.write(1, b"restored")
     assert capfd.readouterr() == ("restored", "")
 
@@ -259,7 +317,9 @@ def test_an_order_that_cannot_even_start_fails_without_raising(job, tmp_path):
 
 def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path):
     """A process can be killed between writing the next heartbeat and giving it its name."""
-    ours, partial, other = (tmp_path / name for name in ("f077.json", ".f077.json-8848987e", ".f078.json-8848987e"))
+    ours, partial, other = (
+        tmp_path / name for name in ("f077.json", ".f077.json-8848987e", ".f078.json-8848987e")
+    )
     for path in (ours, partial, other):
         path.write_text("{}", encoding="utf-8")
     forget(ours)
@@ -272,7 +332,9 @@ MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
     with signals_wait():
-        process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
     assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
     process.send_signal(signal.SIGINT)
     out, errors = process.communicate(timeout=600)
@@ -283,7 +345,9 @@ def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
 def test_a_worker_that_is_ready_has_no_signals_waiting():
     code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
     with signals_wait():
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True
+        )
     assert done.stdout.strip() == "[]"
 
 
@@ -307,11 +371,17 @@ def carried_out(loaded: Loaded, layout: Layout) -> dict[str, dict[str, Any]]:
     layout.prepare()
     plan = planned(loaded, layout)
     assert Runner(layout, new_run(layout, loaded, plan), InlinePool()).run(plan).complete
-    manifests = [json.loads(layout.manifest(node.kind, node.key).read_text()) for node in plan.to_run() if node.kind == "evaluate"]
+    manifests = [
+        json.loads(layout.manifest(node.kind, node.key).read_text())
+        for node in plan.to_run()
+        if node.kind == "evaluate"
+    ]
     return {manifest["label"]: manifest for manifest in manifests}
 
 
-def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(fakes, small_spec, layout):
+def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(
+    fakes, small_spec, layout
+):
     look, all_ = loaded_with(small_spec, 10), loaded_with(small_spec, None)
     first = carried_out(look, layout)
     assert {manifest["config"]["episodes"] for manifest in first.values()} == {10}
@@ -321,7 +391,8 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
     plan = planned(all_, layout)
     cells = {node.key for node in plan.to_run() if node.kind == "evaluate"}
     assert cells == plan.begun.keys()
-    assert {node.kind for node in plan.to_run()} <= {"evaluate", "counterfactual"}  # nothing is trained again
+    # nothing is trained again
+    assert {node.kind for node in plan.to_run()} <= {"evaluate", "counterfactual"}
     whole = carried_out(all_, layout)
     assert whole.keys() == first.keys()
     for label, manifest in whole.items():
@@ -330,7 +401,9 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
         assert manifest["provenance"]["earlier"] == first[label]["key"]
     again = planned(all_, layout)
     assert again.to_run() == []
-    assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), "a part of a cell was taken for its time"
+    assert again.seconds.keys().isdisjoint(node.sort for _, node in again.grid.cells), (
+        "a part of a cell was taken for its time"
+    )
 
 
 @pytest.mark.parametrize(
@@ -342,26 +415,36 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(f
         ("wasp.candidates=9", METHODS - {"wasp"}),
     ],
 )
-def test_a_cell_that_differs_in_anything_else_is_no_beginning(setting, methods, fakes, small_spec, layout):
+def test_a_cell_that_differs_in_anything_else_is_no_beginning(
+    setting, methods, fakes, small_spec, layout
+):
     carried_out(loaded_with(small_spec, 10), layout)
     plan = planned(loaded_with(small_spec, None, setting), layout)
     assert {node.axes["method"] for node in plan.to_run() if node.key in plan.begun} == methods
 
 
-# What the surroundings of a run can do to it: folders that cannot be read, readers that go away, plugins that break.
+# What the surroundings of a run can do to it: folders that cannot be read, readers that go away,
+# plugins that break.
 
 
 def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="file name too long"):
         results_of(tmp_path / ("x" * 300))
-    monkeypatch.setattr("wasp_cli.plan.recorded.os.scandir", Mock(side_effect=PermissionError(13, "Permission denied")))
+    monkeypatch.setattr(
+        "wasp_cli.plan.recorded.os.scandir",
+        Mock(side_effect=PermissionError(13, "Permission denied")),
+    )
     with pytest.raises(StoreError, match="permission denied"):
         results_of(tmp_path)
 
 
-def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(small_spec, tmp_path, monkeypatch):
+def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(
+    small_spec, tmp_path, monkeypatch
+):
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    monkeypatch.setattr("wasp_cli.run.record.write_record", Mock(side_effect=OSError(28, "No space left on device")))
+    monkeypatch.setattr(
+        "wasp_cli.run.record.write_record", Mock(side_effect=OSError(28, "No space left on device"))
+    )
     with pytest.raises(StoreError, match="no space left on device"):
         new_run(layout, loaded, plan)
     assert not [*layout.runs.glob("*")]
@@ -369,20 +452,43 @@ def test_a_run_that_a_full_disk_ends_before_it_begins_leaves_nothing(small_spec,
 
 def test_changed_source_explains_a_failure(fakes, job):
     fakes.set(behave={"goal1": "raise"})
-    result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
+    result = execute(
+        replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False
+    )
     assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
     fakes.set(behave={"goal1": "refuse"})
-    result = execute(replace(job, sources={**job.sources, "not_on_this_machine": "0" * 12}), own_process=False)
-    assert result.message == "the loss is not finite", "an error that says what to do about an absent module stands"
+    result = execute(
+        replace(job, sources={**job.sources, "not_on_this_machine": "0" * 12}), own_process=False
+    )
+    assert result.message == "the loss is not finite", (
+        "an error that says what to do about an absent module stands"
+    )
 
 
 def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(fakes, small_spec, tmp_path):
     fakes.set(behave={"s1 critics": "refuse"})
     reader, writer = os.pipe()
     os.close(reader)
-    command = [sys.executable, "tests/run/fake_wasp.py", "run", small_spec, "--results", tmp_path / "results", "-j", "0"]
-    done = subprocess.run(command, cwd=ROOT, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
+    command = [
+        sys.executable,
+        "tests/run/fake_wasp.py",
+        "run",
+        small_spec,
+        "--results",
+        tmp_path / "results",
+        "-j",
+        "0",
+    ]
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=600,
+        check=False,
+    )
     os.close(writer)
     assert done.returncode == 1
     assert "1 failed:" in done.stderr

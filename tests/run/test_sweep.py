@@ -1,4 +1,6 @@
-"""A sweep over fake stages: what its values share is computed once, and what fails takes no other value along."""
+"""A sweep over fake stages: what its values share is computed once, and what fails takes no
+other value along.
+"""
 
 from pathlib import Path
 
@@ -17,7 +19,13 @@ from wasp_cli.store.find import find_node
 VARY = "diffusion.ratio=0.2,0.4,0.6"
 
 
-def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> Session:
+def swept(
+    spec: Path,
+    results: Path,
+    vary: str = VARY,
+    methods: tuple[str, ...] = (),
+    settings: tuple[str, ...] = (),
+) -> Session:
     return run_sweep(read_sweep(spec, vary, methods, settings), results, RunOptions(jobs=0))[0]
 
 
@@ -30,7 +38,11 @@ def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, cap
     assert sum(" evaluate human " in line for line in executions) == 4
     assert sum(" evaluate diffusion " in line for line in executions) == 12
     trained = [line.split()[2] for line in executions if " evaluate " not in line]
-    assert {kind: trained.count(kind) for kind in ("expert", "world_model", "denoiser")} == {"expert": 2, "world_model": 2, "denoiser": 2}
+    assert {kind: trained.count(kind) for kind in ("expert", "world_model", "denoiser")} == {
+        "expert": 2,
+        "world_model": 2,
+        "denoiser": 2,
+    }
     assert not any("ida" in line or "wasp" in line for line in executions)
     told = capsys.readouterr().err
     assert "3 values of diffusion.ratio: " in told
@@ -48,18 +60,29 @@ def test_every_value_is_a_run_that_reports_find(fakes, small_spec, layout):
     for name, run_id in runs.items():
         recorded = read_run(layout, run_id)
         section = recorded.spec.method("diffusion").model_dump()
-        assert (recorded.spec.name, section["ratio"], recorded.spec.episodes) == (name, float(name.rpartition("-")[2]), 7)
+        assert (recorded.spec.name, section["ratio"], recorded.spec.episodes) == (
+            name,
+            float(name.rpartition("-")[2]),
+            7,
+        )
         assert len(recorded.cells) == len({cell for cell, _ in recorded.cells}) == 8
         assert all(layout.artifact("evaluate", key).is_dir() for _, key in recorded.cells)
         cell, key = next((cell, key) for cell, key in recorded.cells if cell.method == "diffusion")
-        assert find_node(layout, str(cell), keys_of(layout, name, str(cell))).key == key, "its label is that of three cells"
-        log = run_here("logs", str(cell), "--run", name, "--path", "--results", layout.root, columns=80, code=0).stdout
+        assert find_node(layout, str(cell), keys_of(layout, name, str(cell))).key == key, (
+            "its label is that of three cells"
+        )
+        log = run_here(
+            "logs", str(cell), "--run", name, "--path", "--results", layout.root, columns=80, code=0
+        ).stdout
         assert log.endswith(f"-{key[:8]}.log\n")
     (record,) = layout.runs.glob("*-small-sweep-diffusion.ratio-*/sweep.json")
     assert read_record(record) == {
         "spec": "small",
         "setting": "diffusion.ratio",
-        "values": [{"value": value, "run": runs[f"small-diffusion.ratio-{value}"]} for value in (0.2, 0.4, 0.6)],
+        "values": [
+            {"value": value, "run": runs[f"small-diffusion.ratio-{value}"]}
+            for value in (0.2, 0.4, 0.6)
+        ],
     }
     assert list((record.parent / "logs").iterdir())
 
@@ -67,12 +90,24 @@ def test_every_value_is_a_run_that_reports_find(fakes, small_spec, layout):
 @pytest.mark.parametrize(
     ("vary", "methods", "settings", "message"),
     [
-        ("diffusion.ratio=0.2,0.4", ("ida", "wasp"), (), "'diffusion.ratio' changes no cell of ida, wasp"),
-        ("residual.epochs=1,2", (), (), "'residual.epochs' changes no cell of human, ida, wasp, expert"),
+        (
+            "diffusion.ratio=0.2,0.4",
+            ("ida", "wasp"),
+            (),
+            "'diffusion.ratio' changes no cell of ida, wasp",
+        ),
+        (
+            "residual.epochs=1,2",
+            (),
+            (),
+            "'residual.epochs' changes no cell of human, ida, wasp, expert",
+        ),
         ("critics.updates=1,2", (), ("methods=[]",), "there is nothing to compare"),
     ],
 )
-def test_a_sweep_without_effect_is_refused_before_anything_is_written(vary, methods, settings, message, fakes, small_spec, tmp_path):
+def test_a_sweep_without_effect_is_refused_before_anything_is_written(
+    vary, methods, settings, message, fakes, small_spec, tmp_path
+):
     with pytest.raises(UsageError) as caught:
         swept(small_spec, tmp_path / "results", vary, methods, settings)
     assert message in caught.value.message

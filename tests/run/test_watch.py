@@ -43,8 +43,14 @@ def started(**facts: Any) -> tuple[float, str, dict[str, Any]]:
     return (0, "run started", {"nodes": 5, "jobs": 2, **HERE, **facts})
 
 
-def ended(event: str, number: int, seconds: float, **facts: Any) -> tuple[float, str, dict[str, Any]]:
-    return (seconds, event, {"key": key(number), "label": f"node {number}", "seconds": 1.0, **facts})
+def ended(
+    event: str, number: int, seconds: float, **facts: Any
+) -> tuple[float, str, dict[str, Any]]:
+    return (
+        seconds,
+        event,
+        {"key": key(number), "label": f"node {number}", "seconds": 1.0, **facts},
+    )
 
 
 def only(layout: Layout, seconds: float = 120.0) -> RunState:
@@ -61,19 +67,47 @@ def test_a_run_that_goes_on(layout):
         ended("blocked", 5, 90, by=key(4)),
     ]
     running = {
-        2: {"label": "c", "kind": "expert", "share": 0.25, "text": "step 5", "started": at(60), "at": at(119), "memory_mb": 512, **HERE},
+        2: {
+            "label": "c",
+            "kind": "expert",
+            "share": 0.25,
+            "text": "step 5",
+            "started": at(60),
+            "at": at(119),
+            "memory_mb": 512,
+            **HERE,
+        },
         1: {"label": "b", "share": 1.0, "text": "left behind by a node that has ended", **HERE},
     }
     write_run(layout, RUN, NODES, events, running)
     state = only(layout)
     assert (state.state, state.spec, state.total) == ("running", "small", 5)
-    assert (state.done, state.shared, len(state.failed), state.blocked, state.running, state.waiting) == (1, 0, 1, 1, 1, 1)
+    assert (
+        state.done,
+        state.shared,
+        len(state.failed),
+        state.blocked,
+        state.running,
+        state.waiting,
+    ) == (1, 0, 1, 1, 1, 1)
     assert (state.retried, state.draining) == (1, False)
-    assert (state.failed[0].label, state.failed[0].message, state.failed[0].log) == ("node 4", "no memory", "/x/e.log")
+    assert (state.failed[0].label, state.failed[0].message, state.failed[0].log) == (
+        "node 4",
+        "no memory",
+        "/x/e.log",
+    )
     (node,) = state.active
-    assert (node.label, node.kind, node.share, node.text, node.memory_mb, node.gone) == ("c", "expert", 0.25, "step 5", 512.0, False)
+    assert (node.label, node.kind, node.share, node.text, node.memory_mb, node.gone) == (
+        "c",
+        "expert",
+        0.25,
+        "step 5",
+        512.0,
+        False,
+    )
     assert (node.started, node.seen) == (moment(at(60)), moment(at(119)))
-    assert state.left_seconds == pytest.approx(0.75 * 60 + 40)  # d waits for c, however many workers there are
+    # d waits for c, however many workers there are
+    assert state.left_seconds == pytest.approx(0.75 * 60 + 40)
     assert state.unknown == 0
 
 
@@ -96,7 +130,13 @@ def test_the_death_of_a_run_shows(facts, state, layout):
 
 
 def test_a_run_of_another_container_is_known_by_its_lock(layout):
-    write_run(layout, RUN, NODES, [started(pid=dead_pid(), locked=True)], {1: {"label": "b", **process(dead_pid())}})
+    write_run(
+        layout,
+        RUN,
+        NODES,
+        [started(pid=dead_pid(), locked=True)],
+        {1: {"label": "b", **process(dead_pid())}},
+    )
     with held_if_free(layout.journal(RUN)), held_if_free(layout.lock(key(1))):
         state = only(layout)
         assert (state.state, state.running) == ("running", 1)
@@ -109,14 +149,25 @@ def test_the_runs_that_go_on_are_shown_or_else_the_last(layout):
     write_run(layout, "20260501-130000-b-0002", NODES, over, spec="b")
     assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0002"]
     for number, spec in ((3, "a"), (4, "a"), (5, "b")):
-        write_run(layout, f"20260501-14000{number}-{spec}-000{number}", NODES, [started()], spec=spec)
+        write_run(
+            layout, f"20260501-14000{number}-{spec}-000{number}", NODES, [started()], spec=spec
+        )
     write_run(layout, "20260501-150000-c-0006", NODES, over, spec="c")
-    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004", "0003"], "also two of one spec"
+    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == [
+        "0005",
+        "0004",
+        "0003",
+    ], "also two of one spec"
 
 
 def test_a_sweep_is_one_run(layout):
     for number in (1, 2):
-        write_run(layout, f"20260501-120000-s-value-000{number}", [planned(number, f"n{number}")], spec="s-value")
+        write_run(
+            layout,
+            f"20260501-120000-s-value-000{number}",
+            [planned(number, f"n{number}")],
+            spec="s-value",
+        )
     write_run(layout, "20260501-120001-s-sweep-0003", [], [started(nodes=2), ended("done", 1, 4)])
     folder = layout.run("20260501-120001-s-sweep-0003")
     (folder / "plan.json").unlink()
@@ -127,37 +178,61 @@ def test_a_sweep_is_one_run(layout):
 
 
 def test_what_is_odd_in_a_folder_is_left_out(layout):
-    odd: list[Any] = [7, {**planned(1, "x"), "key": "../../x"}, {"key": key(1)}, {**planned(1, "x"), "needs": 5}]
+    odd: list[Any] = [
+        7,
+        {**planned(1, "x"), "key": "../../x"},
+        {"key": key(1)},
+        {**planned(1, "x"), "needs": 5},
+    ]
     odd.append({**planned(1, "x"), "seconds": 10**400})
     for number, entry in enumerate(odd):
-        write_run(layout, f"20260501-110000-small-100{number}", [planned(2, "c"), entry], [started()])
+        write_run(
+            layout, f"20260501-110000-small-100{number}", [planned(2, "c"), entry], [started()]
+        )
     events = [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})]
     write_run(layout, RUN, [planned(2, "c", needs=[99]), planned(3, "d")], events)
     folder = layout.run(RUN) / "running"
     (folder / "nonsense.json").write_text("{}")
-    (folder / f"{key(2)}.json").write_text('{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}')
+    (folder / f"{key(2)}.json").write_text(
+        '{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}'
+    )
     state = only(layout)
     assert sorted(planned_runs(layout)[0].nodes) == [key(2), key(3)]
-    assert [(node.label, node.share, node.started) for node in state.active] == [(key(2), 0.0, None)]
+    assert [(node.label, node.share, node.started) for node in state.active] == [
+        (key(2), 0.0, None)
+    ]
 
 
 def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout):
-    events = [started(backend="dask"), (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"})]
+    events = [
+        started(backend="dask"),
+        (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"}),
+    ]
     write_run(layout, RUN, [planned(1, "b", seconds=10.0)], events)
     state = only(layout)
-    assert state.deserted == "all dask workers are gone; the run waits, and goes on when one is there: dask worker tcp://a:1"
+    assert (
+        state.deserted
+        == "all dask workers are gone; the run waits, and goes on when one is there: dask "
+        "worker tcp://a:1"
+    )
     assert (state.state, state.left_seconds) == ("running", None)
     events.append((20.0, "workers back", {"backend": "dask", "start": None}))
     write_run(layout, "20260501-130000-small-0002", [planned(1, "b", seconds=10.0)], events)
     newest = next(iter(planned_runs(layout)))
-    assert (state_of(layout, newest, START).deserted, state_of(layout, newest, START).left_seconds) == ("", 10.0)
+    assert (
+        state_of(layout, newest, START).deserted,
+        state_of(layout, newest, START).left_seconds,
+    ) == ("", 10.0)
 
 
-# The results folder as workers see it: another one under the same path, one that shows files late, one that is moved away.
+# The results folder as workers see it: another one under the same path, one that shows files late,
+# one that is moved away.
 
 
 class Elsewhere(InlinePool):
-    """A worker whose results folder is another one, though its path is the same for the one who asks."""
+    """A worker whose results folder is another one, though its path is the same for the one who
+    asks.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -197,7 +272,10 @@ def test_a_node_is_done_only_when_its_artifact_is_here(fakes, small_spec, tmp_pa
     assert fakes.executions(), "the worker computed, and told that it was done"
     assert summary.done == summary.shared == 0
     assert "it is not in" in summary.failed[0][1].message
-    assert not {event["event"] for event in read_json_lines(layout.journal(run_id))} & {"done", "shared"}
+    assert not {event["event"] for event in read_json_lines(layout.journal(run_id))} & {
+        "done",
+        "shared",
+    }
     assert not list(layout.store.glob("*/*"))
 
 
@@ -209,7 +287,9 @@ def test_an_artifact_may_arrive_late(fakes, small_spec, tmp_path):
 
 
 @pytest.mark.parametrize("moment", ["while a node runs", "between two nodes"])
-def test_a_folder_that_is_moved_away_is_not_made_again(moment, fakes, small_spec, tmp_path, monkeypatch):
+def test_a_folder_that_is_moved_away_is_not_made_again(
+    moment, fakes, small_spec, tmp_path, monkeypatch
+):
     results, moved = tmp_path / "results", tmp_path / "moved"
     place, name = (Fake, "run") if moment == "while a node runs" else (InlinePool, "submit")
     real = getattr(place, name)

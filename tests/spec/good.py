@@ -16,6 +16,12 @@ seeds: [0]
 
 
 def mistakes(table: str) -> list[tuple[Any, ...]]:
-    """The rows of tests/golden/spec_mistakes.json for one test: what is written, where it is refused, what is said."""
-    rows = json.loads((Path(__file__).parents[1] / "golden" / "spec_mistakes.json").read_text(encoding="utf-8"))[table]
-    return [tuple(tuple(value) if isinstance(value, list) else value for value in row) for row in rows]
+    """The rows of tests/golden/spec_mistakes.json for one test: what is written, where it is
+    refused, what is said.
+    """
+    rows = json.loads(
+        (Path(__file__).parents[1] / "golden" / "spec_mistakes.json").read_text(encoding="utf-8")
+    )[table]
+    return [
+        tuple(tuple(value) if isinstance(value, list) else value for value in row) for row in rows
+    ]

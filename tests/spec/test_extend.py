@@ -44,20 +44,35 @@ def places(path: Path, *settings: str) -> list[tuple[str, tuple[int, int] | None
     with pytest.raises(InvalidSpec) as caught:
         load(path, settings)
     assert caught.value.exit_code == 3
-    found = [(Path(problem.source).name, problem.position, problem.message) for problem in caught.value.problems]
-    return [(name, position and (position.line, position.column), message) for name, position, message in found]
+    found = [
+        (Path(problem.source).name, problem.position, problem.message)
+        for problem in caught.value.problems
+    ]
+    return [
+        (name, position and (position.line, position.column), message)
+        for name, position, message in found
+    ]
 
 
 def test_sections_merge_and_everything_else_replaces(base):
-    path = written(base.parent, "fast", FAST + "seeds: [7]\noperators:\n  noisy: {mild: 0.3}\n  laggy: {x: 0.5}\nwasp: {elites: 3}\n")
+    path = written(
+        base.parent,
+        "fast",
+        FAST
+        + "seeds: [7]\noperators:\n  noisy: {mild: 0.3}\n  laggy: {x: 0.5}\nwasp: {elites: 3}\n",
+    )
     spec = load(path).spec
     assert (spec.name, spec.tasks, spec.seeds) == ("fast", ("goal1", "race1"), (7,))
     assert spec.operators == {"noisy": {"mild": 0.3, "severe": 0.6}, "laggy": {"x": 0.5}}
-    assert {"candidates": 10, "elites": 3, "iterations": 2}.items() <= spec.method("wasp").model_dump().items()
+    assert {"candidates": 10, "elites": 3, "iterations": 2}.items() <= spec.method(
+        "wasp"
+    ).model_dump().items()
 
 
 def test_nothing_in_place_of_a_section_removes_it(base):
-    path = written(base.parent, "fast", FAST + "operators:\n  noisy: null\n  person: {p1: 1}\nseeds: [7]\n")
+    path = written(
+        base.parent, "fast", FAST + "operators:\n  noisy: null\n  person: {p1: 1}\nseeds: [7]\n"
+    )
     assert load(path).spec.operators == {"person": {"p1": 1}}
     path = written(base.parent, "fast", FAST + "wasp: null\n")
     specs = [load(path).spec, load(base, ["wasp=null"]).spec]
@@ -75,22 +90,40 @@ def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base):
 def test_the_short_form_replaces_the_list_and_the_list_the_short_form(base):
     fast = written(base.parent, "fast", FAST + "task: race1\n")
     assert load(fast).spec.tasks == ("race1",)
-    again = written(base.parent, "again", "extends: fast.yaml\nname: again\ntasks: [goal1, goal2]\n")
+    again = written(
+        base.parent, "again", "extends: fast.yaml\nname: again\ntasks: [goal1, goal2]\n"
+    )
     assert load(again).spec.tasks == ("goal1", "goal2")
     fast.write_text(FAST + "task: goal7\n", encoding="utf-8")
     assert places(fast) == [("fast.yaml", (3, 7), "unknown task 'goal7'")]
 
 
 def test_a_chain_goes_through_folders(base):
-    middle = written(base.parent / "below", "middle", "extends: ../base.yaml\nname: middle\nseeds: [5]\n")
+    middle = written(
+        base.parent / "below", "middle", "extends: ../base.yaml\nname: middle\nseeds: [5]\n"
+    )
     last = written(base.parent, "last", f"extends: {middle}\nname: last\nepisodes: 4\n")
     spec = load(last).spec
-    assert (spec.name, spec.seeds, spec.episodes, spec.methods) == ("last", (5,), 4, ("human", "wasp"))
+    assert (spec.name, spec.seeds, spec.episodes, spec.methods) == (
+        "last",
+        (5,),
+        4,
+        ("human", "wasp"),
+    )
 
 
 def test_every_mistake_stands_in_the_file_that_wrote_it(base):
-    base.write_text(BASE.replace("race1", "rase1").replace("elites: 4", "elites: 4, alhpa: 1").replace("0.6", "6"), encoding="utf-8")
-    path = written(base.parent, "fast", FAST + "operators:\n  noisy: {mild: 2}\nwasp: {elites: x}\nseeds: [-1]\n")
+    base.write_text(
+        BASE.replace("race1", "rase1")
+        .replace("elites: 4", "elites: 4, alhpa: 1")
+        .replace("0.6", "6"),
+        encoding="utf-8",
+    )
+    path = written(
+        base.parent,
+        "fast",
+        FAST + "operators:\n  noisy: {mild: 2}\nwasp: {elites: x}\nseeds: [-1]\n",
+    )
     assert places(path) == [
         ("fast.yaml", (4, 17), f"{OUT_OF_RANGE}, not 2"),
         ("fast.yaml", (5, 16), "should be an integer, not 'x'"),
@@ -103,7 +136,9 @@ def test_every_mistake_stands_in_the_file_that_wrote_it(base):
 
 def test_what_is_missing_in_all_files_is_missing_in_the_nearest(base):
     base.write_text(BASE.replace("seeds: [0, 1]\n", ""), encoding="utf-8")
-    assert places(written(base.parent, "fast", FAST)) == [("fast.yaml", (1, 1), "missing key 'seeds'")]
+    assert places(written(base.parent, "fast", FAST)) == [
+        ("fast.yaml", (1, 1), "missing key 'seeds'")
+    ]
 
 
 def test_the_name_is_said_by_the_file_itself(base):
@@ -111,10 +146,15 @@ def test_the_name_is_said_by_the_file_itself(base):
     assert places(path) == [("fast.yaml", (2, 1), "missing key 'name'")]
     assert load(path, ["name=other"]).spec.name == "other"
     base.write_text(BASE.replace("name: base\n", ""), encoding="utf-8")
-    assert load(written(base.parent, "named", "extends: base.yaml\nname: named\n")).spec.name == "named"
+    assert (
+        load(written(base.parent, "named", "extends: base.yaml\nname: named\n")).spec.name
+        == "named"
+    )
 
 
-@pytest.mark.parametrize(("value", "message"), mistakes("extend: what cannot be extended is refused where it is said"))
+@pytest.mark.parametrize(
+    ("value", "message"), mistakes("extend: what cannot be extended is refused where it is said")
+)
 def test_what_cannot_be_extended_is_refused_where_it_is_said(base, value, message):
     path = written(base.parent, "fast", f"name: fast\nextends: {value}\n")
     ((file, place, found),) = places(path)
@@ -139,7 +179,10 @@ def test_a_chain_that_comes_back_is_refused_where_it_does(tmp_path):
     (tmp_path / "sub").mkdir()
     ((file, place, message),) = places(tmp_path / "a.yaml")
     assert (file, place) == ("c.yaml", (2, 10))
-    assert message == f"extends itself: {tmp_path}/b.yaml -> {tmp_path}/c.yaml -> {tmp_path}/sub/../b.yaml"
+    assert (
+        message
+        == f"extends itself: {tmp_path}/b.yaml -> {tmp_path}/c.yaml -> {tmp_path}/sub/../b.yaml"
+    )
     itself = written(tmp_path, "self", "name: self\nextends: self.yaml\n")
     assert [place[:2] for place in places(itself)] == [("self.yaml", (2, 10))]
 
@@ -149,22 +192,34 @@ def test_a_chain_has_a_longest_length(base):
         before = "base" if number == 2 else f"s{number - 1}"
         written(base.parent, f"s{number}", f"name: s{number}\nextends: {before}.yaml\n")
     assert load(base.parent / f"s{LONGEST_CHAIN}.yaml").spec.name == f"s{LONGEST_CHAIN}"
-    assert places(base.parent / f"s{LONGEST_CHAIN + 1}.yaml") == [("s2.yaml", (2, 10), "a chain of more than 8 files")]
+    assert places(base.parent / f"s{LONGEST_CHAIN + 1}.yaml") == [
+        ("s2.yaml", (2, 10), "a chain of more than 8 files")
+    ]
 
 
 def test_extends_stands_at_the_top_of_a_file(base):
     path = written(base.parent, "fast", FAST + "wasp:\n  extends: base.yaml\n")
     assert places(path) == [("fast.yaml", (4, 3), "unknown key 'extends'")]
-    assert places(written(base.parent, "typo", "extend: base.yaml\n" + BASE)) == [("typo.yaml", (1, 1), "unknown key 'extend'")]
-    assert places(base, "extends=base.yaml") == [("--set extends=base.yaml", None, "extends: unknown key 'extends'")]
+    assert places(written(base.parent, "typo", "extend: base.yaml\n" + BASE)) == [
+        ("typo.yaml", (1, 1), "unknown key 'extend'")
+    ]
+    assert places(base, "extends=base.yaml") == [
+        ("--set extends=base.yaml", None, "extends: unknown key 'extends'")
+    ]
 
 
 def test_options_lie_over_all_files(base):
     path = written(base.parent, "fast", FAST + "wasp: {elites: 3}\n")
-    assert load(path, ["operators.noisy.mild=0.1"]).spec.operators == {"noisy": {"mild": 0.1, "severe": 0.6}}
+    assert load(path, ["operators.noisy.mild=0.1"]).spec.operators == {
+        "noisy": {"mild": 0.1, "severe": 0.6}
+    }
     assert places(path, "wasp.elites=x", "operators.noisy={mild: 3}", "wasp.candidates=0") == [
         ("--set operators.noisy={mild: 3}", None, f"operators.noisy.mild: {OUT_OF_RANGE}, not 3"),
-        ("--set wasp.candidates=0", None, "wasp.candidates: should be greater than or equal to 4, not 0"),
+        (
+            "--set wasp.candidates=0",
+            None,
+            "wasp.candidates: should be greater than or equal to 4, not 0",
+        ),
         ("--set wasp.elites=x", None, "wasp.elites: should be an integer, not 'x'"),
     ]
     with pytest.raises(UsageError):
@@ -184,4 +239,7 @@ def test_a_run_records_every_file(base, layout):
     assert text == f"---\n# {path}\n{FAST}seeds: [0]  # one is enough\n---\n# {base}\n{BASE}"
     assert [document["name"] for document in YAML(typ="safe").load_all(text)] == ["fast", "base"]
     part = restricted(load(base, ["variants=[full, no-case2]"]), None, ["human"])
-    assert read_run(layout, new_run(layout, part, plan_against(lay_out(part.spec), layout))).unknown == (), "it has wasp's ablations"
+    assert (
+        read_run(layout, new_run(layout, part, plan_against(lay_out(part.spec), layout))).unknown
+        == ()
+    ), "it has wasp's ablations"

@@ -1,4 +1,6 @@
-"""What of a configuration enters a key; `python -m tests.spec.test_identity` writes the defaults anew after a change that is wanted."""
+"""What of a configuration enters a key; `python -m tests.spec.test_identity` writes the
+defaults anew after a change that is wanted.
+"""
 
 import json
 from pathlib import Path
@@ -36,21 +38,36 @@ def test_only_values_that_are_not_their_defaults_enter_the_identity():
     assert Outer().identity() == {"larger": {"size": 4}}
     assert Outer(every=6).identity() == Outer().identity()
     changed = Outer(inner=Inner(later=1), bars={"goal1": 2})
-    assert changed.identity() == {"inner": {"later": 1}, "larger": {"size": 4}, "bars": {"goal1": 2}}
-    assert Outer(perhaps=Inner()).identity()["perhaps"] == {}, "a section at its defaults is not the same as no section"
+    assert changed.identity() == {
+        "inner": {"later": 1},
+        "larger": {"size": 4},
+        "bars": {"goal1": 2},
+    }
+    assert Outer(perhaps=Inner()).identity()["perhaps"] == {}, (
+        "a section at its defaults is not the same as no section"
+    )
     assert Raised().identity() == {"edition": 2}
 
 
 def defaults() -> dict[str, Any]:
-    """Every configuration of a stage or a method with its edition and its defaults, as far as it has them."""
+    """Every configuration of a stage or a method with its edition and its defaults, as far as
+    it has them.
+    """
     models = (
-        {load_target(info.target).config for info in STAGES.values()} | {info.config_model() for info in METHODS.values()} | nested(Spec)
+        {load_target(info.target).config for info in STAGES.values()}
+        | {info.config_model() for info in METHODS.values()}
+        | nested(Spec)
     )
     told = {}
     for model in sorted(models.union(*map(nested, models)), key=lambda model: model.__name__):
         fields = {name: info for name, info in model.model_fields.items() if not info.is_required()}
-        values = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}
-        plain = {name: value.identity() if isinstance(value, Config) else value for name, value in values.items()}
+        values = {
+            name: info.get_default(call_default_factory=True) for name, info in fields.items()
+        }
+        plain = {
+            name: value.identity() if isinstance(value, Config) else value
+            for name, value in values.items()
+        }
         told[model.__name__] = {"edition": model.edition, **plain}
     return told
 
@@ -68,13 +85,18 @@ def kinds(annotation: Any) -> set[type[Config]]:
 
 
 def test_a_changed_default_raises_the_edition():
-    """Keys do not see defaults. Where this fails: a new field is fine, a changed default needs another `edition` of its class."""
+    """Keys do not see defaults. Where this fails: a new field is fine, a changed default needs
+    another `edition` of its class.
+    """
     golden, now = json.loads(GOLDEN.read_text()), json.loads(json.dumps(defaults(), default=str))
     changed = [
         f"{model}.{name}"
         for model, values in golden.items()
         for name, value in values.items()
-        if model in now and name in now[model] and now[model][name] != value and now[model]["edition"] == values["edition"]
+        if model in now
+        and name in now[model]
+        and now[model][name] != value
+        and now[model]["edition"] == values["edition"]
     ]
     assert changed == []
     assert now == golden, "the file of defaults is old: python -m tests.spec.test_identity"

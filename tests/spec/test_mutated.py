@@ -15,39 +15,174 @@ from wasp_cli.spec.hints import settings
 from wasp_cli.spec.load import load
 from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
-SPECS = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "specs").glob("*.yaml")) if path.stem != "paper"]
+SPECS = [
+    path.read_text(encoding="utf-8")
+    for path in sorted((ROOT / "specs").glob("*.yaml"))
+    if path.stem != "paper"
+]
 SNIPPETS = [
-    "{", "}", "[", "]", ":", ": ", "- ", "#", "&a ", "*a", "<<: *a", "!!x ", "'", '"', "|", ">", "\n", "\n  ", "\t", "~", "null", "true",
-    "1e999", ".nan", "-1", "0.5", "0x1f", "2020-01-01", "goal1", "wasp", "noisy", "? ", "%", "@", "\x00", "é", "\N{BOM}", "---\n", "...",
-]  # fmt: skip
+    "{",
+    "}",
+    "[",
+    "]",
+    ":",
+    ": ",
+    "- ",
+    "#",
+    "&a ",
+    "*a",
+    "<<: *a",
+    "!!x ",
+    "'",
+    '"',
+    "|",
+    ">",
+    "\n",
+    "\n  ",
+    "\t",
+    "~",
+    "null",
+    "true",
+    "1e999",
+    ".nan",
+    "-1",
+    "0.5",
+    "0x1f",
+    "2020-01-01",
+    "goal1",
+    "wasp",
+    "noisy",
+    "? ",
+    "%",
+    "@",
+    "\x00",
+    "é",
+    "\N{BOM}",
+    "---\n",
+    "...",
+]
 HUGE = "0x" + "f" * 5000
 """Python refuses to write it as a decimal."""
 VALUES = [
-    "null", "true", "yes", "0", "-1", "7", "0.5", "1e6", "1e999", ".nan", "-.inf", "0x1f", "0x_", "0o17", "'3'", "9" * 30, "9" * 4999,
-    HUGE, "x", "''", "'a b'", '"\\ud800"', '"\\e[1m"', '"\\0"', "2020-01-01", "2020-13-45", "10:30", "!!binary aGk=",
-    "!!set {a, b}", "!!omap [a: 1]", "!!int x", "!!float [1]", "!thing x", "!!str 3", "!!bool maybe", "[]", "{}", "[[]]", "[null]",
+    "null",
+    "true",
+    "yes",
+    "0",
+    "-1",
+    "7",
+    "0.5",
+    "1e6",
+    "1e999",
+    ".nan",
+    "-.inf",
+    "0x1f",
+    "0x_",
+    "0o17",
+    "'3'",
+    "9" * 30,
+    "9" * 4999,
+    HUGE,
+    "x",
+    "''",
+    "'a b'",
+    '"\\ud800"',
+    '"\\e[1m"',
+    '"\\0"',
+    "2020-01-01",
+    "2020-13-45",
+    "10:30",
+    "!!binary aGk=",
+    "!!set {a, b}",
+    "!!omap [a: 1]",
+    "!!int x",
+    "!!float [1]",
+    "!thing x",
+    "!!str 3",
+    "!!bool maybe",
+    "[]",
+    "{}",
+    "[[]]",
+    "[null]",
     "[x, 1]",
-    "{a: 1}", "{a: {b: {c: 1}}}", "{1: 2, '1': 3}", "{~: 1}", "{true: 1}", "{[a]: b}", "{? {a: 1} : 2}", "{1.5: x}", "{.nan: 1}",
-    "[goal1]", "[wasp, human]", "[no-case2]", "[expert, expert]", "{noisy: {mild: 0.2}}", "{noisy: 0.2}", "{mild: x}", "calibrated",
-    "&b [1, *b]", "&m {<<: *m}", "&n {x: *n}", "|\n   text\n   more", "[" * 40 + "]" * 40, "[" * 700, "\N{LINE SEPARATOR}", "a\x85b",
-    "goal1-v0", "a:b", "wasp/x", "..", "a.yaml", "absent.yaml",
-]  # fmt: skip
+    "{a: 1}",
+    "{a: {b: {c: 1}}}",
+    "{1: 2, '1': 3}",
+    "{~: 1}",
+    "{true: 1}",
+    "{[a]: b}",
+    "{? {a: 1} : 2}",
+    "{1.5: x}",
+    "{.nan: 1}",
+    "[goal1]",
+    "[wasp, human]",
+    "[no-case2]",
+    "[expert, expert]",
+    "{noisy: {mild: 0.2}}",
+    "{noisy: 0.2}",
+    "{mild: x}",
+    "calibrated",
+    "&b [1, *b]",
+    "&m {<<: *m}",
+    "&n {x: *n}",
+    "|\n   text\n   more",
+    "[" * 40 + "]" * 40,
+    "[" * 700,
+    "\N{LINE SEPARATOR}",
+    "a\x85b",
+    "goal1-v0",
+    "a:b",
+    "wasp/x",
+    "..",
+    "a.yaml",
+    "absent.yaml",
+]
 """YAML texts of values, right, wrong and odd."""
 KEYS = [
-    "zzz", "1", "true", "'a b'", "<<", "extends", "task", "? [x]", '"\\ud800"', "name", "noisy", "~", "*a", "!!x y", "2020-01-01",
+    "zzz",
+    "1",
+    "true",
+    "'a b'",
+    "<<",
+    "extends",
+    "task",
+    "? [x]",
+    '"\\ud800"',
+    "name",
+    "noisy",
+    "~",
+    "*a",
+    "!!x y",
+    "2020-01-01",
     f"? {HUGE}\n",
-]  # fmt: skip
+]
 EXTENDS = [
-    "extends: base.yaml", "extends: broken.yaml", "extends: binary.yaml", "extends: absent.yaml", "extends: spec.yaml",
-    "extends: loop.yaml", "extends: folder.yaml", "extends: long1.yaml", "extends: ..", "extends: base", "extends: [base.yaml]",
-    "extends:", "extends: *a", "extends: !!x base.yaml", 'extends: "base\\0.yaml"', "extend: base.yaml", "extends: {<<: *a}",
-]  # fmt: skip
+    "extends: base.yaml",
+    "extends: broken.yaml",
+    "extends: binary.yaml",
+    "extends: absent.yaml",
+    "extends: spec.yaml",
+    "extends: loop.yaml",
+    "extends: folder.yaml",
+    "extends: long1.yaml",
+    "extends: ..",
+    "extends: base",
+    "extends: [base.yaml]",
+    "extends:",
+    "extends: *a",
+    "extends: !!x base.yaml",
+    'extends: "base\\0.yaml"',
+    "extend: base.yaml",
+    "extends: {<<: *a}",
+]
 BASES: dict[str, str | bytes] = {
     "base.yaml": SPECS[0] + "wasp: {candidates: 8, feasable: 3}\n",
     "broken.yaml": "name: [\n",
     "binary.yaml": b"name: \xff\xfe",
     "loop.yaml": "name: loop\nextends: spec.yaml\n",
-    **{f"long{number}.yaml": f"name: long\nextends: long{number + 1}.yaml\n" for number in range(1, 12)},
+    **{
+        f"long{number}.yaml": f"name: long\nextends: long{number + 1}.yaml\n"
+        for number in range(1, 12)
+    },
 }
 """What the lines of `EXTENDS` name."""
 
@@ -77,7 +212,10 @@ def further_lines(draw: st.DrawFn) -> str:
     """A whole spec with lines of `extends` anywhere."""
     lines = draw(st.sampled_from(SPECS)).splitlines()
     for _ in range(draw(st.integers(1, 3))):
-        lines.insert(draw(st.integers(0, len(lines))), draw(st.sampled_from(["", "", "", "  "])) + draw(st.sampled_from(EXTENDS)))
+        lines.insert(
+            draw(st.integers(0, len(lines))),
+            draw(st.sampled_from(["", "", "", "  "])) + draw(st.sampled_from(EXTENDS)),
+        )
     if draw(st.booleans()):
         missing = draw(st.sampled_from(["name", "tasks", "seeds", "methods"]))
         lines = [line for line in lines if not line.startswith(missing)]
@@ -113,23 +251,34 @@ def problems(path: Path) -> tuple[Problem, ...]:
 
 def is_place(file: str, line: int | None, column: int | None) -> bool:
     path = Path(file)
-    lines = lines_of(path.read_bytes().decode("utf-8-sig", errors="replace") if path.is_file() else "")
-    return line is not None and column is not None and 1 <= line <= len(lines) and 1 <= column <= len(lines[line - 1]) + 1
+    lines = lines_of(
+        path.read_bytes().decode("utf-8-sig", errors="replace") if path.is_file() else ""
+    )
+    return (
+        line is not None
+        and column is not None
+        and 1 <= line <= len(lines)
+        and 1 <= column <= len(lines[line - 1]) + 1
+    )
 
 
 def misplaced(path: Path) -> list[Problem]:
     """The problems of a spec that do not say where they are."""
     return [
-        problem for problem in problems(path)
+        problem
+        for problem in problems(path)
         if problem.position is None
         or not is_place(problem.source, problem.position.line, problem.position.column)
         or not str(problem).startswith(f"{path.parent}/")
-    ]  # fmt: skip
+    ]
 
 
 def exit_code_of(path: Path) -> int:
     """`wasp check` itself, for people and for machines, which are told the same."""
-    shown, told = run_here("check", path, columns=100), run_here("check", path, "--json", columns=100)
+    shown, told = (
+        run_here("check", path, columns=100),
+        run_here("check", path, "--json", columns=100),
+    )
     assert shown.exit_code == told.exit_code
     assert (shown.stderr == "") == (shown.exit_code == 0)
     assert told.stderr == ""

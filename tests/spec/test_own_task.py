@@ -1,4 +1,6 @@
-"""Specs that name an environment of one's own: what they may write, where mistakes are shown, and what a changed environment re-runs."""
+"""Specs that name an environment of one's own: what they may write, where mistakes are shown,
+and what a changed environment re-runs.
+"""
 
 import json
 import os
@@ -43,12 +45,18 @@ def only(line: str, *settings: str) -> Problem:
 
 
 def test_one_task_may_be_written_without_a_list():
-    for line in ("task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]", "tasks:\n  - puddle:Puddle-v0"):
+    for line in (
+        "task: puddle:Puddle-v0",
+        "tasks: [puddle:Puddle-v0]",
+        "tasks:\n  - puddle:Puddle-v0",
+    ):
         assert read(line).spec.tasks == ("puddle:Puddle-v0",)
     assert read("task: goal1").spec == read("tasks: [goal1]").spec
 
 
-@pytest.mark.parametrize(("line", "column", "message", "hint"), mistakes("own_task: mistakes have a place and a remedy"))
+@pytest.mark.parametrize(
+    ("line", "column", "message", "hint"), mistakes("own_task: mistakes have a place and a remedy")
+)
 def test_mistakes_have_a_place_and_a_remedy(line, column, message, hint, tmp_path, monkeypatch):
     module = """\
 import gymnasium
@@ -86,37 +94,62 @@ print(json.dumps(found))
 
 
 def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path):
-    text = (EXAMPLES / "puddle.py").read_text(encoding="utf-8").replace("puddle:Puddle", "my_env.puddle:Puddle")
-    with_tools = text.replace("import gymnasium\n", "import gymnasium\nfrom my_env.tools import X\n", 1)
+    text = (
+        (EXAMPLES / "puddle.py")
+        .read_text(encoding="utf-8")
+        .replace("puddle:Puddle", "my_env.puddle:Puddle")
+    )
+    with_tools = text.replace(
+        "import gymnasium\n", "import gymnasium\nfrom my_env.tools import X\n", 1
+    )
     changes = (
         text.replace("WET, REACHED, STEP = 0.3,", "WET, REACHED, STEP = 0.31,"),
         text.replace("max_episode_steps=200", "max_episode_steps=100"),
-        text.replace("WET, REACHED", "print('noise for those who read JSON', file=__import__('sys').stderr)\nWET, REACHED", 1),
+        text.replace(
+            "WET, REACHED",
+            "print('noise for those who read JSON', file=__import__('sys').stderr)\nWET, REACHED",
+            1,
+        ),
         with_tools,
     )
     (tmp_path / "my_env").mkdir()
-    (tmp_path / "my_env" / "__init__.py").write_text("from my_env import puddle\n", encoding="utf-8")
+    (tmp_path / "my_env" / "__init__.py").write_text(
+        "from my_env import puddle\n", encoding="utf-8"
+    )
     (tmp_path / "my_env" / "tools.py").write_text("X = 1\n", encoding="utf-8")
-    (tmp_path / "spec.yaml").write_text(SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8")
+    (tmp_path / "spec.yaml").write_text(
+        SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8"
+    )
     asked = [{"puddle.py": each} for each in (text, "# a comment\n" + text, *changes)]
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", PLAN], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
-        input=json.dumps([*asked, {"tools.py": "X = 2\n"}]), capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-W", "ignore", "-c", PLAN],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False,
+        input=json.dumps([*asked, {"tools.py": "X = 2\n"}]),
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     before, commented, *after, tools = json.loads(done.stdout)
     own = {label for label in before if label.startswith("my_env:Puddle-v0 ")}
     assert len(own) == len(before) / 2
     assert commented == before
     for found in after:
-        assert {label for label in found if found[label] != before[label]} == own, "its own nodes run again, all of them, and no other"
+        assert {label for label in found if found[label] != before[label]} == own, (
+            "its own nodes run again, all of them, and no other"
+        )
     assert {label for label in tools if tools[label] != after[-1][label]} == own
 
 
 def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path):
-    (tmp_path / "spec.yaml").write_text(SPEC.format(line="task: puddle:Puddle-v0"), encoding="utf-8")
+    (tmp_path / "spec.yaml").write_text(
+        SPEC.format(line="task: puddle:Puddle-v0"), encoding="utf-8"
+    )
     found, layout = load(tmp_path / "spec.yaml"), Layout(tmp_path / "results")
     run_id = new_run(layout, found, plan_against(lay_out(found.spec), layout))
     record = layout.run(run_id) / "spec.json"
-    record.write_text(record.read_text(encoding="utf-8").replace("puddle:", "gone:"), encoding="utf-8")
+    record.write_text(
+        record.read_text(encoding="utf-8").replace("puddle:", "gone:"), encoding="utf-8"
+    )
     assert read_run(layout, run_id).spec.tasks == ("gone:Puddle-v0",)

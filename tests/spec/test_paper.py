@@ -1,4 +1,6 @@
-"""The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
+"""The paper's numbers and claims: the shipped file is complete and says what the paper says,
+and mistakes have places.
+"""
 
 from pathlib import Path
 
@@ -26,7 +28,9 @@ def test_every_row_of_both_tables_is_there(paper):
     assert {task: list(rows) for task, rows in first.rows.items()} == {
         task: [Who(method) for method in METHODS] for task in ("race1", "formula1", "goal1")
     }
-    assert {task: list(rows) for task, rows in second.rows.items()} == {"formula1": [Who("wasp", variant) for variant in VARIANTS]}
+    assert {task: list(rows) for task, rows in second.rows.items()} == {
+        "formula1": [Who("wasp", variant) for variant in VARIANTS]
+    }
     assert second.rows["formula1"][Who("wasp")] == first.rows["formula1"][Who("wasp")]
 
 
@@ -47,29 +51,43 @@ def test_numbers_are_those_of_the_paper(paper, task, who, column, printed):
 
 
 def so_in_print(paper: Paper, asked: Comparison) -> bool | None:
-    """Whether the printed means alone stand as a comparison says; None where they are not printed."""
+    """Whether the printed means alone stand as a comparison says; None where they are not
+    printed.
+    """
     left = paper.printed(asked.task, asked.left, asked.column)
     if asked.right is None:
         assert asked.bound is not None
-        return None if left is None else left.mean >= asked.bound if asked.relation == "at_least" else left.mean <= asked.bound
+        return (
+            None
+            if left is None
+            else left.mean >= asked.bound
+            if asked.relation == "at_least"
+            else left.mean <= asked.bound
+        )
     right = paper.printed(asked.task, asked.right, asked.column)
     if left is None or right is None:
         return None
     room = asked.margin * abs(right.mean)
     return {
-        "lower": left.mean < right.mean - room, "higher": left.mean > right.mean + room,
-        "not_lower": left.mean >= right.mean - room, "not_higher": left.mean <= right.mean + room,
-    }[asked.relation]  # fmt: skip
+        "lower": left.mean < right.mean - room,
+        "higher": left.mean > right.mean + room,
+        "not_lower": left.mean >= right.mean - room,
+        "not_higher": left.mean <= right.mean + room,
+    }[asked.relation]
 
 
 def test_claims_are_what_the_printed_numbers_show(paper):
-    """Only two sentences say more than the tables do; everything else that was read into a sentence is in the tables."""
+    """Only two sentences say more than the tables do; everything else that was read into a
+    sentence is in the tables.
+    """
     against: dict[str, set[tuple[str, str]]] = {}
     for claim in paper.claims:
         for question in claim.questions():
             answers = [so_in_print(paper, asked) for asked in question]
             if answers and not any(answer is not False for answer in answers):
-                against.setdefault(claim.id, set()).update((asked.task, asked.column) for asked in question)
+                against.setdefault(claim.id, set()).update(
+                    (asked.task, asked.column) for asked in question
+                )
     assert against == {
         "fewer-and-smaller": {("race1", "mag"), ("goal1", "int_rate"), ("goal1", "mag")},
         "fewer-or-smaller-than-ida": {("goal1", "int_rate"), ("goal1", "mag")},
@@ -80,7 +98,9 @@ def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper):
     assert len({claim.id for claim in paper.claims}) == len(paper.claims) >= 20
     for claim in paper.claims:
         for asked in (asked for question in claim.questions() for asked in question):
-            ablation = {asked.left.variant, asked.right.variant if asked.right else "full"} != {"full"}
+            ablation = {asked.left.variant, asked.right.variant if asked.right else "full"} != {
+                "full"
+            }
             assert asked.task == "formula1" if ablation else asked.left.method in METHODS
             assert asked.task == "race1" or asked.column in COLUMNS
 
@@ -88,7 +108,10 @@ def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper):
 def problems(text: str) -> list[tuple[int, int, str, str | None]]:
     with pytest.raises(InvalidSpec) as caught:
         paper_of(parse(text, "paper.yaml"))
-    return [(problem.position.line, problem.position.column, problem.message, problem.hint) for problem in caught.value.problems]
+    return [
+        (problem.position.line, problem.position.column, problem.message, problem.hint)
+        for problem in caught.value.problems
+    ]
 
 
 GOOD = """\
@@ -110,12 +133,17 @@ claims:
 """
 
 
-@pytest.mark.parametrize(("old", "new", "expected"), mistakes("paper: a mistake has its place and its remedy"))
+@pytest.mark.parametrize(
+    ("old", "new", "expected"), mistakes("paper: a mistake has its place and its remedy")
+)
 def test_a_mistake_has_its_place_and_its_remedy(old, new, expected):
     assert expected in problems(GOOD.replace(old, new, 1))
 
 
-@pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)],
+)
 def test_check_takes_a_paper(tmp_path, change, code):
     path = tmp_path / "paper.yaml"
     path.write_text(change(SHIPPED), encoding="utf-8")

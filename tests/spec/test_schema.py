@@ -1,4 +1,6 @@
-"""The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that an editor should mark."""
+"""The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that
+an editor should mark.
+"""
 
 import json
 import os
@@ -43,13 +45,21 @@ def document(text: str) -> dict[str, Any]:
 
 
 def test_the_committed_file_is_current():
-    assert FILE.read_text(encoding="utf-8") == run_here("schema", columns=80, code=0).stdout, "wasp schema > specs/wasp.schema.json"
+    assert FILE.read_text(encoding="utf-8") == run_here("schema", columns=80, code=0).stdout, (
+        "wasp schema > specs/wasp.schema.json"
+    )
 
 
-@pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"),
+    ids=lambda path: path.stem,
+)
 def test_shipped_specs_validate_and_name_the_schema(path, validator):
     validator.validate(read(path).document)
-    assert path.read_text(encoding="utf-8").startswith(f"# yaml-language-server: $schema={FILE.name}\n")
+    assert path.read_text(encoding="utf-8").startswith(
+        f"# yaml-language-server: $schema={FILE.name}\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,10 +70,13 @@ def test_shipped_specs_validate_and_name_the_schema(path, validator):
         "extends: base.yaml\nname: over\n",
         "extends: quickstart\nname: over\n",
         "extends: base.yaml\nname: over\ntask: CartPole-v1\nwasp: {candidates: 8}\n",
-        GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
+        GOOD
+        + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
         GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",
-        "extends: table1\nname: over\nmethods: [human, halfway:Halfway]\nwasp: null\nexpert: null\n",
-        GOOD + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
+        "extends: table1\nname: over\nmethods: [human, halfway:Halfway]\nwasp: "
+        "null\nexpert: null\n",
+        GOOD
+        + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
     ],
 )
 def test_what_specs_may_write_validates(text, validator):
@@ -71,14 +84,28 @@ def test_what_specs_may_write_validates(text, validator):
 
 
 MISTAKES = [
-    ("name: good", "name: ../good"), ("seeds: [0]\n", ""), ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""), ("noisy", "nosiy"),
-    ("{mild: 0.2}", "0.2"), ("[human, wasp]", "[human, my module:Mine]"),
-    *(("seeds: [0]", f"seeds: [0]\n{line}") for line in (
-        "episode: 3", "task: goal1", "extends: base.json", "wasp: {candidats: 8}", "wasp: {variant: full}", "evaluate: {episodes: 3}",
-        "by_task: {goal1: {evaluate: {success_goals: 3}}}", "residual: {operators: {nosiy: [0.5]}}", "stages: [worldmodel]",
-        "variants: [no-case]",
-    )),
-]  # fmt: skip
+    ("name: good", "name: ../good"),
+    ("seeds: [0]\n", ""),
+    ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""),
+    ("noisy", "nosiy"),
+    ("{mild: 0.2}", "0.2"),
+    ("[human, wasp]", "[human, my module:Mine]"),
+    *(
+        ("seeds: [0]", f"seeds: [0]\n{line}")
+        for line in (
+            "episode: 3",
+            "task: goal1",
+            "extends: base.json",
+            "wasp: {candidats: 8}",
+            "wasp: {variant: full}",
+            "evaluate: {episodes: 3}",
+            "by_task: {goal1: {evaluate: {success_goals: 3}}}",
+            "residual: {operators: {nosiy: [0.5]}}",
+            "stages: [worldmodel]",
+            "variants: [no-case]",
+        )
+    ),
+]
 
 
 @pytest.mark.parametrize(("old", "new"), MISTAKES)
@@ -101,14 +128,20 @@ def test_fields_say_what_they_mean_and_no_default_that_presets_change():
     schema = spec_schema()
     wasp, printed = (schema["$defs"][f"{name}Config"]["properties"] for name in ("WASP", "Printed"))
     assert printed["tau_r_quantile"] == {
-        "default": 0.95, "description": "which one", "exclusiveMaximum": 1.0, "exclusiveMinimum": 0.0, "type": "number"
-    }  # fmt: skip
+        "default": 0.95,
+        "description": "which one",
+        "exclusiveMaximum": 1.0,
+        "exclusiveMinimum": 0.0,
+        "type": "number",
+    }
     assert wasp["candidates"] == {"description": "N, section 5.1", "minimum": 4, "type": "integer"}
     assert set(schema["properties"]) == {*spec_type().model_fields, "extends", "task"}
 
 
 def test_names_of_plugins_are_there(monkeypatch):
-    plugin = MethodInfo("mine", "Mine", "mine:Mine", "wasp_cli.methods.configs:IDAConfig", variants=("full", "half"))
+    plugin = MethodInfo(
+        "mine", "Mine", "mine:Mine", "wasp_cli.methods.configs:IDAConfig", variants=("full", "half")
+    )
     monkeypatch.setattr(METHODS, "_all", {**METHODS, "mine": plugin})
     spec_type.cache_clear()
     try:
@@ -120,7 +153,8 @@ def test_names_of_plugins_are_there(monkeypatch):
     assert "half" in own["variants"]["items"]["enum"]
 
 
-# Specs by name, from any folder; and a wheel that brings them and the published parts, installed into an empty folder.
+# Specs by name, from any folder; and a wheel that brings them and the published parts, installed
+# into an empty folder.
 
 
 @pytest.fixture
@@ -129,21 +163,36 @@ def elsewhere(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"])
+@pytest.mark.parametrize(
+    "typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"]
+)
 def test_a_spec_is_found_by_its_name(typed, elsewhere):
     (elsewhere / "quickstart").mkdir()  # a folder is none
     assert spec_path(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
     assert load(Path(typed)).spec.name == "quickstart"
 
 
-@pytest.mark.parametrize("typed", ["mine/quickstart.yaml", "../quickstart", "quickstart.txt", "/quickstart", "quick\nstart", "nothing", ""])
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "mine/quickstart.yaml",
+        "../quickstart",
+        "quickstart.txt",
+        "/quickstart",
+        "quick\nstart",
+        "nothing",
+        "",
+    ],
+)
 def test_nothing_else_is_taken_for_a_name(typed, elsewhere):
     assert spec_path(Path(typed)) == Path(typed)
 
 
 def test_a_file_that_is_there_comes_first(elsewhere):
     assert run_here("init", columns=200).exit_code == 0
-    shipped = {path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))}
+    shipped = {
+        path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))
+    }
     assert {path.name for path in Path("specs").iterdir()} == shipped
     Path("specs/table1.yaml").write_text("name: mine\n")
     assert "specs/table1.yaml: is there, not changed" in run_here("init", columns=200).output
@@ -159,15 +208,26 @@ def test_a_shipped_spec_is_extended_by_its_name_from_any_folder(value, elsewhere
     mine.parent.mkdir()
     mine.write_text(f"extends: {value}\nname: mine\nseeds: [7]\n")
     spec = load(mine).spec
-    assert (spec.name, spec.seeds, spec.tasks) == ("mine", (7,), load(Path("quickstart")).spec.tasks)
-    (mine.parent / "quickstart.yaml").write_text("name: nearer\ntasks: [race1]\nmethods: [human]\noperators: {laggy: {moderate: 0.7}}\n")
-    assert load(mine).spec.tasks == (load(Path("quickstart")).spec.tasks if "/" in value else ("race1",)), "a file beside it comes first"
+    assert (spec.name, spec.seeds, spec.tasks) == (
+        "mine",
+        (7,),
+        load(Path("quickstart")).spec.tasks,
+    )
+    (mine.parent / "quickstart.yaml").write_text(
+        "name: nearer\ntasks: [race1]\nmethods: [human]\noperators: {laggy: {moderate: 0.7}}\n"
+    )
+    assert load(mine).spec.tasks == (
+        load(Path("quickstart")).spec.tasks if "/" in value else ("race1",)
+    ), "a file beside it comes first"
 
 
 @pytest.mark.parametrize("command", [("check",), ("run",), ("sweep", "--vary", "episodes=1,2")])
 def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
     (elsewhere / "other.yaml").write_text("name: other\n")
-    assert f"known: other, {', '.join(shipped_names())}" in run_here(*command, "nope", columns=200, code=3).output
+    assert (
+        f"known: other, {', '.join(shipped_names())}"
+        in run_here(*command, "nope", columns=200, code=3).output
+    )
     assert "did you mean 'quickstart'?" in run_here(*command, "quikstart", columns=200).output
 
 
@@ -219,7 +279,14 @@ for command in (["check", "quickstart", "specs/table1.yaml", "paper"], ["plan", 
     except SystemExit as end:
         print(end.code)
 """
-    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
     where, checked, _, _, code_of_check, plan = done.stdout.split("\n", 5)
     assert where.startswith(str(installed)), "another installation was asked"
     assert checked == "quickstart: ok, 29 cells"
@@ -227,7 +294,12 @@ for command in (["check", "quickstart", "specs/table1.yaml", "paper"], ["plan", 
     assert code_of_check == code_of_plan == "0", done.stderr
     assert not list(tmp_path.iterdir())
     states = {node["label"]: node["state"] for node in json.loads(plan)["nodes"]}
-    assert states["goal1 s1 world_model"] == states["goal1 s1 policies"] == states["goal1 s1 critics"] == "published"
+    assert (
+        states["goal1 s1 world_model"]
+        == states["goal1 s1 policies"]
+        == states["goal1 s1 critics"]
+        == "published"
+    )
     spec, results = ROOT / "specs" / "quickstart.yaml", tmp_path / "results"
     here = json.loads(run_here("plan", spec, "--results", results, "--json", columns=200).stdout)
     assert states == {node["label"]: node["state"] for node in here["nodes"]}

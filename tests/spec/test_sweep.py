@@ -25,9 +25,25 @@ operators:
 seeds: [0]
 """
 
-PRINTABLE = st.text(st.characters(min_codepoint=32, max_codepoint=0xD7FF, exclude_categories=["Cc", "Cs", "Zl", "Zp", "Cn"]), max_size=12)
-SCALARS = st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(allow_nan=False, allow_infinity=False) | PRINTABLE
-VALUES = st.lists(SCALARS | st.lists(SCALARS, max_size=3), min_size=2, max_size=6, unique_by=lambda value: json.dumps(as_stored(value)))
+PRINTABLE = st.text(
+    st.characters(
+        min_codepoint=32, max_codepoint=0xD7FF, exclude_categories=["Cc", "Cs", "Zl", "Zp", "Cn"]
+    ),
+    max_size=12,
+)
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**9), 10**9)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | PRINTABLE
+)
+VALUES = st.lists(
+    SCALARS | st.lists(SCALARS, max_size=3),
+    min_size=2,
+    max_size=6,
+    unique_by=lambda value: json.dumps(as_stored(value)),
+)
 
 
 def as_stored(value: Any) -> Any:
@@ -41,7 +57,11 @@ def as_stored(value: Any) -> Any:
 
 def single_quoted(value: Any) -> str:
     """YAML's other quotes, in which only the quote itself is doubled."""
-    return "'" + value.replace("'", "''") + "'" if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return (
+        "'" + value.replace("'", "''") + "'"
+        if isinstance(value, str)
+        else json.dumps(value, ensure_ascii=False)
+    )
 
 
 @pytest.fixture
@@ -86,8 +106,12 @@ def test_what_is_no_sweep_is_refused(vary, message):
 def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     spec.write_text(SPEC.replace("goal1", "gaol1"), encoding="utf-8")
     with pytest.raises(InvalidSpec) as caught:
-        read_sweep(spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9", "ida-guarded.tau_c=calibrated"])
-    assert [(problem.source, problem.message.partition(",")[0]) for problem in caught.value.problems] == [
+        read_sweep(
+            spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9", "ida-guarded.tau_c=calibrated"]
+        )
+    assert [
+        (problem.source, problem.message.partition(",")[0]) for problem in caught.value.problems
+    ] == [
         (str(spec), "unknown task 'gaol1'"),
         ("--set ida.vote=9", "ida.vote: should be less than or equal to 1"),
         ("--set ida-guarded.tau_c=calibrated", "ida-guarded.tau_c: should be a number"),
@@ -101,13 +125,16 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     [
         ("wasp.tau_c=0.3,1", (), ("human", "wasp")),
         ("diffusion.ratio=0.2,0.4", (), ("human", "diffusion")),  # though the spec does not list it
-        ("expert.gamma=0.9,0.99", (), ("human", "ida", "wasp", "expert")),  # a stage, and not the reference row
+        # a stage, and not the reference row
+        ("expert.gamma=0.9,0.99", (), ("human", "ida", "wasp", "expert")),
         ("action_repeat=2,4", (), ("human", "ida", "wasp", "expert")),
         ("wasp.tau_c=0.3,1", ("wasp", "ida"), ("ida", "wasp")),
     ],
 )
 def test_which_methods_run(spec, vary, wanted, expected):
-    assert {point.loaded.spec.methods for point in read_sweep(spec, vary, wanted).points} == {expected}
+    assert {point.loaded.spec.methods for point in read_sweep(spec, vary, wanted).points} == {
+        expected
+    }
 
 
 def test_each_value_has_a_spec_and_a_name_of_its_own(spec):
@@ -119,13 +146,22 @@ def test_each_value_has_a_spec_and_a_name_of_its_own(spec):
     ]
     for point in found.points:
         section: Any = point.loaded.spec.method("ida")
-        assert (section.vote, point.loaded.spec.episodes, point.loaded.spec.tasks) == (point.value, 3, ("goal1", "race1"))
+        assert (section.vote, point.loaded.spec.episodes, point.loaded.spec.tasks) == (
+            point.value,
+            3,
+            ("goal1", "race1"),
+        )
 
 
-@given(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", fullmatch=True), st.lists(st.text(max_size=80), min_size=1, max_size=6))
+@given(
+    st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", fullmatch=True),
+    st.lists(st.text(max_size=80), min_size=1, max_size=6),
+)
 def test_names_are_those_of_specs_and_differ(head, tails):
     taken: list[str] = []
     for tail in tails:
         taken.append(spec_name(head, tail, taken))
     assert len(set(taken)) == len(tails)
-    assert all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name) and len(name) <= LONGEST for name in taken)
+    assert all(
+        re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name) and len(name) <= LONGEST for name in taken
+    )

@@ -23,5 +23,11 @@ def folder_of_cells(root: Path, method: str = "ida") -> Layout:
         rows = [episode_metrics(trajectory, 1, 25) for trajectory in trajectories]
         identity = CellIdentity("goal1", method, "full", "laggy", 0.5, seed)
         write_cell(staging, identity, trajectories, rows, Thresholds(), [np.ones(5)] * 3, [0, 1, 2])
-        commit(layout, "evaluate", key, staging, {"label": f"goal1 s{seed} {method} laggy=0.5", "key": key, "kind": "evaluate"})
+        commit(
+            layout,
+            "evaluate",
+            key,
+            staging,
+            {"label": f"goal1 s{seed} {method} laggy=0.5", "key": key, "kind": "evaluate"},
+        )
     return layout

@@ -10,7 +10,14 @@ import wasp_cli
 from tests.report.invented import invent, write_rows
 from wasp_cli.errors import StoreError
 from wasp_cli.store import artifact
-from wasp_cli.store.artifact import commit, damage, exists, read_manifest, staging_folder, stored_keys
+from wasp_cli.store.artifact import (
+    commit,
+    damage,
+    exists,
+    read_manifest,
+    staging_folder,
+    stored_keys,
+)
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.provenance import cuda_devices, git_state
@@ -33,7 +40,10 @@ def test_an_artifact_appears_whole(layout):
     place = commit(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
     assert (place / "deep" / "data").read_text() == "one"
     digest = hashlib.sha256(b"one").hexdigest()
-    assert read_manifest(layout, "expert", KEY) == {"key": KEY, "files": {"deep/data": {"size": 3, "sha256": digest}}}
+    assert read_manifest(layout, "expert", KEY) == {
+        "key": KEY,
+        "files": {"deep/data": {"size": 3, "sha256": digest}},
+    }
     assert stored_keys(layout, "expert") == {KEY}
     assert not list(layout.tmp.iterdir())
 
@@ -76,8 +86,16 @@ def test_what_kept_an_artifact_from_its_place_is_told(layout):
 
 def test_a_lock_is_held_by_one_and_ends_with_its_process(layout):
     path = layout.lock(KEY)
-    code = f"import os; from pathlib import Path; from wasp_cli.store.lock import held\nwith held(Path({str(path)!r}), print): os._exit(9)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2]).returncode == 9
+    code = (
+        "import os; from pathlib import Path; from wasp_cli.store.lock import held\nwith "
+        f"held(Path({str(path)!r}), print): os._exit(9)"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2]
+        ).returncode
+        == 9
+    )
     assert path.exists()
     assert not is_held(path)
 
@@ -93,7 +111,14 @@ def test_sweeping_spares_what_is_being_written(layout):
 
 @pytest.mark.parametrize("name", ["", "..", ".hidden", "a/b", "a\\b", "a b", "x" * 200, "\x00"])
 def test_names_never_become_paths_unchecked(name, layout):
-    for make in (layout.kind, layout.reports, layout.run, lambda key: layout.artifact("expert", key), layout.work, layout.failure):
+    for make in (
+        layout.kind,
+        layout.reports,
+        layout.run,
+        lambda key: layout.artifact("expert", key),
+        layout.work,
+        layout.failure,
+    ):
         with pytest.raises(StoreError):
             make(name)
 
@@ -103,7 +128,9 @@ def test_names_never_become_paths_unchecked(name, layout):
 
 def git(root: Path, *arguments: str) -> str:
     identity = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
-    return subprocess.run(["git", "-C", str(root), *identity, *arguments], check=True, capture_output=True, text=True).stdout.strip()
+    return subprocess.run(
+        ["git", "-C", str(root), *identity, *arguments], check=True, capture_output=True, text=True
+    ).stdout.strip()
 
 
 @pytest.fixture
@@ -129,7 +156,11 @@ def changes(text: str, path: Path) -> str | None:
 
 
 def test_a_clean_checkout_is_its_commit(checkout):
-    assert git_state() == {"sha": git(checkout, "rev-parse", "HEAD"), "dirty": False, "changes": None}
+    assert git_state() == {
+        "sha": git(checkout, "rev-parse", "HEAD"),
+        "dirty": False,
+        "changes": None,
+    }
 
 
 def test_each_change_of_the_package_has_a_hash_of_its_own(checkout):
@@ -161,7 +192,11 @@ def test_outside_of_a_checkout_there_is_nothing_to_say(tmp_path, monkeypatch):
 
 def test_devices_are_named_only_where_this_process_computes_on_them(monkeypatch):
     def fake(initialized: bool) -> SimpleNamespace:
-        cuda = SimpleNamespace(is_initialized=lambda: initialized, device_count=lambda: 2, get_device_name=lambda index: f"GPU {index}")
+        cuda = SimpleNamespace(
+            is_initialized=lambda: initialized,
+            device_count=lambda: 2,
+            get_device_name=lambda index: f"GPU {index}",
+        )
         return SimpleNamespace(cuda=cuda)
 
     monkeypatch.setitem(sys.modules, "torch", fake(True))
@@ -178,7 +213,9 @@ def test_devices_are_named_only_where_this_process_computes_on_them(monkeypatch)
 def cell(folder: Path, episodes: int = 4) -> Path:
     folder.mkdir()
     return write_rows(
-        folder, CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 0), [invent(e, 5, 0.2, 0.05, steps=7) for e in range(episodes)]
+        folder,
+        CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 0),
+        [invent(e, 5, 0.2, 0.05, steps=7) for e in range(episodes)],
     )
 
 
@@ -195,7 +232,10 @@ def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touch
     assert not without_steps({"kind": "evaluate"})
     assert not without_steps({"kind": "critics", "slim": {"m.safetensors": {}}})
     assert slim(tmp_path / "cell", "evaluate", Slimming(steps=1)) == {}
-    assert slim(tmp_path / "cell", "evaluate", Slimming(steps=0))[STEPS_FILE]["left_out"] == "all steps"
+    assert (
+        slim(tmp_path / "cell", "evaluate", Slimming(steps=0))[STEPS_FILE]["left_out"]
+        == "all steps"
+    )
 
 
 def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_else(tmp_path):
@@ -204,5 +244,7 @@ def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_
     assert slim(tmp_path, "diagnostics", Slimming()) == {}
     assert slim(tmp_path, "dataset", Slimming(images=False)) == {}
     whole = artifact.file_digest(tmp_path / "images.parquet")
-    assert slim(tmp_path, "diagnostics", Slimming(images=False)) == {"images.parquet": {"left_out": "images", "sha256": whole}}
+    assert slim(tmp_path, "diagnostics", Slimming(images=False)) == {
+        "images.parquet": {"left_out": "images", "sha256": whole}
+    }
     assert [path.name for path in tmp_path.iterdir()] == ["diagnostics.json"]

@@ -25,7 +25,9 @@ READERS = {
 
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
-def test_a_folder_of_cells_reads_as_their_episodes_and_what_an_invalidated_one_leaves_is_no_obstacle(read, layout):
+def test_a_folder_of_cells_reads_as_their_episodes_beside_what_an_invalidated_one_left(
+    read, layout
+):
     invalidate(layout, "evaluate", KEYS[0], "its bytes changed")
     assert why_invalid(layout, "evaluate", KEYS[0]) == "its bytes changed"
     assert len(read(layout.kind("evaluate"))) == 9
@@ -35,6 +37,11 @@ def test_no_column_is_a_reserved_word(layout):
     """Of DuckDB, whose grammar is that of PostgreSQL."""
     names = pq.read_schema(layout.artifact("evaluate", KEYS[0]) / "episodes.parquet").names
     names += pq.read_schema(layout.artifact("evaluate", KEYS[0]) / STEPS_FILE).names
-    reserved = {word for (word,) in duckdb.sql("select keyword_name from duckdb_keywords() where keyword_category = 'reserved'").fetchall()}
+    reserved = {
+        word
+        for (word,) in duckdb.sql(
+            "select keyword_name from duckdb_keywords() where keyword_category = 'reserved'"
+        ).fetchall()
+    }
     assert {"select", "group"} <= reserved
     assert not {name.lower() for name in names} & reserved

@@ -16,10 +16,22 @@ KEYS = {
 }
 
 
-def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12:34:56+00:00", **further: Any) -> Path:
+def store(
+    layout: Layout,
+    key: str,
+    label: str,
+    started_at: str = "2026-05-01T12:34:56+00:00",
+    **further: Any,
+) -> Path:
     staging = staging_folder(layout, key)
     (staging / "episodes.parquet").write_bytes(b"rows")
-    manifest = {"key": key, "kind": "evaluate", "label": label, "provenance": {"started_at": started_at}, **further}
+    manifest = {
+        "key": key,
+        "kind": "evaluate",
+        "label": label,
+        "provenance": {"started_at": started_at},
+        **further,
+    }
     return commit(layout, "evaluate", key, staging, manifest)
 
 
@@ -79,15 +91,34 @@ def test_paths(layout, tmp_path, monkeypatch):
     copy = tmp_path / "copy of a cell.parquet"
     copy.write_bytes(b"rows")
     alone = find_cell(layout, str(copy))
-    assert (alone.key, alone.label, alone.date, alone.setting("axes", "method")) == (None, None, "", None)
+    assert (alone.key, alone.label, alone.date, alone.setting("axes", "method")) == (
+        None,
+        None,
+        "",
+        None,
+    )
     monkeypatch.chdir(folder.parent.parent)
-    assert find_cell(Layout(Path("nowhere")), "evaluate/bbbb0000000000000000").key == "bbbb0000000000000000"
+    assert (
+        find_cell(Layout(Path("nowhere")), "evaluate/bbbb0000000000000000").key
+        == "bbbb0000000000000000"
+    )
     with pytest.raises(UsageError, match="holds no episodes"):
         find_cell(layout, str(tmp_path))
 
 
 @pytest.mark.parametrize(
-    "text", ["../../x", "../evaluate/0123456789abcdef0123/../x", "/etc/shadow/x", "\0", "x" * 5000, "", "  ", "~", "*"]
+    "text",
+    [
+        "../../x",
+        "../evaluate/0123456789abcdef0123/../x",
+        "/etc/shadow/x",
+        "\0",
+        "x" * 5000,
+        "",
+        "  ",
+        "~",
+        "*",
+    ],
 )
 def test_what_names_nothing_opens_nothing(layout, text):
     with pytest.raises(UsageError) as caught:

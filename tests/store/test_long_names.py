@@ -21,8 +21,12 @@ def results(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("command", [["explain"], ["note"], ["view"]], ids=lambda each: each[0])
-def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Comparing 60,000 characters with the names of a store took 17 s of CPU: they are compared with none."""
+def test_a_name_of_any_length_costs_nothing(
+    command: list[str], results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Comparing 60,000 characters with the names of a store took 17 s of CPU: they are compared
+    with none.
+    """
     name = "goal1 s1 human noisy " * 3000
 
     def compared(_: object, one: str, other: str) -> SequenceMatcher[str]:
@@ -35,5 +39,13 @@ def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, m
             site_of(results).one(name)
         assert "this one has 62999" in str(caught.value.hint)
         return
-    done = run_here(*command, name, *(["text"] if command == ["note"] else []), "--results", results, columns=100, code=2)
+    done = run_here(
+        *command,
+        name,
+        *(["text"] if command == ["note"] else []),
+        "--results",
+        results,
+        columns=100,
+        code=2,
+    )
     assert "did you mean" not in done.stderr

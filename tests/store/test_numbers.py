@@ -26,13 +26,17 @@ def test_the_same_as_reading_all_rows(tmp_path, identity):
     found, rows = read_numbers(path, COLUMNS), read_episodes([path])
     assert found.table.equals(rows.select(COLUMNS))
     assert found.identity == identity
-    assert found.thresholds == Thresholds(*(rows[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q")))
+    assert found.thresholds == Thresholds(
+        *(rows[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q"))
+    )
     assert found.thresholds == (Thresholds(0.3, 3.5) if identity is WASP else Thresholds())
 
 
 def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
     place = SCHEMA.get_field_index(name)
-    return lambda table: table.set_column(place, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type))
+    return lambda table: table.set_column(
+        place, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type)
+    )
 
 
 @pytest.mark.parametrize(
@@ -49,7 +53,7 @@ def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
         lambda table: table.cast(table.schema.set(COST, pa.field("cost", pa.int64()))),
     ],
     ids=["methods", "values", "thresholds", "nan", "less", "older", "odd", "empty", "types"],
-)  # fmt: skip
+)
 def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path, change):
     path = cell(tmp_path)
     table = pq.read_table(path)

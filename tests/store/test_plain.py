@@ -16,7 +16,16 @@ import pytest
 from tests.store.test_tables import CELL, invent
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.metrics.episode import episode_metrics
-from wasp_cli.store.artifact import commit, damage, discard, is_file_name, read_manifest, read_record, staging_folder, stored_keys
+from wasp_cli.store.artifact import (
+    commit,
+    damage,
+    discard,
+    is_file_name,
+    read_manifest,
+    read_record,
+    staging_folder,
+    stored_keys,
+)
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
@@ -57,7 +66,11 @@ def test_depth_has_an_end():
 @pytest.mark.parametrize("bad", ["\x1b]0;title\x07", "\x1b[31m", "\x9b31m", "\u202etxt", "\ud800"])
 @pytest.mark.parametrize("escaped", [True, False])
 def test_nothing_that_a_terminal_obeys_is_read(bad, escaped):
-    said = parse(json.dumps({"a" + bad: [bad]})) if escaped or bad < " " else parse(json.dumps({"a" + bad: [bad]}, ensure_ascii=False))
+    said = (
+        parse(json.dumps({"a" + bad: [bad]}))
+        if escaped or bad < " "
+        else parse(json.dumps({"a" + bad: [bad]}, ensure_ascii=False))
+    )
     ((name, (value,)),) = said.items()
     for text in (name, value):
         assert bad not in text
@@ -74,7 +87,9 @@ def test_lines_that_are_no_objects_are_left_out(tmp_path):
     assert read_json_lines(path) == []
 
 
-@pytest.mark.parametrize("name", ["", "/etc/passwd", "..", "../x", "a/../../x", "a//b", "./a", "a\0", "a" * 5000])
+@pytest.mark.parametrize(
+    "name", ["", "/etc/passwd", "..", "../x", "a/../../x", "a//b", "./a", "a\0", "a" * 5000]
+)
 def test_an_artifact_has_no_files_elsewhere(name):
     assert not is_file_name(name)
     assert is_file_name("deep/data.bin")
@@ -142,7 +157,10 @@ def test_locks_are_asked_for_as_nfs_allows(tmp_path, monkeypatch):
     real = fcntl.flock
 
     def flock(descriptor: int, how: int) -> None:
-        if how & fcntl.LOCK_EX and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+        if (
+            how & fcntl.LOCK_EX
+            and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY
+        ):
             raise OSError(errno.EBADF, "an exclusive lock of a file that is open for reading")
         real(descriptor, how)
 
@@ -155,7 +173,9 @@ def test_locks_are_asked_for_as_nfs_allows(tmp_path, monkeypatch):
 
 
 def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path):
-    """Without looking again, it would hold a file that no path names, and the next process another one."""
+    """Without looking again, it would hold a file that no path names, and the next process
+    another one.
+    """
     path = tmp_path / "key"
     waits, holds, end = threading.Event(), threading.Event(), threading.Event()
 
@@ -188,7 +208,10 @@ def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path):
     counter = tmp_path / "counter"
     counter.write_text("0")
     context = multiprocessing.get_context("fork")  # it has imported everything already
-    processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 40)) for _ in range(2)]
+    processes = [
+        context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 40))
+        for _ in range(2)
+    ]
     for process in processes:
         process.start()
     removed = 0
@@ -218,7 +241,15 @@ EPISODES = [invent(0, 5), invent(1, 1), invent(2, 9)]
 @pytest.fixture
 def path(tmp_path) -> Path:
     rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in EPISODES]
-    return write_cell(tmp_path, CELL, EPISODES, rows, Thresholds(), [np.ones(t.steps) for t in EPISODES], [11, 12, 13])
+    return write_cell(
+        tmp_path,
+        CELL,
+        EPISODES,
+        rows,
+        Thresholds(),
+        [np.ones(t.steps) for t in EPISODES],
+        [11, 12, 13],
+    )
 
 
 def test_commands_actions_and_rewards_come_back_episode_by_episode(path):
@@ -227,10 +258,14 @@ def test_commands_actions_and_rewards_come_back_episode_by_episode(path):
     for e, trajectory in enumerate(EPISODES):
         for name in ("a_h", "a", "reward"):
             assert recorded[name][e].dtype == np.float32
-            np.testing.assert_array_equal(recorded[name][e], getattr(trajectory, name).astype(np.float32))
+            np.testing.assert_array_equal(
+                recorded[name][e], getattr(trajectory, name).astype(np.float32)
+            )
 
 
-@pytest.mark.parametrize("damage", ["no episode", "an episode is missing", "steps are missing", "no actions"])
+@pytest.mark.parametrize(
+    "damage", ["no episode", "an episode is missing", "steps are missing", "no actions"]
+)
 def test_rows_that_are_no_whole_episodes_are_refused(path, damage):
     table = pq.read_table(path)
     if damage == "no episode":
@@ -238,7 +273,11 @@ def test_rows_that_are_no_whole_episodes_are_refused(path, damage):
     elif damage == "an episode is missing":
         table = pa.concat_tables([table.slice(0, 1), table.slice(2, 1)])
     elif damage == "steps are missing":
-        table = table.set_column(table.column_names.index("decisions"), table.schema.field("decisions"), [pa.array([5, 2, 9], pa.int32())])
+        table = table.set_column(
+            table.column_names.index("decisions"),
+            table.schema.field("decisions"),
+            [pa.array([5, 2, 9], pa.int32())],
+        )
     else:
         steps = pq.read_table(path.with_name(STEPS_FILE))
         rows = [step | {"a": []} for step in steps.to_pylist()]

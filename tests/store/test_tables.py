@@ -15,9 +15,25 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.tables.main import autonomy_table
 from wasp_cli.store import tables
-from wasp_cli.store.branches import CELL_KEY, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
+from wasp_cli.store.branches import (
+    CELL_KEY,
+    VERSION_KEY,
+    BranchedCell,
+    BranchRow,
+    read_branches,
+    write_branches,
+)
 from wasp_cli.store.numbers import read_numbers
-from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, read_episodes, read_steps, same_rows, write_cell
+from wasp_cli.store.tables import (
+    EPISODES_FILE,
+    STEPS_FILE,
+    CellIdentity,
+    Thresholds,
+    read_episodes,
+    read_steps,
+    same_rows,
+    write_cell,
+)
 
 ROOT = Path(__file__).parents[2]
 CELL = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3)
@@ -28,20 +44,41 @@ def invent(seed: int, steps: int) -> Trajectory:
     acts = rng.random(steps) < 0.5
     a_h = rng.uniform(-1, 1, (steps, 2))
     cost_env = rng.integers(0, 3, steps)
-    done = {"reward": rng.normal(size=steps), "cost": cost_env > 0, "cost_env": cost_env, "goals": rng.integers(0, 2, steps)}
-    seen = {"g_cost": rng.random(steps), "g_return": rng.random(steps), "delta_g": np.where(acts, 0.5, np.nan)}
+    done = {
+        "reward": rng.normal(size=steps),
+        "cost": cost_env > 0,
+        "cost_env": cost_env,
+        "goals": rng.integers(0, 2, steps),
+    }
+    seen = {
+        "g_cost": rng.random(steps),
+        "g_return": rng.random(steps),
+        "delta_g": np.where(acts, 0.5, np.nan),
+    }
     a, gate = np.where(acts[:, None], -a_h, a_h), np.where(acts, 1, 0).astype(np.int8)
-    return trajectory(steps, **done, **seen, a_h=a_h, a=a, gate=gate, plans=plans_of(np.where(acts, 0.25, np.nan)))
+    return trajectory(
+        steps, **done, **seen, a_h=a_h, a=a, gate=gate, plans=plans_of(np.where(acts, 0.25, np.nan))
+    )
 
 
 @pytest.fixture
 def write(tmp_path) -> Callable[..., Path]:
-    def make(name: str = "cell", cell: CellIdentity = CELL, seed: int = 0, slowness: float = 1.0) -> Path:
+    def make(
+        name: str = "cell", cell: CellIdentity = CELL, seed: int = 0, slowness: float = 1.0
+    ) -> Path:
         trajectories = [invent(seed, 5), invent(seed + 1, 1), invent(seed + 2, 9)]
         rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in trajectories]
         times = [slowness * np.arange(1.0, trajectory.steps + 1) for trajectory in trajectories]
         (tmp_path / name).mkdir()
-        return write_cell(tmp_path / name, cell, trajectories, rows, Thresholds(tau_c=0.3, tau_r=0.41), times, [11, 12, 13])
+        return write_cell(
+            tmp_path / name,
+            cell,
+            trajectories,
+            rows,
+            Thresholds(tau_c=0.3, tau_r=0.41),
+            times,
+            [11, 12, 13],
+        )
 
     return make
 
@@ -54,19 +91,26 @@ def test_episodes_round_trip(write):
     rows = table.to_pylist()
     assert [row["episode_seed"] for row in rows] == [11, 12, 13]
     assert [row["decisions"] for row in rows] == [5, 1, 9]
-    assert {(row["task"], row["method"], row["variant"], row["operator"], row["value"], row["seed"]) for row in rows} == {
-        ("goal1", "wasp", "full", "noisy", 0.4, 3)
-    }
+    assert {
+        (row["task"], row["method"], row["variant"], row["operator"], row["value"], row["seed"])
+        for row in rows
+    } == {("goal1", "wasp", "full", "noisy", 0.4, 3)}
     assert (rows[0]["tau_c"], rows[0]["tau_r"], rows[0]["tau_q"]) == (0.3, 0.41, None)
     assert (rows[0]["decision_p50_ms"], rows[0]["decision_p95_ms"]) == (3.0, pytest.approx(4.8))
     wanted = episode_metrics(invent(0, 5), 3, 25.0)
-    assert (rows[0]["return"], rows[0]["mag_int"], rows[0]["case2"]) == (wanted.return_, wanted.mag_int, wanted.case2)
+    assert (rows[0]["return"], rows[0]["mag_int"], rows[0]["case2"]) == (
+        wanted.return_,
+        wanted.mag_int,
+        wanted.case2,
+    )
     assert rows[1]["smoothness"] is None
 
 
 def test_steps_round_trip(write):
     steps = read_steps(write()).to_pylist()
-    assert [(step["episode"], step["t"]) for step in steps] == [(0, t) for t in range(5)] + [(1, 0)] + [(2, t) for t in range(9)]
+    assert [(step["episode"], step["t"]) for step in steps] == [(0, t) for t in range(5)] + [
+        (1, 0)
+    ] + [(2, t) for t in range(9)]
     episode = invent(2, 9)
     for t, step in enumerate(steps[6:]):
         assert step["reward"] == np.float32(episode.reward[t])
@@ -76,7 +120,15 @@ def test_steps_round_trip(write):
         assert step["cost"] == (step["cost_env"] > 0)
         assert step["g_return"] == np.float32(episode.g_return[t])
         assert step["signal"] is None
-        planned = ("plan", "safe", "case2", "plan_cost", "plan_return", "alone_cost", "alone_return")
+        planned = (
+            "plan",
+            "safe",
+            "case2",
+            "plan_cost",
+            "plan_return",
+            "alone_cost",
+            "alone_return",
+        )
         if not step["gate"]:
             assert all(step[name] is None for name in planned)
             continue
@@ -92,10 +144,23 @@ def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path):
     assert planned.any()
     assert not planned.all()
     episode.plans.safe[:] = -1
-    path = write_cell(tmp_path, CELL, [episode], [episode_metrics(episode, 3, 25.0)], Thresholds(), [np.ones(5)], range(1))
+    path = write_cell(
+        tmp_path,
+        CELL,
+        [episode],
+        [episode_metrics(episode, 3, 25.0)],
+        Thresholds(),
+        [np.ones(5)],
+        range(1),
+    )
     for step, was in zip(read_steps(path).to_pylist(), planned, strict=True):
         assert (step["safe"], step["case2"]) == (None, None)
-        assert (step["plan"] is not None) == (step["plan_cost"] is not None) == (step["alone_return"] is not None) == was
+        assert (
+            (step["plan"] is not None)
+            == (step["plan_cost"] is not None)
+            == (step["alone_return"] is not None)
+            == was
+        )
     assert read_episodes([path])["case2"].to_pylist() == [None]
 
 
@@ -103,18 +168,30 @@ def test_same_rows_leaves_timing_out(write):
     first = write("a")
     assert same_rows(first, write("b", slowness=2.0))
     assert not same_rows(first, write("c", seed=1))
-    assert not same_rows(first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
+    assert not same_rows(
+        first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3))
+    )
 
 
 def test_every_column_is_written_from_its_own_field():
-    """The schema and the dataclasses name the same things, so that a new metric cannot be forgotten in one of them."""
-    metrics = {"return" if name == "return_" else name for name in tables.EpisodeMetrics.__dataclass_fields__}
+    """The schema and the dataclasses name the same things, so that a new metric cannot be
+    forgotten in one of them.
+    """
+    metrics = {
+        "return" if name == "return_" else name
+        for name in tables.EpisodeMetrics.__dataclass_fields__
+    }
     assert {field.name for field in tables.METRICS} == metrics
-    assert {field.name for field in tables.STEP} == (set(Trajectory.__dataclass_fields__) - {"plans"}) | {"t", "deviation", *tables.PLANNED}
+    assert {field.name for field in tables.STEP} == (
+        set(Trajectory.__dataclass_fields__) - {"plans"}
+    ) | {"t", "deviation", *tables.PLANNED}
     assert set(tables.PLANNED.values()) == set(Plans.__dataclass_fields__)
 
 
-@pytest.mark.parametrize(("harm", "message"), [("gone", "does not exist"), ("other", "not the table of a cell"), ("cut", "is damaged")])
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [("gone", "does not exist"), ("other", "not the table of a cell"), ("cut", "is damaged")],
+)
 def test_what_is_no_table_of_a_cell_is_named(harm, message, write):
     path = write()
     if harm == "cut":
@@ -145,7 +222,8 @@ def test_a_flipped_bit_never_becomes_a_number(write, file):
     whole, hit = write("whole"), write("hit")
     path = hit.with_name(file)
     content = path.read_bytes()
-    footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")  # has no checksum; the pages before it have
+    # has no checksum; the pages before it have
+    footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     noticed = 0
     for place in range(0, footer, 37):
         path.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
@@ -167,10 +245,17 @@ def test_newer_version_is_refused(write, monkeypatch):
 def test_former_names_of_columns_are_read(write, tmp_path):
     path, former = write(), tmp_path / EPISODES_FILE  # as version 4 called its columns
     for name, key in ((EPISODES_FILE, tables.VERSION_KEY), (STEPS_FILE, tables.STEPS_KEY)):
-        table = pq.read_table(path.with_name(name)).rename_columns(tables.RENAMED).replace_schema_metadata({key: b"4"})
+        table = (
+            pq.read_table(path.with_name(name))
+            .rename_columns(tables.RENAMED)
+            .replace_schema_metadata({key: b"4"})
+        )
         pq.write_table(table, tmp_path / name, write_page_checksum=True)
     assert "assistant_variant" in pq.read_table(former).column_names
-    assert (tables.read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (4, True)
+    assert (tables.read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (
+        4,
+        True,
+    )
     found, now = (read_numbers(each, ("cost",)) for each in (former, path))
     assert found == now is not None
     assert tables.first_rows(former.parent, 1).steps.equals(tables.first_rows(path.parent, 1).steps)
@@ -179,11 +264,17 @@ def test_former_names_of_columns_are_read(write, tmp_path):
 
 def test_published_rows_do_not_define_what_later_versions_added():
     """They are read, by the quick reader too, and tables say n/a."""
-    published = sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))
+    published = sorted(
+        (ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}")
+    )
     path = next(path for path in published if tables.read_version(path) < tables.ADDED_IN)
     rows = read_episodes([path])
     numbers = read_numbers(path, (*tables.ADDED, "int_rate"))
-    assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in tables.ADDED)
+    assert all(
+        table[name].null_count == rows.num_rows
+        for table in (rows, numbers.table)
+        for name in tables.ADDED
+    )
     assert numbers.table["int_rate"].equals(rows["int_rate"])
     frame = read_frame([Wanted(numbers.identity, "a published cell", path)])
     table = autonomy_table(frame)
@@ -194,7 +285,13 @@ def test_published_rows_do_not_define_what_later_versions_added():
 # The table of branches: what is written comes back, and what is no such table is refused.
 
 
-BRANCHED = BranchedCell(CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3), window=4, stride=2, tau_R=0.25, episodes=7)
+BRANCHED = BranchedCell(
+    CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3),
+    window=4,
+    stride=2,
+    tau_R=0.25,
+    episodes=7,
+)
 
 
 def row(episode: int, t: int, branch: str, steps: int = 4) -> BranchRow:
@@ -203,7 +300,10 @@ def row(episode: int, t: int, branch: str, steps: int = 4) -> BranchRow:
     return BranchRow(episode, t, branch, costs, 3 * costs, random.normal(size=steps), 0.5 + t, 1)
 
 
-ROWS = [row(e, t, name) for e, t in ((0, 2), (0, 5), (3, 0)) for name in (ASSISTED, ALONE)] + [row(6, 9, ASSISTED, 2), row(6, 9, ALONE, 1)]
+ROWS = [row(e, t, name) for e, t in ((0, 2), (0, 5), (3, 0)) for name in (ASSISTED, ALONE)] + [
+    row(6, 9, ASSISTED, 2),
+    row(6, 9, ALONE, 1),
+]
 
 
 def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path):
@@ -217,8 +317,13 @@ def test_pairs_come_back_side_by_side_with_zeros_after_the_end(tmp_path):
     for place, first in enumerate(range(0, len(ROWS), 2)):
         for name, each in ((ASSISTED, ROWS[first]), (ALONE, ROWS[first + 1])):
             steps = len(each.costs)
-            assert found.cost[name][place].tolist() == [*map(float, each.costs), *[0.0] * (4 - steps)]
-            np.testing.assert_array_equal(found.reward[name][place, :steps], np.asarray(each.rewards, np.float32))
+            assert found.cost[name][place].tolist() == [
+                *map(float, each.costs),
+                *[0.0] * (4 - steps),
+            ]
+            np.testing.assert_array_equal(
+                found.reward[name][place, :steps], np.asarray(each.rewards, np.float32)
+            )
             assert not found.reward[name][place, steps:].any()
 
 
@@ -287,9 +392,15 @@ def test_former_names_of_branches_are_read(tmp_path):
     write_branches(path, BRANCHED, ROWS)
     table = pq.read_table(path)
     told = json.loads(table.schema.metadata[CELL_KEY])
-    told["identity"] = {tables.RENAMED.get(name, name): value for name, value in told["identity"].items()}
+    told["identity"] = {
+        tables.RENAMED.get(name, name): value for name, value in told["identity"].items()
+    }
     marks = {VERSION_KEY: b"1", CELL_KEY: json.dumps(told).encode()}
-    pq.write_table(table.rename_columns(tables.RENAMED).replace_schema_metadata(marks), former, write_page_checksum=True)
+    pq.write_table(
+        table.rename_columns(tables.RENAMED).replace_schema_metadata(marks),
+        former,
+        write_page_checksum=True,
+    )
     found, now = read_branches(former), read_branches(path)
     assert found.cell == now.cell == BRANCHED
     assert (found.t.tolist(), found.deviation.tolist()) == (now.t.tolist(), now.deviation.tolist())

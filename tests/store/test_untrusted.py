@@ -1,4 +1,6 @@
-"""An untrusted results folder: it executes nothing, and makes wasp neither read nor write outside of it."""
+"""An untrusted results folder: it executes nothing, and makes wasp neither read nor write
+outside of it.
+"""
 
 import json
 from collections.abc import Iterator
@@ -14,18 +16,39 @@ from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
 
 SECRET = "the-secret-of-the-reader"
 ONCE: tuple[tuple[str, ...], ...] = (
-    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--run", "0000"),
-    ("logs", "{label}", "--results", "{results}"), ("show", "{label}", "--results", "{results}"),
-    ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"), ("compare", "{results}", "{results}"),
-    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"), ("gc", "{results}", "--runs", "--yes"),
-)  # fmt: skip
+    ("report", "{results}"),
+    ("status", "{results}"),
+    ("status", "{results}", "--run", "0000"),
+    ("logs", "{label}", "--results", "{results}"),
+    ("show", "{label}", "--results", "{results}"),
+    ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}"),
+    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
+    ("gc", "{results}", "--runs", "--yes"),
+)
 """Every command in the form that reads and shows the most."""
 COMMANDS: tuple[tuple[str, ...], ...] = (
-    ("status", "{results}", "--json"), ("logs", "{key}", "--path", "--results", "{results}"),
-    ("show", "{key}", "--json", "--results", "{results}"), ("explain", "{key}", "-e", "0", "--results", "{results}"),
-    ("compare", "{results}", "{results}", "--json"), ("gc", "{results}", "--dry-run"),
-    ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"), *ONCE,
-)  # fmt: skip
+    ("status", "{results}", "--json"),
+    ("logs", "{key}", "--path", "--results", "{results}"),
+    ("show", "{key}", "--json", "--results", "{results}"),
+    ("explain", "{key}", "-e", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}", "--json"),
+    ("gc", "{results}", "--dry-run"),
+    (
+        "replay",
+        "{key}",
+        "-e",
+        "0",
+        "-s",
+        "0",
+        "--json",
+        "--results",
+        "{results}",
+        "--out",
+        "{results}/made.png",
+    ),
+    *ONCE,
+)
 ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal")
 """Attacks on what is printed: every form prints in its own way."""
 
@@ -35,7 +58,14 @@ def outside(tmp_path, monkeypatch) -> Iterator[Path]:
     """What belongs to the reader, and a module that tells when it is imported."""
     folder = tmp_path / "outside"
     (folder / "inner").mkdir(parents=True)
-    for name in ("secret.json", "inner/secret.json", "_manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
+    for name in (
+        "secret.json",
+        "inner/secret.json",
+        "_manifest.json",
+        "report.md",
+        EPISODES_FILE,
+        STEPS_FILE,
+    ):
         (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
     (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(folder))
@@ -47,12 +77,22 @@ def outside(tmp_path, monkeypatch) -> Iterator[Path]:
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 ONCE_EACH = [pytest.param(name, ONCE, id=name) for name in ATTACKS if name not in ON_EVERY_FORM]
 ALL_FORMS = [
-    pytest.param(name, COMMANDS, id=f"{name}, every form", marks=() if name in ON_EVERY_FORM else pytest.mark.slow) for name in ATTACKS
+    pytest.param(
+        name,
+        COMMANDS,
+        id=f"{name}, every form",
+        marks=() if name in ON_EVERY_FORM else pytest.mark.slow,
+    )
+    for name in ATTACKS
 ]
 
 
@@ -64,9 +104,14 @@ def test_nothing_is_obeyed(name, commands, outside, tmp_path, monkeypatch):
     ATTACKS[name](it, outside)
     codes = {}
     for command in commands:
-        arguments = [part.format(results=it.layout.root, label=LABEL, key=it.key[:8]) for part in command]
+        arguments = [
+            part.format(results=it.layout.root, label=LABEL, key=it.key[:8]) for part in command
+        ]
         done = run_here(*arguments, columns=100)
-        assert done.exception is None or isinstance(done.exception, SystemExit), (arguments, done.exc_info)
+        assert done.exception is None or isinstance(done.exception, SystemExit), (
+            arguments,
+            done.exc_info,
+        )
         assert done.exit_code in (0, 1, 2), (arguments, done.output)
         assert "Traceback" not in done.output
         assert "\x1b" not in done.output, arguments

@@ -20,7 +20,13 @@ class UntrustedStore:
 
     def __init__(self, folder: Path) -> None:
         operators = {"noisy": {"mild": 0.2}}
-        side = write_results(folder / "results", lambda _: [invent(0, 3, 0.2, 0.1)], methods=["human"], operators=operators, seeds=[0])
+        side = write_results(
+            folder / "results",
+            lambda _: [invent(0, 3, 0.2, 0.1)],
+            methods=["human"],
+            operators=operators,
+            seeds=[0],
+        )
         self.layout, ((_, self.key),) = side.layout, side.cells
         self.layout.log(RUN, LABEL, self.key).write_text("log\n")
 
@@ -38,12 +44,16 @@ class UntrustedStore:
         self.change(self.layout.run(RUN) / "plan.json", **facts)
 
     def nodes(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = json.loads((self.layout.run(RUN) / "plan.json").read_text())["nodes"]
+        found: list[dict[str, Any]] = json.loads((self.layout.run(RUN) / "plan.json").read_text())[
+            "nodes"
+        ]
         return found
 
     @property
     def cell(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.layout.run(RUN) / "plan.json").read_text())["cells"][0]
+        found: dict[str, Any] = json.loads((self.layout.run(RUN) / "plan.json").read_text())[
+            "cells"
+        ][0]
         return found
 
     def specification(self, **facts: Any) -> None:
@@ -52,7 +62,10 @@ class UntrustedStore:
     def fails(self, **facts: Any) -> None:
         """Something failed: reports then look for what it blocks."""
         expert = next(node["key"] for node in self.nodes() if node["kind"] == "expert")
-        write_record(self.layout.failure(expert), {"kind": "expert", "label": "goal1 s0 expert", "message": "x", **facts})
+        write_record(
+            self.layout.failure(expert),
+            {"kind": "expert", "label": "goal1 s0 expert", "message": "x", **facts},
+        )
 
     def rows(self, file: str = EPISODES_FILE, **columns: Any) -> None:
         path = self.artifact / file
@@ -62,6 +75,8 @@ class UntrustedStore:
             table = (
                 table.remove_column(index)
                 if values is None
-                else table.set_column(index, name, values if isinstance(values, pa.Array) else pa.array(values))
+                else table.set_column(
+                    index, name, values if isinstance(values, pa.Array) else pa.array(values)
+                )
             )
         pq.write_table(table, path)

@@ -19,7 +19,9 @@ class Lights(gymnasium.Env):
     """Shows its last action and its clock; every step asks one question of the adapter."""
 
     metadata = {"render_modes": [], "render_fps": 25}
-    action_space: gymnasium.Space = gymnasium.spaces.Box(np.array([-2.0, 0.0]), np.array([4.0, 10.0]), dtype=np.float64)
+    action_space: gymnasium.Space = gymnasium.spaces.Box(
+        np.array([-2.0, 0.0]), np.array([4.0, 10.0]), dtype=np.float64
+    )
     observation_space: gymnasium.Space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
     ends_at = 10**9
 

@@ -1,4 +1,6 @@
-"""Race and Formula One: rules of their episodes, and that leaving out distant walls and barrels changes nothing."""
+"""Race and Formula One: rules of their episodes, and that leaving out distant walls and barrels
+changes nothing.
+"""
 
 import numpy as np
 import pytest
@@ -152,7 +154,9 @@ def test_every_barrier_stops_the_car_and_costs(ring):
     middles = sides.mean(axis=1)
     # Head-on from where the track is, against half a dozen sides.
     at = track.FINE_LAP[track.progress(middles), :2]
-    chosen = np.flatnonzero((distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5))[::12][:6]
+    chosen = np.flatnonzero(
+        (distance(at, middles) > 0.6) & (np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 0.5)
+    )[::12][:6]
     task = Formula(len(chosen), observe=())
     task.reset([0] * len(chosen))
     far_from_barrels(task)
@@ -160,11 +164,17 @@ def test_every_barrier_stops_the_car_and_costs(ring):
         towards = (middles[side] - at[side]) / distance(at[side], middles[side])
         start = middles[side] - 0.45 * towards
         place(task, row, start, np.arctan2(towards[1], towards[0]))
-    starts_inside = [inside(task.pose()[0], getattr(track, name)) for name in ("OUTER_BARRIER", "INNER_BARRIER", "PIT_WALL")]
+    starts_inside = [
+        inside(task.pose()[0], getattr(track, name))
+        for name in ("OUTER_BARRIER", "INNER_BARRIER", "PIT_WALL")
+    ]
     touched = np.zeros(len(chosen), bool)
     for _ in range(25):
         touched |= task.step(np.full((len(chosen), 2), 0.02)).sources["static_geoms_contact"] > 0
-    ends_inside = [inside(task.pose()[0], getattr(track, name)) for name in ("OUTER_BARRIER", "INNER_BARRIER", "PIT_WALL")]
+    ends_inside = [
+        inside(task.pose()[0], getattr(track, name))
+        for name in ("OUTER_BARRIER", "INNER_BARRIER", "PIT_WALL")
+    ]
     assert touched.all()
     for before, after in zip(starts_inside, ends_inside, strict=True):
         assert before.tolist() == after.tolist()
@@ -182,14 +192,19 @@ def test_a_part_of_the_barriers_acts_as_all_of_them(monkeypatch):
             continue
         whole.restore(part.snapshot())
         with monkeypatch.context() as patch:
-            patch.setattr("wasp_cli.tasks.formula.task.sectors", lambda xy: np.ones(len(xy), np.int64))
+            patch.setattr(
+                "wasp_cli.tasks.formula.task.sectors", lambda xy: np.ones(len(xy), np.int64)
+            )
             patch.setattr("wasp_cli.tasks.formula.task.car.REACH", 99.0)
             whole._refresh(np.arange(7))
             expected = whole.step(action)
         beside += int((part._walls > 0).sum())
         step = part.step(action)
         np.testing.assert_allclose(part.snapshot()["qpos"], whole.snapshot()["qpos"], atol=1e-7)
-        assert step.sources["static_geoms_contact"].tolist() == expected.sources["static_geoms_contact"].tolist()
+        assert (
+            step.sources["static_geoms_contact"].tolist()
+            == expected.sources["static_geoms_contact"].tolist()
+        )
     assert beside > 10
 
 
@@ -225,7 +240,10 @@ def test_a_row_does_not_depend_on_the_others_nor_on_threads(make, steps):
         for row, task in enumerate(alone):
             own = task.step(action[row : row + 1])
             assert step.observation.state[row].tobytes() == own.observation.state[0].tobytes()
-            assert step.observation.privileged[row].tobytes() == own.observation.privileged[0].tobytes()
+            assert (
+                step.observation.privileged[row].tobytes()
+                == own.observation.privileged[0].tobytes()
+            )
             assert (step.reward[row], step.cost_env[row]) == (own.reward[0], own.cost_env[0])
 
 
@@ -239,7 +257,8 @@ def test_unstable_physics_is_an_error_not_a_new_start():
         task.step(np.zeros((2, 2)))
 
 
-# Which commands are one and the same force: held against the physics, and the projection against every action of a grid.
+# Which commands are one and the same force: held against the physics, and the projection against
+# every action of a grid.
 
 
 @pytest.mark.parametrize("task", ["race1", "formula1", "goal1"])
@@ -247,7 +266,9 @@ def test_actions_of_the_same_force_move_the_robot_alike_and_others_do_not(task):
     motors = TASKS[task].motors
     assert motors.saturation is not None
     random = np.random.default_rng(3)
-    wanted, command = (torch.from_numpy(random.uniform(-1, 1, (16, 2)).astype(np.float32)) for _ in range(2))
+    wanted, command = (
+        torch.from_numpy(random.uniform(-1, 1, (16, 2)).astype(np.float32)) for _ in range(2)
+    )
     wanted[8:] *= 0.01
     least = motors.least(command, wanted)
     assert not torch.equal(least, wanted)
@@ -271,7 +292,9 @@ def test_the_least_correction_is_the_closest_action_of_the_same_force():
         least = motors.least(torch.tensor(command), torch.tensor(wanted)).numpy()
         assert np.allclose(motors.force(least), motors.force(wanted), atol=1e-5)
         alike = every[(np.abs(motors.force(every) - motors.force(wanted)) < 1e-6).all(1)]
-        assert np.linalg.norm(least - command) <= np.linalg.norm(alike - command, axis=1).min() + 1e-5
+        assert (
+            np.linalg.norm(least - command) <= np.linalg.norm(alike - command, axis=1).min() + 1e-5
+        )
 
 
 def test_where_no_motor_is_known_an_action_is_its_own_force():

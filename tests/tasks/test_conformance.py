@@ -16,14 +16,20 @@ from wasp_cli.tasks.sheet import draw_sheet
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * ("Formula" in name)) for name in RECORDINGS])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * ("Formula" in name)) for name in RECORDINGS],
+)
 def test_every_quantity_of_a_recording_is_within_tolerance(name):
     recording = load_recording(name)
     assert [each for each in conformance.checks_of(recording)(recording) if not each.ok] == []
 
 
 def test_the_recordings_have_what_makes_the_checks_mean_something():
-    goal, race, formula = (load_recording(name) for name in ("PointGoal1_seed0.npz", "CarRace1_seed0.npz", "CarFormulaOne1_seed1.npz"))
+    goal, race, formula = (
+        load_recording(name)
+        for name in ("PointGoal1_seed0.npz", "CarRace1_seed0.npz", "CarFormulaOne1_seed1.npz")
+    )
     assert goal["cost"].sum() > 10
     assert goal["goal_met"].sum() == 2
     assert goal["n_vase_contacts"].sum() > 10
@@ -38,12 +44,26 @@ def test_the_recordings_have_what_makes_the_checks_mean_something():
     ("name", "field", "change"),
     [
         ("CarRace1_seed0.npz", "xy", lambda a: a + 2e-2),
-        pytest.param("CarRace1_seed0.npz", "layout_hazards_xy", lambda a: a + 1e-9, marks=pytest.mark.slow),
-        pytest.param("CarRace1_seed0.npz", "n_static_contacts", lambda a: np.ones_like(a), marks=pytest.mark.slow),
+        pytest.param(
+            "CarRace1_seed0.npz", "layout_hazards_xy", lambda a: a + 1e-9, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "CarRace1_seed0.npz",
+            "n_static_contacts",
+            lambda a: np.ones_like(a),
+            marks=pytest.mark.slow,
+        ),
         pytest.param("CarRace1_seed0.npz", "obs", lambda a: a + 1e-3, marks=pytest.mark.slow),
         pytest.param("CarFormulaOne1_seed1.npz", "goal_met", lambda a: ~a, marks=pytest.mark.slow),
-        pytest.param("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60), marks=pytest.mark.slow),
-        pytest.param("CarFormulaOne1_seed1.npz", "state_qvel", lambda a: a * 1.01, marks=pytest.mark.slow),
+        pytest.param(
+            "CarFormulaOne1_seed1.npz",
+            "n_vase_contacts",
+            lambda a: np.roll(a, 60),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarFormulaOne1_seed1.npz", "state_qvel", lambda a: a * 1.01, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_wrong_recording_fails(name, field, change):
@@ -56,22 +76,72 @@ def test_a_wrong_recording_fails(name, field, change):
     ("name", "place", "value", "noticed_by"),
     [
         ("PointGoal1_seed0.npz", "goal.task.Goal.reward_goal", 2.0, "reward, all steps"),
-        pytest.param("PointGoal1_seed0.npz", "goal.task.Goal.num_steps", 600, "meta num_steps", marks=pytest.mark.slow),
-        pytest.param("PointGoal1_seed0.npz", "goal.task.VASE_KEEPOUT", 0.16, "layout vases_xy", marks=pytest.mark.slow),
-        pytest.param("CarRace1_seed0.npz", "race.task.Race.reward_goal", 9.0, "reward, all steps", marks=pytest.mark.slow),
+        pytest.param(
+            "PointGoal1_seed0.npz",
+            "goal.task.Goal.num_steps",
+            600,
+            "meta num_steps",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "PointGoal1_seed0.npz",
+            "goal.task.VASE_KEEPOUT",
+            0.16,
+            "layout vases_xy",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarRace1_seed0.npz",
+            "race.task.Race.reward_goal",
+            9.0,
+            "reward, all steps",
+            marks=pytest.mark.slow,
+        ),
         ("CarRace1_seed0.npz", "race.task.HAZARD_RADIUS", 0.27, "cost_hazards"),
-        pytest.param("CarRace1_seed0.npz", "car.REACH", 0.0, "cost of walls as the gaps tell", marks=pytest.mark.slow),
-        pytest.param("CarRace1_seed0.npz", "navigation.Navigation.goal_radius", 0.31, "meta goal_size", marks=pytest.mark.slow),
-        pytest.param("CarFormulaOne1_seed1.npz", "formula.task.Formula.num_steps", 750, "meta num_steps", marks=pytest.mark.slow),
-        pytest.param("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy", marks=pytest.mark.slow),
-        pytest.param("CarFormulaOne1_seed1.npz", "formula.task._REACH", 0.0, "first contact with a barrel", marks=pytest.mark.slow),
+        pytest.param(
+            "CarRace1_seed0.npz",
+            "car.REACH",
+            0.0,
+            "cost of walls as the gaps tell",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarRace1_seed0.npz",
+            "navigation.Navigation.goal_radius",
+            0.31,
+            "meta goal_size",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarFormulaOne1_seed1.npz",
+            "formula.task.Formula.num_steps",
+            750,
+            "meta num_steps",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarFormulaOne1_seed1.npz",
+            "formula.task.BARREL_KEEPOUT",
+            0.49,
+            "layout vases_xy",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "CarFormulaOne1_seed1.npz",
+            "formula.task._REACH",
+            0.0,
+            "first contact with a barrel",
+            marks=pytest.mark.slow,
+        ),
         ("CarRace1_seed0.npz", "features.RANGE", 2.9, "hazards_lidar"),
     ],
 )
 def test_a_wrong_task_is_noticed(name, place, value, noticed_by, monkeypatch):
     monkeypatch.setattr(f"wasp_cli.tasks.{place}", value)
     recording = load_recording(name)
-    assert noticed_by in [each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok]
+    assert noticed_by in [
+        each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok
+    ]
 
 
 def test_the_command_reports_fails_on_a_wrong_recording_and_skips_unknown_ones(tmp_path, capsys):
@@ -98,7 +168,10 @@ def test_nan_is_out_of_tolerance():
 
 
 def test_upstream_gives_six_values_and_its_keys(monkeypatch):
-    env, usual = upstream("SafetyPointGoal1-v0", action_repeat=10), gymnasium.make(ID, action_repeat=10)
+    env, usual = (
+        upstream("SafetyPointGoal1-v0", action_repeat=10),
+        gymnasium.make(ID, action_repeat=10),
+    )
     first, nothing = env.reset(seed=9)
     assert text(first) == text(usual.reset(seed=9)[0])
     assert nothing == {"cost_hazards": 0.0, "cost_sum": 0.0}
@@ -141,13 +214,24 @@ def test_upstream_takes_vision_ids(name, sensors):
     everything, _ = plain.reset(seed=3)
     assert list(image) == [*sensors, "vision"]
     assert env.observation_space.contains(image)
-    assert np.concatenate([image[name].ravel() for name in sensors]).tobytes() == everything["state"].tobytes()
+    assert (
+        np.concatenate([image[name].ravel() for name in sensors]).tobytes()
+        == everything["state"].tobytes()
+    )
     assert (image["vision"] == np.moveaxis(everything["pixels"][:3], 0, -1)).all()
     assert len(env.step(np.zeros(2))) == 6
 
 
 def test_upstream_says_what_it_does_not_have():
-    options = ("autoreset", "max_episode_steps", "camera_id", "camera_name", "config", "disable_env_checker", "apply_api_compatibility")
+    options = (
+        "autoreset",
+        "max_episode_steps",
+        "camera_id",
+        "camera_name",
+        "config",
+        "disable_env_checker",
+        "apply_api_compatibility",
+    )
     for option in options:
         with pytest.raises(UnknownOption, match=f"unexpected keyword argument '{option}'"):
             upstream("SafetyPointGoal1-v0", **{option: 1})

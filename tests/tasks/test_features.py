@@ -7,7 +7,13 @@ import pytest
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.features import RAYS, lidars, ray_distances
-from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation
+from wasp_cli.tasks.frames import (
+    ground_to_body,
+    quaternion_rotation,
+    to_body,
+    yaw_quaternion,
+    yaw_rotation,
+)
 from wasp_cli.tasks.goal.appearance import TILE_SIDE
 from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout, random_stream, square
 from wasp_cli.tasks.make import make_task
@@ -76,7 +82,13 @@ def test_distances_to_sides_against_dense_points():
     rng = np.random.default_rng(0)
     places, sides = rng.normal(size=(20, 2)), rng.normal(size=(15, 2, 2))
     share = np.linspace(0.0, 1.0, 2001)[:, None]
-    dense = np.stack([np.linalg.norm((1 - share) * a + share * b - places[:, None], axis=2).min(axis=1) for a, b in sides], axis=1)
+    dense = np.stack(
+        [
+            np.linalg.norm((1 - share) * a + share * b - places[:, None], axis=2).min(axis=1)
+            for a, b in sides
+        ],
+        axis=1,
+    )
     np.testing.assert_allclose(distance_to_segments(places, sides), dense, atol=2e-3)
 
 
@@ -89,16 +101,24 @@ def test_inside():
 def test_frames_agree():
     rng = np.random.default_rng(2)
     yaw = rng.uniform(-3.0, 3.0, 5)
-    np.testing.assert_allclose(quaternion_rotation(yaw_quaternion(yaw)), yaw_rotation(yaw), atol=1e-15)
+    np.testing.assert_allclose(
+        quaternion_rotation(yaw_quaternion(yaw)), yaw_rotation(yaw), atol=1e-15
+    )
     points, xy = rng.normal(size=(5, 3, 2)), rng.normal(size=(5, 2))
     upright = np.concatenate([xy, np.full((5, 1), 0.1)], axis=1)
-    np.testing.assert_allclose(ground_to_body(points, upright, yaw_rotation(yaw)), to_body(points, xy, yaw), atol=1e-15)
+    np.testing.assert_allclose(
+        ground_to_body(points, upright, yaw_rotation(yaw)), to_body(points, xy, yaw), atol=1e-15
+    )
 
 
 def test_tilted_bodies_see_the_ground_below():
     # A body that looks straight down along its x axis sees what is 1 m below it 1 m ahead.
     down = np.array([[[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]])
-    np.testing.assert_allclose(ground_to_body(np.zeros((1, 1, 2)), np.array([[0.0, 0.0, 1.0]]), down), [[[1.0, 0.0]]], atol=1e-15)
+    np.testing.assert_allclose(
+        ground_to_body(np.zeros((1, 1, 2)), np.array([[0.0, 0.0, 1.0]]), down),
+        [[[1.0, 0.0]]],
+        atol=1e-15,
+    )
 
 
 # Layouts are drawn as the reference package draws them, and seeds name them.
@@ -112,7 +132,11 @@ def test_things_keep_their_distance():
         layout = draw_layout(random_stream(seed), agent, goal, others)
         places = np.stack([layout.agent_xy, layout.goal_xy, *layout.others_xy])
         keepouts = np.array([thing.keepout for thing in (agent, goal, *others)])
-        gaps = np.linalg.norm(places[:, None] - places[None], axis=2) - keepouts[:, None] - keepouts[None]
+        gaps = (
+            np.linalg.norm(places[:, None] - places[None], axis=2)
+            - keepouts[:, None]
+            - keepouts[None]
+        )
         assert gaps[~np.eye(len(places), dtype=bool)].min() >= 0.0
         assert (np.abs(places) <= (1.5 - keepouts)[:, None]).all()
 
@@ -160,11 +184,16 @@ def test_owed_draws_are_the_draws_of_each_step():
 @pytest.mark.parametrize(
     ("name", "moved", "wanted"),
     [
-        ("goal1", "goal", {"goal"}), ("goal1", "hazards", {"things"}), ("goal1-two", "goal", {"goal"}), ("goal1-two", "other", set()),
-        ("race1", "goal", {"goal"}), ("race1", "hazards", {"things"}),
-        ("formula1", "goal", {"goal"}), ("formula1", "bodies", {"things"}),
+        ("goal1", "goal", {"goal"}),
+        ("goal1", "hazards", {"things"}),
+        ("goal1-two", "goal", {"goal"}),
+        ("goal1-two", "other", set()),
+        ("race1", "goal", {"goal"}),
+        ("race1", "hazards", {"things"}),
+        ("formula1", "goal", {"goal"}),
+        ("formula1", "bodies", {"things"}),
     ],
-)  # fmt: skip
+)
 def test_groups_lie_where_the_task_writes_them(name, moved, wanted):
     """Another place of one thing changes the entries of its own group, and of no other."""
     task = make_task(name, 1, action_repeat=4, observe=("privileged",), threads=1)
@@ -175,7 +204,11 @@ def test_groups_lie_where_the_task_writes_them(name, moved, wanted):
     after = task.restore(snapshot).privileged
     groups = privileged_groups(name, task.privileged_size)
     del groups["all"]
-    assert {group for group, part in groups.items() if not np.array_equal(before[:, part], after[:, part])} == wanted
+    assert {
+        group
+        for group, part in groups.items()
+        if not np.array_equal(before[:, part], after[:, part])
+    } == wanted
 
 
 def test_every_vector_is_known():
@@ -184,32 +217,45 @@ def test_every_vector_is_known():
 
 @pytest.mark.parametrize("name", ["goal1", "goal1-two", "goal2"])
 def test_a_mirrored_vector_is_that_of_the_mirrored_episode(name):
-    task, twin = (make_task(name, 6, action_repeat=4, observe=("privileged",), threads=1) for _ in range(2))
+    task, twin = (
+        make_task(name, 6, action_repeat=4, observe=("privileged",), threads=1) for _ in range(2)
+    )
     task.reset(range(6))
     twin.reset(range(6))
     order, sign = privileged_mirror(name)
     random = np.random.default_rng(0)
     for _ in range(4):
-        seen, original = twin.restore(reflected(task.snapshot())).privileged, task.restore(task.snapshot()).privileged
-        # Without what is measured over a step: speed and turn rate are not in a snapshot's observation.
+        seen, original = (
+            twin.restore(reflected(task.snapshot())).privileged,
+            task.restore(task.snapshot()).privileged,
+        )
+        # Without what is measured over a step: speed and turn rate are not in a snapshot's
+        # observation.
         np.testing.assert_allclose(seen[:, 3:], (original[:, order] * sign)[:, 3:], atol=1e-5)
         assert np.abs(original[:, order] * sign - original).max() > 0.1
         action = random.uniform(-1, 1, (6, 2))
-        step, other = task.step(action).observation.privileged, twin.step(action * [1, -1]).observation.privileged
+        step, other = (
+            task.step(action).observation.privileged,
+            twin.step(action * [1, -1]).observation.privileged,
+        )
         np.testing.assert_allclose(other[:, :3], (step[:, order] * sign)[:, :3], atol=0.02)
 
 
 def test_tasks_of_others_are_judged_as_a_whole_and_have_no_mirror():
     assert privileged_groups("pkg:Own-v0", 12) == {"all": slice(0, 12)}
     assert privileged_mirror("pkg:Own-v0") is None
-    assert list(privileged_groups("goal0", 7)) == ["all", "motion", "goal"], "there is nothing that costs"
+    assert list(privileged_groups("goal0", 7)) == ["all", "motion", "goal"], (
+        "there is nothing that costs"
+    )
 
 
 EPISODES = 8
 
 
 def reflected(snapshot: dict[str, np.ndarray[Any, Any]]) -> dict[str, np.ndarray[Any, Any]]:
-    """Left and right exchanged, about a line in the middle of a row of floor tiles: the floor stays what it is."""
+    """Left and right exchanged, about a line in the middle of a row of floor tiles: the floor
+    stays what it is.
+    """
     other = {name: array.copy() for name, array in snapshot.items()}
     for name in {"goal", "other", "hazards", "bodies", "qpos"} & other.keys():
         other[name][..., 1] = TILE_SIDE - other[name][..., 1]

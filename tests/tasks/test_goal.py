@@ -60,7 +60,10 @@ def test_a_row_does_not_depend_on_the_others():
 
 def test_decision_steps_only_cut_the_time():
     plan = actions(30, 3)
-    coarse, fine = Goal(3, action_repeat=4, observe=VECTORS), Goal(3, action_repeat=1, observe=VECTORS)
+    coarse, fine = (
+        Goal(3, action_repeat=4, observe=VECTORS),
+        Goal(3, action_repeat=1, observe=VECTORS),
+    )
     for task in (coarse, fine):
         task.reset([1, 2, 3])
         before_the_goal(task)
@@ -108,7 +111,9 @@ def test_a_reached_goal_pays_and_moves_to_a_free_place():
 
 
 def test_where_a_later_goal_lies_depends_on_when_the_last_one_was_reached():
-    """As in the original, and as docs/tasks.md says: every env step draws from the stream of the world."""
+    """As in the original, and as docs/tasks.md says: every env step draws from the stream of
+    the world.
+    """
     places = []
     for waited in (0, 1):
         task = Goal(2, observe=())
@@ -186,8 +191,12 @@ def test_the_privileged_vector_is_scaled_and_faces_the_goal():
     task.reset(range(64))
     before_the_goal(task, clearance=1.0)
     seen = task.restore(task.snapshot()).privileged
-    np.testing.assert_allclose(seen[:, 3:7], np.tile([1.0, 0.0, 1 / 3, np.exp(-1.0)], (64, 1)), atol=1e-6)
-    drives = np.concatenate([task.step(action).observation.privileged for action in actions(60, 64)])
+    np.testing.assert_allclose(
+        seen[:, 3:7], np.tile([1.0, 0.0, 1 / 3, np.exp(-1.0)], (64, 1)), atol=1e-6
+    )
+    drives = np.concatenate(
+        [task.step(action).observation.privileged for action in actions(60, 64)]
+    )
     assert np.abs(drives).max() <= 3.0
     assert drives.std(axis=0).max() < 2.0
     assert np.abs(drives[:, 2]).max() > 0.1
@@ -206,16 +215,22 @@ def test_pushing_a_vase_costs_at_level_2_only():
         beside_the_vase(task)
         step = task.step(np.array([[1.0, 0.0]]))
         assert (step.cost_env[0] > 0) == expected
-        assert [name for name, count in step.sources.items() if count[0]] == ["vases_contact", "vases_velocity"] * expected
+        assert [name for name, count in step.sources.items() if count[0]] == [
+            "vases_contact",
+            "vases_velocity",
+        ] * expected
 
 
-# Two goals of equal look: nothing that an assistant may see tells them apart, and only one of them counts.
+# Two goals of equal look: nothing that an assistant may see tells them apart, and only one of them
+# counts.
 
 
 BATCH = 6
 
 
-def begun(observe: tuple[str, ...] = ("pixels", "state", "privileged"), batch: int = BATCH) -> TwoGoals:
+def begun(
+    observe: tuple[str, ...] = ("pixels", "state", "privileged"), batch: int = BATCH
+) -> TwoGoals:
     task = make_task("goal1-two", batch, observe=observe)
     assert isinstance(task, TwoGoals)
     task.reset(range(batch))
@@ -250,8 +265,12 @@ def test_only_the_operators_goal_is_rewarded():
     away = np.linalg.norm(before["goal"] - before["qpos"][:, :2], axis=1)
     step = task.step(forward)
     after = task.snapshot()
-    assert (np.linalg.norm(after["other"] - after["qpos"][:, :2], axis=1) < task.goal_radius).all(), "the other one is reached"
-    np.testing.assert_allclose(step.reward, away - np.linalg.norm(after["goal"] - after["qpos"][:, :2], axis=1), atol=1e-12)
+    assert (
+        np.linalg.norm(after["other"] - after["qpos"][:, :2], axis=1) < task.goal_radius
+    ).all(), "the other one is reached"
+    np.testing.assert_allclose(
+        step.reward, away - np.linalg.norm(after["goal"] - after["qpos"][:, :2], axis=1), atol=1e-12
+    )
     assert (step.goals == 0).all()
     assert (task.tallies()["wrong_goals"] == 1).all()
     np.testing.assert_array_equal(after["other"], before["other"])
@@ -278,10 +297,14 @@ def test_a_seed_names_the_layout_of_goal1_and_a_free_place_for_the_second_goal()
         np.testing.assert_array_equal(ours[name], theirs[name])
     first = (ours["goal"] == theirs["goal"]).all(axis=1)
     second = np.where(first[:, None], ours["other"], ours["goal"])
-    np.testing.assert_array_equal(np.where(first[:, None], ours["goal"], ours["other"]), theirs["goal"])
+    np.testing.assert_array_equal(
+        np.where(first[:, None], ours["goal"], ours["other"]), theirs["goal"]
+    )
     assert 0.4 < first.mean() < 0.6, "a toss says whose is whose"
     for things, keepout in (
-        (theirs["goal"][:, None], GOAL_KEEPOUT), (ours["hazards"], HAZARD_KEEPOUT), (ours["qpos"][:, None, :2], AGENT_KEEPOUT),
-    ):  # fmt: skip
+        (theirs["goal"][:, None], GOAL_KEEPOUT),
+        (ours["hazards"], HAZARD_KEEPOUT),
+        (ours["qpos"][:, None, :2], AGENT_KEEPOUT),
+    ):
         assert (np.linalg.norm(things - second[:, None], axis=2) >= keepout + GOAL_KEEPOUT).all()
     assert (np.abs(second) <= 1.5 - GOAL_KEEPOUT).all()

@@ -32,11 +32,17 @@ def text(value: Any) -> Any:
     if value is None:
         return None
     array = np.asarray(value)
-    return (str(array.dtype), array.shape, [text(part) for part in array] if array.dtype == object else array.tobytes())
+    return (
+        str(array.dtype),
+        array.shape,
+        [text(part) for part in array] if array.dtype == object else array.tobytes(),
+    )
 
 
 def drive(env: Any, steps: int, seed: int) -> list[Any]:
-    """Random steps, and in the middle a reset whose layout the environment's own generator draws."""
+    """Random steps, and in the middle a reset whose layout the environment's own generator
+    draws.
+    """
     random, results = np.random.default_rng(seed), []
     for number in range(steps):
         results.append(text(env.step(random.uniform(-1, 1, env.action_space.shape))))
@@ -55,8 +61,14 @@ def test_gymnasium_accepts_it(observation):
 
 
 def test_make_by_module_name_needs_no_import_and_registration_no_mujoco():
-    code = "import sys, wasp_cli, wasp_cli.tasks.gym, wasp_cli.tasks.sheet; print('mujoco' in sys.modules)"
-    code = f"{code}; import gymnasium; e = gymnasium.make('wasp_cli.tasks.gym:{ID}'); print(e.reset(seed=0)[0].shape)"
+    code = (
+        "import sys, wasp_cli, wasp_cli.tasks.gym, wasp_cli.tasks.sheet; print('mujoco' in "
+        "sys.modules)"
+    )
+    code = (
+        f"{code}; import gymnasium; e = gymnasium.make('wasp_cli.tasks.gym:{ID}'); "
+        "print(e.reset(seed=0)[0].shape)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split("\n")[:2] == ["False", "(60,)"]
 
@@ -88,15 +100,24 @@ def test_seeds_name_episodes_and_without_one_or_beyond_the_layouts_one_is_drawn(
 def test_maps_are_square_pictures_of_the_asked_size():
     env = gymnasium.make(ID, render_mode="rgb_array", width=96, height=96)
     env.reset(seed=0)
-    assert (env.render().shape, env.render().dtype, env.metadata["render_fps"]) == ((96, 96, 3), np.uint8, 50)
+    assert (env.render().shape, env.render().dtype, env.metadata["render_fps"]) == (
+        (96, 96, 3),
+        np.uint8,
+        50,
+    )
     assert TaskEnv("goal1").render() is None
-    for options, message in (({"width": 64, "height": 32}, "a map is square"), ({"render_mode": "human"}, "cannot render 'human'")):
+    for options, message in (
+        ({"width": 64, "height": 32}, "a map is square"),
+        ({"render_mode": "human"}, "cannot render 'human'"),
+    ):
         with pytest.raises(UsageError, match=message):
             TaskEnv("goal1", **options)
 
 
 def test_an_environment_returns_to_a_pickled_snapshot_to_the_bit():
-    env, other = (gymnasium.make(ID, observation="all", action_repeat=20).unwrapped for _ in range(2))
+    env, other = (
+        gymnasium.make(ID, observation="all", action_repeat=20).unwrapped for _ in range(2)
+    )
     env.reset(seed=3)
     other.reset(seed=4)
     actions = np.random.default_rng(0).uniform(-1, 1, (40, 2))
@@ -136,9 +157,17 @@ def test_wrong_actions_are_refused_and_change_nothing(action, expected):
     ("options", "expected", "hint"),
     [
         ({"observation": "pixel"}, "no observation 'pixel'", "'pixels'"),
-        ({"observe": "pixels"}, "got an unexpected keyword argument 'observe'.*no option 'observe'", "'observation'"),
+        (
+            {"observe": "pixels"},
+            "got an unexpected keyword argument 'observe'.*no option 'observe'",
+            "'observation'",
+        ),
         ({"action_repeat": 0}, "action_repeat should be an integer of at least 1, not 0", None),
-        ({"task": "race1"}, f"'{ID}' is the task 'goal1', and task='race1' cannot change it", "wasp/SafetyCarRace1-v0"),
+        (
+            {"task": "race1"},
+            f"'{ID}' is the task 'goal1', and task='race1' cannot change it",
+            "wasp/SafetyCarRace1-v0",
+        ),
     ],
 )
 def test_wrong_options_are_refused_with_a_suggestion(options, expected, hint):
@@ -146,7 +175,8 @@ def test_wrong_options_are_refused_with_a_suggestion(options, expected, hint):
         with pytest.raises(UsageError, match=expected) as caught:
             make(ID, **options)
         assert isinstance(caught.value, TypeError) == ("observe" in options)
-        # gymnasium.make raises TypeErrors anew, without hints: of an unknown option the message has it.
+        # gymnasium.make raises TypeErrors anew, without hints: of an unknown option the message has
+        # it.
         assert hint is None or hint in (caught.value.hint or caught.value.message)
 
 
@@ -167,10 +197,15 @@ for attempt in (
 print(pathlib.Path('never.png').exists())
 """
     environment = {**os.environ, "MUJOCO_GL": "foo"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
+    )
     *told, written = done.stdout.splitlines()
     assert (len(told), written) == (3, "False"), done.stderr
-    assert all(line.startswith("2 MuJoCo does not import with MUJOCO_GL=foo") and "unset MUJOCO_GL" in line for line in told)
+    assert all(
+        line.startswith("2 MuJoCo does not import with MUJOCO_GL=foo") and "unset MUJOCO_GL" in line
+        for line in told
+    )
 
 
 # -- many episodes
@@ -178,14 +213,24 @@ print(pathlib.Path('never.png').exists())
 
 @pytest.mark.parametrize(
     ("mode", "limited"),
-    [*((mode, {"action_repeat": 10, "max_episode_steps": 4}) for mode in AutoresetMode), (AutoresetMode.NEXT_STEP, {"action_repeat": 200})],
+    [
+        *((mode, {"action_repeat": 10, "max_episode_steps": 4}) for mode in AutoresetMode),
+        (AutoresetMode.NEXT_STEP, {"action_repeat": 200}),
+    ],
 )
 def test_every_autoreset_mode_is_gymnasiums_own(mode, limited):
     options = {"observation": "all", "num_envs": 3, **limited}
     ours = gymnasium.make_vec(f"wasp_cli.tasks.gym:{ID}", autoreset_mode=mode, **options)
-    theirs = gymnasium.make_vec(ID, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options)
+    theirs = gymnasium.make_vec(
+        ID, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options
+    )
     assert isinstance(ours, TaskVectorEnv)
-    for space in ("observation_space", "single_observation_space", "action_space", "single_action_space"):
+    for space in (
+        "observation_space",
+        "single_observation_space",
+        "action_space",
+        "single_action_space",
+    ):
         assert getattr(ours, space) == getattr(theirs, space)
     assert ours.autoreset_mode is theirs.autoreset_mode is ours.metadata["autoreset_mode"] is mode
     assert text(ours.reset(seed=5)) == text(theirs.reset(seed=5))
@@ -193,7 +238,10 @@ def test_every_autoreset_mode_is_gymnasiums_own(mode, limited):
     for number in range(14):
         if number == 2:  # the episodes end in different steps from here on
             mask = np.array([False, True, False])
-            one, other = (text(env.reset(seed=[None, 9, None], options={"reset_mask": mask.copy()})) for env in (ours, theirs))
+            one, other = (
+                text(env.reset(seed=[None, 9, None], options={"reset_mask": mask.copy()}))
+                for env in (ours, theirs)
+            )
             assert one == other
         action = random.uniform(-1, 1, (3, 2))
         mine = ours.step(action)
@@ -201,10 +249,15 @@ def test_every_autoreset_mode_is_gymnasiums_own(mode, limited):
         ended = mine[2] | mine[3]
         ends += int(ended.sum())
         if mode is AutoresetMode.DISABLED and ended.any():
-            with pytest.raises(TaskError, match=f"after the end of row .*{np.flatnonzero(ended)[0]}"):
+            with pytest.raises(
+                TaskError, match=f"after the end of row .*{np.flatnonzero(ended)[0]}"
+            ):
                 ours.step(action)
             seeds = [11 + row if over else None for row, over in enumerate(ended)]
-            one, other = (text(env.reset(seed=list(seeds), options={"reset_mask": ended.copy()})) for env in (ours, theirs))
+            one, other = (
+                text(env.reset(seed=list(seeds), options={"reset_mask": ended.copy()}))
+                for env in (ours, theirs)
+            )
             assert one == other
     assert ends >= 6
 
@@ -225,7 +278,9 @@ def test_the_cost_is_there_in_the_step_in_which_all_rows_restart():
 
 
 def test_a_vector_answers_calls_for_its_episodes():
-    envs = gymnasium.make_vec(ID, num_envs=3, render_mode="rgb_array", action_repeat=4, width=32, height=32)
+    envs = gymnasium.make_vec(
+        ID, num_envs=3, render_mode="rgb_array", action_repeat=4, width=32, height=32
+    )
     envs.reset(seed=3)
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 3, 2))
     first = envs.step(actions[0])
@@ -245,7 +300,10 @@ def test_a_vector_answers_calls_for_its_episodes():
         (lambda envs: envs.step(np.full((2, 2), np.nan)), "not finite"),
         (lambda envs: envs.reset(options={"level": 2}), "no option 'level'"),
         (lambda envs: gymnasium.make_vec(ID, num_envs=2).step(np.zeros((2, 2))), "reset"),
-        (lambda envs: gymnasium.make_vec(ID, num_envs=2, upstream_api=True), "no option 'upstream_api'"),
+        (
+            lambda envs: gymnasium.make_vec(ID, num_envs=2, upstream_api=True),
+            "no option 'upstream_api'",
+        ),
     ],
 )
 def test_a_vector_refuses_what_it_cannot_do(call, expected):
@@ -260,7 +318,9 @@ def test_a_vector_refuses_what_it_cannot_do(call, expected):
 
 @pytest.mark.parametrize("task", list(TASKS))
 def test_a_copy_of_an_environment_goes_on_bit_for_bit(task):
-    env = gymnasium.make(TASKS[task].gym_id, observation="all", action_repeat=2, render_mode="rgb_array")
+    env = gymnasium.make(
+        TASKS[task].gym_id, observation="all", action_repeat=2, render_mode="rgb_array"
+    )
     unbegun = copy.deepcopy(env)
     assert text(unbegun.reset(seed=4)) == text(env.reset(seed=4))
     drive(env, 4, 0)
@@ -270,17 +330,22 @@ def test_a_copy_of_an_environment_goes_on_bit_for_bit(task):
 
 
 def test_a_copy_of_a_batch_goes_on_bit_for_bit():
-    envs = gymnasium.make_vec("wasp/SafetyPointGoal2-v0", num_envs=3, observation="all", max_episode_steps=4, threads=2)
+    envs = gymnasium.make_vec(
+        "wasp/SafetyPointGoal2-v0", num_envs=3, observation="all", max_episode_steps=4, threads=2
+    )
     envs.reset(seed=[1, None, 3])
     drive(envs, 3, 0)
     other = pickle.loads(pickle.dumps(envs))
-    assert drive(other, 8, 1) == drive(envs, 8, 1)  # through the ends of episodes, and the starts of others
+    # through the ends of episodes, and the starts of others
+    assert drive(other, 8, 1) == drive(envs, 8, 1)
 
 
 @pytest.mark.parametrize("name", ["goal1", "formula1", "puddle:Puddle-v0"])
 def test_a_snapshot_before_the_first_reset_is_refused(name):
     task = make_task(name, 3, observe=("state",))
-    with pytest.raises(TaskError, match="before the first reset: no episode has begun in row 0, 1, 2") as caught:
+    with pytest.raises(
+        TaskError, match="before the first reset: no episode has begun in row 0, 1, 2"
+    ) as caught:
         task.snapshot()
     assert caught.value.hint == "call reset first"
     task.reset([1], rows=np.array([False, True, False]))
@@ -288,11 +353,23 @@ def test_a_snapshot_before_the_first_reset_is_refused(name):
         task.snapshot()
 
 
-@pytest.mark.parametrize(("task", "repeat", "steps"), [("goal1", 1, 1000), ("goal1", 4, 250), ("race1", 3, 167)])
+@pytest.mark.parametrize(
+    ("task", "repeat", "steps"), [("goal1", 1, 1000), ("goal1", 4, 250), ("race1", 3, 167)]
+)
 def test_the_spec_tells_the_time_limit(task, repeat, steps):
     env = gymnasium.make(TASKS[task].gym_id, action_repeat=repeat)
-    assert env.spec.max_episode_steps == env.unwrapped.spec.max_episode_steps == env.unwrapped.max_episode_steps == steps
-    assert gymnasium.make(TASKS[task].gym_id, action_repeat=repeat, max_episode_steps=9).spec.max_episode_steps == 9
+    assert (
+        env.spec.max_episode_steps
+        == env.unwrapped.spec.max_episode_steps
+        == env.unwrapped.max_episode_steps
+        == steps
+    )
+    assert (
+        gymnasium.make(
+            TASKS[task].gym_id, action_repeat=repeat, max_episode_steps=9
+        ).spec.max_episode_steps
+        == 9
+    )
     assert TimeAwareObservation(env, normalize_time=True).max_timesteps == steps
     assert not isinstance(env.env, TimeLimit)
     assert TaskEnv(task).spec is None

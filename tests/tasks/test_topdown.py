@@ -38,7 +38,9 @@ def test_the_heading_is_seen(task, heading):
     appearance, around = APPEARANCES[task](1), ((0.5, 1.0), 0.5)
     gone, there = (scene(task, place, heading) for place in ((80.0, 80.0), (0.5, 1.0)))
     image = draw_map(appearance, there, 0, SIZE, around)
-    white = (image == 255).all(axis=-1) & (draw_map(appearance, gone, 0, SIZE, around) != image).any(axis=-1)
+    white = (image == 255).all(axis=-1) & (
+        draw_map(appearance, gone, 0, SIZE, around) != image
+    ).any(axis=-1)
     rows, columns = np.nonzero(white)
     assert len(rows) > 50
     ahead = np.array([columns.mean() - SIZE / 2, SIZE / 2 - rows.mean()])

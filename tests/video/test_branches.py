@@ -1,4 +1,6 @@
-"""Both branches of a decision as they are watched: the same numbers as the counterfactual stage, and the same paths."""
+"""Both branches of a decision as they are watched: the same numbers as the counterfactual
+stage, and the same paths.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,15 +45,24 @@ def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
 def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> None:
     t, recorded = intervened(cell), Recorded(**read_recorded(cell.path))
     states = pair(cell, t)._states
-    parts = recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE]
+    parts = (
+        recorded.layouts[EPISODE],
+        recorded.a[EPISODE],
+        recorded.a_h[EPISODE],
+        recorded.reward[EPISODE],
+    )
     *_, last = film(cell.task, 20, *parts, 99, 8)
     places = last.positions
     for name in (ASSISTED, ALONE):
         assert len(states[name].scenes) == len(states[name].actions) + 1 == WINDOW + 1
         np.testing.assert_array_equal(states[name].scenes[0].position[0, :2], places[t])
     np.testing.assert_array_equal(states[ASSISTED].scenes[1].position[0, :2], places[t + 1])
-    np.testing.assert_array_equal(states[ASSISTED].actions[0].astype(np.float32), recorded.a[EPISODE][t])
-    np.testing.assert_array_equal(states[ALONE].actions[0].astype(np.float32), recorded.a_h[EPISODE][t])
+    np.testing.assert_array_equal(
+        states[ASSISTED].actions[0].astype(np.float32), recorded.a[EPISODE][t]
+    )
+    np.testing.assert_array_equal(
+        states[ALONE].actions[0].astype(np.float32), recorded.a_h[EPISODE][t]
+    )
 
 
 def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> None:

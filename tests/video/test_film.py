@@ -38,7 +38,13 @@ class Meter(gymnasium.Env[Any, Any]):
 
     def step(self, action):
         self.clock += 1
-        return self.seen(), float(self.clock), self.clock >= 20, False, {"cost": float(self.clock in (5, 6))}
+        return (
+            self.seen(),
+            float(self.clock),
+            self.clock >= 20,
+            False,
+            {"cost": float(self.clock in (5, 6))},
+        )
 
 
 gymnasium.register("FilmMeter-v0", entry_point=Meter, max_episode_steps=40)
@@ -65,7 +71,12 @@ class Driven:
             places.append(pose(task)[:2])
             if step.ended[0]:
                 break
-        self.a, self.reward, self.cost, self.places = np.array(actions), np.array(rewards), np.array(costs), np.array(places)
+        self.a, self.reward, self.cost, self.places = (
+            np.array(actions),
+            np.array(rewards),
+            np.array(costs),
+            np.array(places),
+        )
         self.a_h = self.a.copy()
         self.a_h[::5] = -self.a[::5]
 
@@ -96,7 +107,10 @@ def test_a_film_shows_the_recorded_way_and_its_costs(driven: Driven) -> None:
 def test_what_was_executed_is_shown_where_it_is_not_the_command(driven: Driven) -> None:
     changed = film(*driven.arguments(), every=15, size=SIZE)
     same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=15, size=SIZE)
-    apart = [np.abs(one.frame.astype(int) - other.frame).max() > 60 for one, other in zip(changed, same, strict=True)]
+    apart = [
+        np.abs(one.frame.astype(int) - other.frame).max() > 60
+        for one, other in zip(changed, same, strict=True)
+    ]
     moved = [bool(np.abs(action).max() > 0.05) for action in driven.a[::15]]
     assert apart[: len(moved)] == moved
     assert not apart[-1] or len(apart) == len(moved), "after the last decision nothing is commanded"
@@ -123,7 +137,9 @@ def test_others_tasks_show_what_their_camera_sees() -> None:
     actions = np.zeros((10, 2), np.float32)
     moments = list(film("FilmMeter-v0", 2, 0, actions, actions, rewards, every=3, size=32))
     assert [moment.decision for moment in moments] == [0, 3, 6, 9, 10]
-    assert [int(moment.frame[16, 16, 0]) for moment in moments] == [40 + moment.decision for moment in moments]
+    assert [int(moment.frame[16, 16, 0]) for moment in moments] == [
+        40 + moment.decision for moment in moments
+    ]
     assert [edged(moment.frame) for moment in moments] == [False, True, False, False, False]
     assert not len(moments[-1].positions)
 
@@ -132,9 +148,14 @@ def test_others_tasks_show_what_their_camera_sees() -> None:
 def test_arrows_point_to_where_actions_lead(name: str) -> None:
     task = make_task(name, 1, observe=())
     assert isinstance(task, HasScene)
-    assert stick(object(), np.array([1.0, 0.0])) is None, "of a task that does not say how it is driven"
+    assert stick(object(), np.array([1.0, 0.0])) is None, (
+        "of a task that does not say how it is driven"
+    )
     full = {"goal1": 0.05, "race1": 0.02}[name]
-    pushes = {"forward": [1.0, 0.0] if name == "goal1" else [full, full], "left": [0.0, 1.0] if name == "goal1" else [full, -full]}
+    pushes = {
+        "forward": [1.0, 0.0] if name == "goal1" else [full, full],
+        "left": [0.0, 1.0] if name == "goal1" else [full, -full],
+    }
     for way, action in pushes.items():
         push = stick(task, np.array(action))
         assert push is not None
@@ -160,7 +181,10 @@ def test_the_map_follows_a_robot_that_leaves_it(name: str) -> None:
         if decision % 20 == 0:
             picture = view.picture(task.scene(np.array([0])))
             centres.append(picture._centre)
-            assert np.abs(pose(task)[:2] - picture._centre).max() <= view.half * (FREE if name == "formula1" else 0.9) + 1e-9
+            assert (
+                np.abs(pose(task)[:2] - picture._centre).max()
+                <= view.half * (FREE if name == "formula1" else 0.9) + 1e-9
+            )
         task.step(np.full((1, 2), 1.0) if name == "goal1" else np.clip(8 * drive(task), -1, 1))  # type: ignore[arg-type]
     assert len(centres) == 3
 
@@ -170,7 +194,8 @@ def test_marks_lie_where_their_places_are() -> None:
     assert isinstance(task, HasScene)
     task.reset([0])
     picture = MapView(task.appearance(), 200).picture(task.scene(np.array([0])))
-    place = np.array([[1.0, -0.5]])  # of 2 m: three quarters to the right, a quarter below the middle
+    # of 2 m: three quarters to the right, a quarter below the middle
+    place = np.array([[1.0, -0.5]])
     picture.dots(place, "#FF00FF", 3)
     shown = np.asarray(picture.finished()).astype(int)
     rows, columns = np.nonzero((np.abs(shown - [255, 0, 255]) < 9).all(-1))
@@ -191,7 +216,9 @@ def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
         assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - moment.frame).mean() < 6
 
 
-def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sheet_that_would_be_too_high_becomes_wider(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(films, "LONGEST", 4 * 16 + 3)
     made = sprite_of(*driven.arguments(), every=5, size=16, columns=2)
     width, height = Image.open(io.BytesIO(made.data)).size

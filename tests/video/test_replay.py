@@ -27,7 +27,14 @@ from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import Slimming, slim
 from wasp_cli.store.tables import CellIdentity, Thresholds
-from wasp_cli.video.replay import Criterion, correction, criterion_of, default_name, judge, source_of
+from wasp_cli.video.replay import (
+    Criterion,
+    correction,
+    criterion_of,
+    default_name,
+    judge,
+    source_of,
+)
 from wasp_cli.video.trace import play_episode
 
 LABEL = "race1 s0 wasp noisy=0.4"
@@ -62,11 +69,13 @@ def published(results: Path, tmp_path: Path) -> Path:
         staging = staging_folder(part, key)
         shutil.copytree(whole.artifact(kind, key), staging, dirs_exist_ok=True)
         manifest = read_manifest(whole, kind, key)
-        commit(part, kind, key, staging, {**manifest, "slim": slim(staging, kind, Slimming(steps=1))})
+        commit(
+            part, kind, key, staging, {**manifest, "slim": slim(staging, kind, Slimming(steps=1))}
+        )
     return part.root
 
 
-# -- an episode -----------------------------------------------------------------------------------------------------------------
+# -- an episode ------------------------------------------------------------------------------------
 
 
 def test_the_video_lies_in_the_current_folder_under_the_name_of_the_cell(
@@ -76,10 +85,14 @@ def test_the_video_lies_in_the_current_folder_under_the_name_of_the_cell(
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
     monkeypatch.chdir(tmp_path)
     done = replayed(results, LABEL, "--episode", "1", "--every", "12")
-    assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_s0_e1.gif: 3 frames\n"), done.output
+    assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_s0_e1.gif: 3 frames\n"), (
+        done.output
+    )
     video: Any = Image.open("race1_wasp_noisy-0.4_s0_e1.gif")
     assert video.n_frames == 3
-    assert threads == [1, before] * 2, "matrix products have those of evaluations, not those of the simulator"
+    assert threads == [1, before] * 2, (
+        "matrix products have those of evaluations, not those of the simulator"
+    )
 
 
 def test_the_corrected_future_is_that_of_the_stored_plan(results: Path) -> None:
@@ -90,7 +103,9 @@ def test_the_corrected_future_is_that_of_the_stored_plan(results: Path) -> None:
     assert planned
     for t in planned:
         assert found.residuals[t].shape == (EAGER["residual_steps"], 2)
-        np.testing.assert_allclose(np.clip(stored.a_h[t] + found.residuals[t][0], -1, 1), stored.a[t], atol=1e-6)
+        np.testing.assert_allclose(
+            np.clip(stored.a_h[t] + found.residuals[t][0], -1, 1), stored.a[t], atol=1e-6
+        )
 
 
 def test_a_plan_that_was_dropped_is_no_correction(tmp_path: Path) -> None:
@@ -109,38 +124,61 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     assert [t for t, plan in enumerate(found.residuals) if plan is not None] == [3]
     np.testing.assert_allclose(found.residuals[3], [[-0.75, 0.75]])
     assert found.name == "executed action, then commands"
-    made.config = {"search_rollouts": 1}  # of a method that imagines the expert behind every command
+    # of a method that imagines the expert behind every command
+    made.config = {"search_rollouts": 1}
     assert correction(made.read(tmp_path)).name == "executed action, then the expert"
     assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_s0_e0.gif")
 
 
-def test_the_first_episode_of_a_cell_published_in_part_plays_alone(published: Path, tmp_path: Path) -> None:
-    done = replayed(published, CELL, "--episode", "0", "--every", "20", "--out", tmp_path / "a.webp", code=0)
+def test_the_first_episode_of_a_cell_published_in_part_plays_alone(
+    published: Path, tmp_path: Path
+) -> None:
+    done = replayed(
+        published, CELL, "--episode", "0", "--every", "20", "--out", tmp_path / "a.webp", code=0
+    )
     assert "the episode is played alone" in done.stderr + done.stdout
     assert (tmp_path / "a.webp").stat().st_size > 1000
 
 
-def test_of_an_episode_that_is_played_alone_only_the_commands_are_taken_as_recorded(published: Path) -> None:
+def test_of_an_episode_that_is_played_alone_only_the_commands_are_taken_as_recorded(
+    published: Path,
+) -> None:
     source = source_of(Layout(published), read_episode(find_cell(Layout(published), CELL), 0))
     assert source.alone
     said = source.recorded._replace(a_h=[-source.recorded.a_h[0]])
     play_episode(replace(source, recorded=said), 0, [None] * 999, [], 3, lambda share, doing: None)
     with pytest.raises(ArtifactError, match="command of the operator"):
-        play_episode(replace(source, recorded=said, alone=False), 0, [None] * 999, [], 3, lambda share, doing: None)
+        play_episode(
+            replace(source, recorded=said, alone=False),
+            0,
+            [None] * 999,
+            [],
+            3,
+            lambda share, doing: None,
+        )
     other = source.recorded._replace(a=[-source.recorded.a[0]])
     with pytest.raises(ArtifactError):
-        play_episode(replace(source, recorded=other), 0, [None] * 999, [], 3, lambda share, doing: None)
+        play_episode(
+            replace(source, recorded=other), 0, [None] * 999, [], 3, lambda share, doing: None
+        )
 
 
-def test_other_episodes_and_branches_of_a_cell_published_in_part_are_refused(published: Path) -> None:
+def test_other_episodes_and_branches_of_a_cell_published_in_part_are_refused(
+    published: Path,
+) -> None:
     replayable = "without --step its first episodes can"
     assert replayable in replayed(published, CELL, "--episode", "0", "--step", "3").stderr
     assert replayable not in replayed(published, CELL, "--episode", "1", "--step", "3").stderr
-    for arguments, words in ((("1",), "the steps of episode 1 are not here"), (("0", "--step", "3"), "published in part")):
+    for arguments, words in (
+        (("1",), "the steps of episode 1 are not here"),
+        (("0", "--step", "3"), "published in part"),
+    ):
         assert words in replayed(published, CELL, "--episode", *arguments, code=2).stderr
 
 
-def test_models_are_looked_for_where_they_are_published(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_are_looked_for_where_they_are_published(
+    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A run of published cells copies their rows, not their models."""
     rows = Path(shutil.copytree(published, tmp_path / "rows"))
     for kind in KEYS:
@@ -153,17 +191,36 @@ def test_models_are_looked_for_where_they_are_published(published: Path, tmp_pat
         source_of(Layout(rows), stored)
 
 
-# -- one decision ---------------------------------------------------------------------------------------------------------------
+# -- one decision ----------------------------------------------------------------------------------
 
 
 def test_a_decision_is_judged_and_drawn(results: Path, tmp_path: Path) -> None:
     t, _ = intervened(results)
-    done = replayed(results, CELL[:6], "-e", "1", "--step", str(t), "--out", tmp_path / "a.png", "--json", code=0)
+    done = replayed(
+        results,
+        CELL[:6],
+        "-e",
+        "1",
+        "--step",
+        str(t),
+        "--out",
+        tmp_path / "a.png",
+        "--json",
+        code=0,
+    )
     found = json.loads(done.stdout)
-    assert (found["step"], found["window"], found["tau_R"], found["intervened"]) == (t, WINDOW, TAU_R, True)
+    assert (found["step"], found["window"], found["tau_R"], found["intervened"]) == (
+        t,
+        WINDOW,
+        TAU_R,
+        True,
+    )
     assert found["tau_R_from"] == "the calibration of the method"
     cost = [np.array([found[name]["cost"]], float) for name in ("alone", "assisted")]
-    reward = [np.array([found[name]["reward"]], np.float32).astype(float) for name in ("alone", "assisted")]
+    reward = [
+        np.array([found[name]["reward"]], np.float32).astype(float)
+        for name in ("alone", "assisted")
+    ]
     expected = necessity(*cost, *reward, tau_R=TAU_R)  # type: ignore[misc]
     assert found["rho"] == pytest.approx(float(expected.rho[0]))
     assert found["delta_c"] == pytest.approx(float(expected.delta_c[0]))
@@ -190,7 +247,14 @@ def test_a_decision_without_an_intervention_says_so(results: Path, tmp_path: Pat
         (False, 0.5, None, None, "undefined"),
     ],
 )
-def test_the_verdict_is_eq_21(tmp_path: Path, saved: bool, gained: float, tau_R: float | None, expected: bool | None, words: str) -> None:
+def test_the_verdict_is_eq_21(
+    tmp_path: Path,
+    saved: bool,
+    gained: float,
+    tau_R: float | None,
+    expected: bool | None,
+    words: str,
+) -> None:
     made = Invented()
     made.a[2] = [1.0, 1.0]
     branches = {
@@ -209,15 +273,27 @@ def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: 
     for key, upstream in (("eeee5555eeee5555eeee", "another"), ("ffff6666ffff6666ffff", CELL)):
         staging = staging_folder(layout, key)
         identity = CellIdentity("race1", "wasp", "full", "noisy", 0.4, 0)
-        write_branches(staging / BRANCHES_FILE, BranchedCell(identity, 7, 1, 0.5 if upstream == CELL else 9.0, 2), [])
-        commit(layout, "counterfactual", key, staging, {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}})
-    assert criterion_of(layout, cell) == Criterion(7, 0.5, "the counterfactual branches of the cell")
+        write_branches(
+            staging / BRANCHES_FILE,
+            BranchedCell(identity, 7, 1, 0.5 if upstream == CELL else 9.0, 2),
+            [],
+        )
+        commit(
+            layout,
+            "counterfactual",
+            key,
+            staging,
+            {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}},
+        )
+    assert criterion_of(layout, cell) == Criterion(
+        7, 0.5, "the counterfactual branches of the cell"
+    )
     shutil.rmtree(copied / "store" / "counterfactual")
     (layout.artifact("calibration", KEYS["calibration"]) / "calibration.json").write_text("{")
     assert criterion_of(layout, cell).tau_R is None
 
 
-# -- what can go wrong ----------------------------------------------------------------------------------------------------------
+# -- what can go wrong -----------------------------------------------------------------------------
 
 
 def with_fact(results: Path, place: tuple[str, ...], value: object) -> None:
@@ -256,7 +332,9 @@ def test_wrong_usage_ends_with_2_before_anything_is_played(
 def test_a_cell_without_a_manifest_says_what_is_missing(results: Path, tmp_path: Path) -> None:
     for name in ("episodes.parquet", "_steps.pq"):
         shutil.copy(results / "store" / "evaluate" / CELL / name, tmp_path / name)
-    done = replayed(results, tmp_path / "episodes.parquet", "-e", "0", "-o", tmp_path / "a.gif", code=2)
+    done = replayed(
+        results, tmp_path / "episodes.parquet", "-e", "0", "-o", tmp_path / "a.gif", code=2
+    )
     assert "does not say how it was evaluated" in done.stderr
     assert "--results" in done.stderr
 
@@ -274,9 +352,14 @@ def gone(results: Path) -> None:
 
 @pytest.mark.parametrize(
     ("harm", "expected"),
-    [(broken_bytes, "the world model of this cell cannot be used"), (gone, "the policies of this cell cannot be used: no artifact")],
+    [
+        (broken_bytes, "the world model of this cell cannot be used"),
+        (gone, "the policies of this cell cannot be used: no artifact"),
+    ],
 )
-def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm: Callable[[Path], None], expected: str) -> None:
+def test_models_that_are_not_there_end_with_1(
+    copied: Path, tmp_path: Path, harm: Callable[[Path], None], expected: str
+) -> None:
     harm(copied)
     done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
     assert (done.exit_code, done.stdout) == (1, "")
@@ -285,16 +368,24 @@ def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm
     assert not (tmp_path / "a.gif").exists()
 
 
-@pytest.mark.parametrize("path", [("task",), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)])
-def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: Path, path: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "path", [("task",), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
+)
+def test_a_manifest_with_something_odd_is_no_traceback(
+    copied: Path, tmp_path: Path, path: tuple[str, ...]
+) -> None:
     with_fact(copied, path, ["odd"])
-    assert "does not say how it was evaluated" in replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif", code=2).stderr
+    assert (
+        "does not say how it was evaluated"
+        in replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif", code=2).stderr
+    )
 
 
 @pytest.mark.parametrize(
     ("place", "value", "expected"),
     [
-        (("axes", "value"), 0.6, "is not the recorded one"),  # another operator than the one who drove
+        # another operator than the one who drove
+        (("axes", "value"), 0.6, "is not the recorded one"),
         (("task",), "no_such_package:Env-v0", "no_such_package"),
     ],
 )

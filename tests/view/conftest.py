@@ -32,24 +32,38 @@ def brought(folder: Path, *labels: str) -> Path:
     for key in keys.values():
         shutil.copytree(PUBLISHED / "store" / "evaluate" / key, folder / "store" / "evaluate" / key)
     for key in filter(None, map(published_branches().get, keys.values())):
-        shutil.copytree(PUBLISHED / "store" / "counterfactual" / key, folder / "store" / "counterfactual" / key)
+        shutil.copytree(
+            PUBLISHED / "store" / "counterfactual" / key, folder / "store" / "counterfactual" / key
+        )
     return folder
 
 
 def published(kind: str) -> list[dict[str, Any]]:
-    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((PUBLISHED / "store" / kind).glob("*/_manifest.json"))]
+    return [
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted((PUBLISHED / "store" / kind).glob("*/_manifest.json"))
+    ]
 
 
 @cache
 def published_cells() -> dict[str, str]:
-    """Keys of cells by label; of several editions the oldest, since its later episodes have their steps."""
-    newest_first = sorted(published("evaluate"), key=lambda manifest: manifest["provenance"]["started_at"], reverse=True)
+    """Keys of cells by label; of several editions the oldest, since its later episodes have
+    their steps.
+    """
+    newest_first = sorted(
+        published("evaluate"),
+        key=lambda manifest: manifest["provenance"]["started_at"],
+        reverse=True,
+    )
     return {manifest["label"]: manifest["key"] for manifest in newest_first}
 
 
 @cache
 def published_branches() -> dict[str, str]:  # by the key of their cell
-    return {manifest["upstream"]["evaluate"]: manifest["key"] for manifest in published("counterfactual")}
+    return {
+        manifest["upstream"]["evaluate"]: manifest["key"]
+        for manifest in published("counterfactual")
+    }
 
 
 @pytest.fixture(scope="session")

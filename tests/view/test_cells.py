@@ -64,17 +64,32 @@ def test_what_is_noted_with_the_command_changes_the_numbers_of_the_page(tmp_path
     with viewed(results) as server:
         before = numbers(server)
         key = next(cell.key for cell in server.site.cells.listed() if cell.label == HUMAN)
-        assert run_here("note", HUMAN, "odd", "-e", "2", "--invalid", "--results", results, columns=200).exit_code == 0
+        assert (
+            run_here(
+                "note", HUMAN, "odd", "-e", "2", "--invalid", "--results", results, columns=200
+            ).exit_code
+            == 0
+        )
         after = numbers(server)
         assert (before[key][0], after[key][0]) == ("30", "29")
         assert before[key] != after[key]
         assert (before[key][-1], after[key][-1]) == ("", "has invalid episodes")
-        assert {other: texts for other, texts in before.items() if other != key} == {o: texts for o, texts in after.items() if o != key}
+        assert {other: texts for other, texts in before.items() if other != key} == {
+            o: texts for o, texts in after.items() if o != key
+        }
         assert 'class="invalid"' in ask(server, f"/cell/{key}")[2]
-        assert run_here("note", HUMAN, "all", "--invalid", "--results", results, columns=200).exit_code == 0
+        assert (
+            run_here("note", HUMAN, "all", "--invalid", "--results", results, columns=200).exit_code
+            == 0
+        )
         assert numbers(server)[key][-1] == "marked as invalid"
         for mark in (("-e", "2"), ()):
-            assert run_here("note", HUMAN, "", *mark, "--valid", "--results", results, columns=200).exit_code == 0
+            assert (
+                run_here(
+                    "note", HUMAN, "", *mark, "--valid", "--results", results, columns=200
+                ).exit_code
+                == 0
+            )
         assert numbers(server) == before
 
 
@@ -101,11 +116,21 @@ def test_the_page_says_where_two_cells_differ(results: Path) -> None:
         assert "<h2>30 worlds that both met</h2>" in body
         _, _, body = ask(server, f"{place}&world={wasp.row['episode_seed']}")
         assert f"Decision {first_difference(wasp, human)} is the first that differs." in body
-        _, _, body = ask(server, f"/compare/cells?a={quote(WASP)}&b={quote(WASP)}&world={wasp.row['episode_seed']}")
+        _, _, body = ask(
+            server,
+            f"/compare/cells?a={quote(WASP)}&b={quote(WASP)}&world={wasp.row['episode_seed']}",
+        )
         assert "Both are the same, decision by decision." in body
-        for wrong in ("", f"?a={quote(WASP)}", f"?a={quote(WASP)}&b=zzz", f"?a={quote(WASP)}&b={quote(HUMAN)}&world=1"):
+        for wrong in (
+            "",
+            f"?a={quote(WASP)}",
+            f"?a={quote(WASP)}&b=zzz",
+            f"?a={quote(WASP)}&b={quote(HUMAN)}&world=1",
+        ):
             assert ask(server, f"/compare/cells{wrong}")[0] == 404
-        assert "world=&#x27;x&#x27; is no number" in ask(server, f"{place}&world=x")[2].replace("&#39;", "&#x27;")
+        assert "world=&#x27;x&#x27; is no number" in ask(server, f"{place}&world=x")[2].replace(
+            "&#39;", "&#x27;"
+        )
 
 
 @pytest.mark.slow
@@ -119,17 +144,36 @@ def test_two_cells_on_the_same_world(browser: Browser, results: Path) -> None:
     with viewed(results) as server:
         tab = browser.tab()
         tab.open(server.opening(f"/compare/cells?a={quote(WASP)}&b={quote(HUMAN)}"))
-        tab.value(f"[...document.querySelectorAll('td a')].find(a => a.textContent === '{world}').click()")
-        tab.until("document.querySelectorAll('section.episode').length === 2 && document.readyState === 'complete'")
-        assert tab.value("document.querySelector('#differs').textContent").startswith(f"Decision {first} ")
-        # The page that is left stands at this step already: what comes next is for the one that is opened.
+        tab.value(
+            f"[...document.querySelectorAll('td a')].find(a => a.textContent === '{world}').click()"
+        )
+        tab.until(
+            "document.querySelectorAll('section.episode').length === 2 && "
+            "document.readyState === 'complete'"
+        )
+        assert tab.value("document.querySelector('#differs').textContent").startswith(
+            f"Decision {first} "
+        )
+        # The page that is left stands at this step already: what comes next is for the one that is
+        # opened.
         tab.value("window.left = true; document.querySelector('#differs').click()")
-        tab.until(f"window.left === undefined && location.search.includes('step={first}') && document.readyState === 'complete'")
-        tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first}')")
+        tab.until(
+            f"window.left === undefined && location.search.includes('step={first}') && "
+            "document.readyState === 'complete'"
+        )
+        tab.until(
+            "[...document.querySelectorAll('.step')].every(part => part.dataset.shown === "
+            f"'{first}')"
+        )
         # One scrubber moves both.
         tab.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight", code="ArrowRight")
-        tab.until(f"[...document.querySelectorAll('.step')].every(part => part.dataset.shown === '{first + 1}')")
-        tab.until("[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)")
+        tab.until(
+            "[...document.querySelectorAll('.step')].every(part => part.dataset.shown === "
+            f"'{first + 1}')"
+        )
+        tab.until(
+            "[...document.querySelectorAll('.screen img')].every(image => image.naturalWidth > 0)"
+        )
         tab.close()
 
 
@@ -170,13 +214,22 @@ def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: 
     films, stored = Films(layout), read_episode(find_cell(layout, CELL), EPISODE)
     wait_until(lambda: films.ask(CELL, EPISODE, FILM)["state"] != "drawing")
     state = films.ask(CELL, EPISODE, FILM)
-    assert (state["state"], state["frames"], state["ready"], state["every"]) == ("done", stored.decisions + 1, stored.decisions + 1, 1)
+    assert (state["state"], state["frames"], state["ready"], state["every"]) == (
+        "done",
+        stored.decisions + 1,
+        stored.decisions + 1,
+        1,
+    )
     assert {"robot", "command", "executed", "cost"} <= {name for name, _, _ in state["legend"]}
     seed, rewards = int(stored.row["episode_seed"]), stored.numbers["reward"]
     inner = slice(12, SIZE - 12)  # the edge says whether it has cost since the frame before
-    for moment in film("race1", stored.constants.action_repeat or 0, seed, stored.a, stored.a_h, rewards, 12, SIZE):
+    for moment in film(
+        "race1", stored.constants.action_repeat or 0, seed, stored.a, stored.a_h, rewards, 12, SIZE
+    ):
         drawn = shown(films.frame(CELL, EPISODE, FILM, moment.decision) or b"")
-        assert np.abs(drawn[inner, inner] - moment.frame[inner, inner]).mean() < 6, "but for what compression costs"
+        assert np.abs(drawn[inner, inner] - moment.frame[inner, inner]).mean() < 6, (
+            "but for what compression costs"
+        )
     before = {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")}
     assert Films(layout).ask(CELL, EPISODE, FILM)["state"] == "done", "another server finds it"
     assert {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")} == before
@@ -188,7 +241,9 @@ def test_a_film_is_that_of_video_a_frame_for_every_decision_and_is_kept(layout: 
 
 
 @pytest.mark.slow
-def test_imagined_futures_and_both_branches_are_those_of_replay(layout: Layout, tmp_path: Path) -> None:
+def test_imagined_futures_and_both_branches_are_those_of_replay(
+    layout: Layout, tmp_path: Path
+) -> None:
     cell = find_cell(layout, CELL)
     stored = read_episode(cell, EPISODE)
     assert draw(layout, cell, EPISODE, REPLAY, 0, tmp_path, 12)["frames"] == 3
@@ -212,7 +267,8 @@ def test_films_are_bounded_the_oldest_go_first(layout: Layout) -> None:
     films.ask(CELL, 0, FILM)
     assert drawn(films) == {"new", "old", f"{CELL}-0-film"}
     (films.folder / f"{CELL}-0-film" / "99999.webp").write_bytes(b"drawn")
-    beside = Films(layout, room=1)  # of a second server: it has its own films drawn, and leaves those that are drawn as they are
+    # of a second server: it has its own films drawn, and leaves those that are drawn as they are
+    beside = Films(layout, room=1)
     assert beside.ask(CELL, 0, FILM)["state"] == "drawing"
     beside.ask(CELL, 1, FILM)
     assert films.frame(CELL, 0, FILM, 99999) == b"drawn"

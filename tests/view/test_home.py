@@ -1,4 +1,6 @@
-"""The first page: the main table of each spec, whose numbers lead to their cells, and its report, which is a stranger to the server."""
+"""The first page: the main table of each spec, whose numbers lead to their cells, and its
+report, which is a stranger to the server.
+"""
 
 import re
 import shutil
@@ -24,7 +26,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of published cells: nothing is computed."""
     folder = tmp_path_factory.mktemp("home")
     (folder / "part.yaml").write_text(SPEC, encoding="utf-8")
-    done = run_here("run", folder / "part.yaml", "--results", folder / "results", "-j", "0", columns=200, code=0)
+    done = run_here(
+        "run", folder / "part.yaml", "--results", folder / "results", "-j", "0", columns=200, code=0
+    )
     assert "with WASP" in done.stdout
     assert "next: wasp view" in done.stderr
     return folder / "results"
@@ -42,18 +46,41 @@ def test_numbers_of_the_main_table_lead_to_their_cells(server: ViewServer, resul
     linked = re.findall(r'<a href="(/cells[^"]*)">(?:<strong>)?([\d.]+)', page)
     (row,) = [row for row in open_results(results).table().to_pylist() if row["method"] == "WASP"]
     of_wasp = [text for place, text in linked if unescape(place) == "/cells?task=goal1&method=WASP"]
-    assert of_wasp[:3] == [f"{row['return']:.2f}", f"{100 * row['success']:.1f}", f"{row['cost']:.2f}"]
+    assert of_wasp[:3] == [
+        f"{row['return']:.2f}",
+        f"{100 * row['success']:.1f}",
+        f"{row['cost']:.2f}",
+    ]
     assert ask(server, "/cells?task=goal1&method=WASP")[2].count(">WASP</a>") == 4
 
 
-def test_a_newer_spec_takes_no_cells_from_the_table_of_an_older_one(results: Path, tmp_path: Path) -> None:
+def test_a_newer_spec_takes_no_cells_from_the_table_of_an_older_one(
+    results: Path, tmp_path: Path
+) -> None:
     shutil.copytree(results, tmp_path / "results")
-    newer = SPEC.replace("name: part", "name: newer") + "operators: {noisy: null, limited-skill: null, reaction-time: null}\n"
+    newer = (
+        SPEC.replace("name: part", "name: newer")
+        + "operators: {noisy: null, limited-skill: null, reaction-time: null}\n"
+    )
     (tmp_path / "newer.yaml").write_text(newer, encoding="utf-8")
-    run_here("run", tmp_path / "newer.yaml", "--results", tmp_path / "results", "-j", "0", columns=200, code=0)
-    before, (newest, older) = next(main_tables(site_of(results))), main_tables(site_of(tmp_path / "results"))
+    run_here(
+        "run",
+        tmp_path / "newer.yaml",
+        "--results",
+        tmp_path / "results",
+        "-j",
+        "0",
+        columns=200,
+        code=0,
+    )
+    before, (newest, older) = (
+        next(main_tables(site_of(results))),
+        main_tables(site_of(tmp_path / "results")),
+    )
     assert (newest["spec"], older["spec"]) == ("newer", "part")
-    assert [row.values for row in older["table"].rows] == [row.values for row in before["table"].rows]
+    assert [row.values for row in older["table"].rows] == [
+        row.values for row in before["table"].rows
+    ]
 
 
 def test_a_run_that_has_just_begun_breaks_no_page(results: Path, tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Who may ask: token, Host, Origin; nothing that is asked for becomes a path; and the command as a process."""
+"""Who may ask: token, Host, Origin; nothing that is asked for becomes a path; and the command
+as a process.
+"""
 
 import json
 import re
@@ -30,51 +32,88 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewServer]:
 
 
 def ask(
-    server: ViewServer, path: str, method: str = "GET", body: str | None = None, known: bool = True, **headers: str
+    server: ViewServer,
+    path: str,
+    method: str = "GET",
+    body: str | None = None,
+    known: bool = True,
+    **headers: str,
 ) -> tuple[int, dict[str, str], str]:
     connection = HTTPConnection("127.0.0.1", server.port, timeout=600)
     if known:
         headers["Cookie"] = f"wasp_view_{server.port}={server.token}"
     connection.request(method, path, body, headers)
     answer = connection.getresponse()
-    return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read().decode("utf-8", "replace")
+    return (
+        answer.status,
+        {name.lower(): value for name, value in answer.getheaders()},
+        answer.read().decode("utf-8", "replace"),
+    )
 
 
 PLACES = (
-    "/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js", "/static/sort.js",
-)  # fmt: skip
+    "/",
+    "/cells",
+    "/cells/numbers",
+    CELL,
+    f"{CELL}/episode/0",
+    f"{CELL}/episode/0/explain?step=3",
+    "/static/view.js",
+    "/static/sort.js",
+)
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_every_page_needs_the_token_and_may_load_nothing_from_elsewhere(server: ViewServer, place: str) -> None:
+def test_every_page_needs_the_token_and_may_load_nothing_from_elsewhere(
+    server: ViewServer, place: str
+) -> None:
     assert ask(server, place, known=False)[0] == 403
     assert ask(server, place, known=False, Cookie=f"wasp_view_{server.port}=guess")[0] == 403
-    assert ask(server, place + ("&" if "?" in place else "?") + "token=guess", known=False)[0] == 403
+    assert (
+        ask(server, place + ("&" if "?" in place else "?") + "token=guess", known=False)[0] == 403
+    )
     for host in ("evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80"):
         assert ask(server, place, Host=host)[0] == 403
-    assert ask(server, place, "POST", "text=x", Origin=f"http://127.0.0.1:{server.port}")[0] == 405, "nothing can be sent"
+    assert (
+        ask(server, place, "POST", "text=x", Origin=f"http://127.0.0.1:{server.port}")[0] == 405
+    ), "nothing can be sent"
     status, headers, body = ask(server, place)
     assert status == 200
     if place != "/cells/numbers":
-        assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self'")
+        assert headers["content-security-policy"].startswith(
+            "default-src 'none'; script-src 'self'; style-src 'self'"
+        )
         assert (headers["x-frame-options"], headers["referrer-policy"]) == ("DENY", "same-origin")
     assert server.token not in body
     assert "<form method" not in body
 
 
-def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(server: ViewServer) -> None:
+def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(
+    server: ViewServer,
+) -> None:
     status, headers, _ = ask(server, f"{CELL}/episode/0?step=3&token={server.token}", known=False)
     assert (status, headers["location"]) == (303, f"{CELL}/episode/0?step=3".replace("%3D", "="))
-    assert quote(f"/compare/cells?a={LABEL}&b=x", "/?=&") in server.opening(f"/compare/cells?a={LABEL}&b=x"), "a terminal finds it whole"
+    assert quote(f"/compare/cells?a={LABEL}&b=x", "/?=&") in server.opening(
+        f"/compare/cells?a={LABEL}&b=x"
+    ), "a terminal finds it whole"
     assert "HttpOnly" in headers["set-cookie"]
     assert "samesite=lax" in headers["set-cookie"].lower()
 
 
 ODD = [
-    "/static/../server.py", "/static/%2e%2e/server.py", "/static/base.html", "/cell/../../etc/passwd", "/cell/%2e%2e%2f%2e%2e",
-    "/film/../x/0/film", "/film/0123456789abcdef0123/0/film", f"{CELL}/episode/99", f"{CELL}/episode/{'9' * 5000}", "/cell/x",
-    f"{CELL}/episode/0?step=x", f"{CELL}/episode/0?step={2**63}",
-]  # fmt: skip
+    "/static/../server.py",
+    "/static/%2e%2e/server.py",
+    "/static/base.html",
+    "/cell/../../etc/passwd",
+    "/cell/%2e%2e%2f%2e%2e",
+    "/film/../x/0/film",
+    "/film/0123456789abcdef0123/0/film",
+    f"{CELL}/episode/99",
+    f"{CELL}/episode/{'9' * 5000}",
+    "/cell/x",
+    f"{CELL}/episode/0?step=x",
+    f"{CELL}/episode/0?step={2**63}",
+]
 
 
 def test_nothing_that_is_asked_for_becomes_a_path(server: ViewServer) -> None:
@@ -112,24 +151,45 @@ def test_a_session_of_a_person_shows_who_drove_and_how_well_in_time(server: View
     folder = server.site.layout.artifact("evaluate", cell.key)
     assert "The session" not in ask(server, CELL)[2]
     (folder / SESSION_FILE).write_text(json.dumps(session), encoding="utf-8")
-    beat = dict.fromkeys(BEAT.names, 0) | {"late": True, "focused": True, "keys": "", "decision_ms": 7.5}
+    beat = dict.fromkeys(BEAT.names, 0) | {
+        "late": True,
+        "focused": True,
+        "keys": "",
+        "decision_ms": 7.5,
+    }
     write_table(pa.Table.from_pylist([beat], BEAT), folder / TIMING_FILE)
     try:
         body = ask(server, CELL)[2]
     finally:
         (folder / SESSION_FILE).unlink()
         (folder / TIMING_FILE).unlink()
-    facts = {"participant": 7, "sittings 1: begun": "2026-05-01T12:00:00", "timing: late": 1, "timing: decision_p50_ms": 7.5}
+    facts = {
+        "participant": 7,
+        "sittings 1: begun": "2026-05-01T12:00:00",
+        "timing: late": 1,
+        "timing: decision_p50_ms": 7.5,
+    }
     for name, value in facts.items():
         assert f"<dt>{name}</dt><dd>{value}</dd>" in body
 
 
 def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     results = brought(tmp_path / "results", LABEL)
-    command = [sys.executable, "-m", "wasp_cli", "view", str(results), "--no-browser", "--open", f"/cell/{LABEL}"]
+    command = [
+        sys.executable,
+        "-m",
+        "wasp_cli",
+        "view",
+        str(results),
+        "--no-browser",
+        "--open",
+        f"/cell/{LABEL}",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline())
+        found = re.search(
+            r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline()
+        )
         connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=600)
         connection.request("GET", found[2])
         answer = connection.getresponse()
@@ -150,11 +210,23 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        (("RESULTS", "--open", "cells"), 2, "places begin with a slash"), (("/nowhere",), 1, "neither runs nor a store"),
+        (("RESULTS", "--open", "cells"), 2, "places begin with a slash"),
+        (("/nowhere",), 1, "neither runs nor a store"),
         (("RESULTS", "--episodes", "1"), 2, "go with --bundle"),
         (("RESULTS", "--bundle", "OUT", "--cell", "zzz"), 2, "zzz"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_shown_is_said(tmp_path: Path, arguments: tuple[str, ...], code: int, expected: str) -> None:
+)
+def test_what_cannot_be_shown_is_said(
+    tmp_path: Path, arguments: tuple[str, ...], code: int, expected: str
+) -> None:
     places = {"RESULTS": str(brought(tmp_path / "results", LABEL)), "OUT": str(tmp_path / "out")}
-    assert expected in run_here("view", *(places.get(word, word) for word in arguments), "--no-browser", columns=200, code=code).stderr
+    assert (
+        expected
+        in run_here(
+            "view",
+            *(places.get(word, word) for word in arguments),
+            "--no-browser",
+            columns=200,
+            code=code,
+        ).stderr
+    )

@@ -1,4 +1,6 @@
-"""Untrusted, damaged and hostile results in the viewer: it shows what is wrong, executes nothing, reads nothing outside of the folder."""
+"""Untrusted, damaged and hostile results in the viewer: it shows what is wrong, executes
+nothing, reads nothing outside of the folder.
+"""
 
 import json
 from pathlib import Path
@@ -27,9 +29,20 @@ HOSTILE = '<img src=x onerror="window.owned=1">\'"><script>window.owned=1</scrip
 def walked(server: ViewServer, key: str) -> str:
     """Everything that the pages say of a folder."""
     episode = f"/cell/{key}/episode/0"
-    places = ["/", "/cells", "/cells/numbers", f"/cell/{key}", f"/cell/{quote(LABEL)}", episode, f"{episode}/explain?step=3",
-              f"/run/{RUN}", f"/run/{RUN}/now", f"/run/{RUN}/log/{key}", f"/compare/cells?a={key}&b={key}&world=100",
-              f"/film/{key}/0/film"]  # fmt: skip
+    places = [
+        "/",
+        "/cells",
+        "/cells/numbers",
+        f"/cell/{key}",
+        f"/cell/{quote(LABEL)}",
+        episode,
+        f"{episode}/explain?step=3",
+        f"/run/{RUN}",
+        f"/run/{RUN}/now",
+        f"/run/{RUN}/log/{key}",
+        f"/compare/cells?a={key}&b={key}&world=100",
+        f"/film/{key}/0/film",
+    ]
     texts = []
     for place in places:
         status, _, body = ask(server, place)
@@ -38,7 +51,13 @@ def walked(server: ViewServer, key: str) -> str:
     return "\n".join(texts)
 
 
-@pytest.mark.parametrize("name", [name if name in ON_EVERY_FORM else pytest.param(name, marks=pytest.mark.slow) for name in ATTACKS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ON_EVERY_FORM else pytest.param(name, marks=pytest.mark.slow)
+        for name in ATTACKS
+    ],
+)
 def test_it_shows_what_is_wrong_and_goes_on(name: str, tmp_path: Path, outside: Path) -> None:
     it = UntrustedStore(tmp_path)
     ATTACKS[name](it, outside)
@@ -63,12 +82,29 @@ def test_hostile_words_stay_words(browser: Browser, tmp_path: Path) -> None:
     for cell in record["cells"]:
         cell["severity"] = HOSTILE
     plan.write_text(json.dumps(record), encoding="utf-8")
-    (it.layout.artifact("evaluate", it.key) / "_session.json").write_text(json.dumps({HOSTILE: HOSTILE, "who": {"name": HOSTILE}}))
-    note = {"key": it.key, "label": HOSTILE, "episode": None, "text": HOSTILE, "mark": "", "author": HOSTILE, "at": HOSTILE}
+    (it.layout.artifact("evaluate", it.key) / "_session.json").write_text(
+        json.dumps({HOSTILE: HOSTILE, "who": {"name": HOSTILE}})
+    )
+    note = {
+        "key": it.key,
+        "label": HOSTILE,
+        "episode": None,
+        "text": HOSTILE,
+        "mark": "",
+        "author": HOSTILE,
+        "at": HOSTILE,
+    }
     (it.layout.root / FILE).write_text(json.dumps(note) + "\n", encoding="utf-8")
     with viewed(it.layout.root) as server:
         tab = browser.tab()
-        for place in ("/", "/cells", f"/cell/{it.key}", f"/cell/{it.key}/episode/0?step=2", f"/run/{RUN}", f"/cell/{HOSTILE}"):
+        for place in (
+            "/",
+            "/cells",
+            f"/cell/{it.key}",
+            f"/cell/{it.key}/episode/0?step=2",
+            f"/run/{RUN}",
+            f"/cell/{HOSTILE}",
+        ):
             tab.open(server.opening(place))
             tab.value("new Promise(done => setTimeout(done, 200))")
             assert tab.value("window.owned === undefined"), place

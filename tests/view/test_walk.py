@@ -1,4 +1,6 @@
-"""A real Chromium walks from the table of cells to a decision and back, and asks nobody else for anything."""
+"""A real Chromium walks from the table of cells to a decision and back, and asks nobody else
+for anything.
+"""
 
 from pathlib import Path
 
@@ -26,13 +28,22 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
         tab = browser.tab()
         tab.size(1280, 900)
         tab.open(server.opening("/cells"))
-        assert "token" not in tab.value("location.href"), "the address can be sent without giving the token away"
+        assert "token" not in tab.value("location.href"), (
+            "the address can be sent without giving the token away"
+        )
         shown = "[...document.querySelectorAll('#cells tbody tr')].filter(row => !row.hidden)"
         assert tab.value(f"{shown}.length") == 3
-        tab.until("[...document.querySelectorAll('#cells tbody tr')].every(row => row.cells[6].textContent)")
+        tab.until(
+            "[...document.querySelectorAll('#cells tbody tr')].every(row => "
+            "row.cells[6].textContent)"
+        )
 
-        # The first press on a heading sorts numbers down and texts up, as in reports; the second turns it.
-        column = "[...document.querySelectorAll('#cells tbody tr')].map(row => row.cells[{}].textContent)"
+        # The first press on a heading sorts numbers down and texts up, as in reports; the second
+        # turns it.
+        column = (
+            "[...document.querySelectorAll('#cells tbody tr')].map(row => "
+            "row.cells[{}].textContent)"
+        )
         for place, down in ((6, True), (0, False)):
             for reverse in (down, not down):
                 tab.value(f"document.querySelectorAll('#cells thead button')[{place}].click()")
@@ -40,7 +51,10 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
                 assert texts == sorted(texts, key=float if down else None, reverse=reverse)
 
         # A filter stands in the address, and another tab that opens it has it too.
-        choose = "document.querySelector('[name={}]').value = '{}'; document.querySelector('#filters').dispatchEvent(new Event('input'))"
+        choose = (
+            "document.querySelector('[name={}]').value = '{}'; "
+            "document.querySelector('#filters').dispatchEvent(new Event('input'))"
+        )
         for name, value in (("method", "WASP"), ("task", "goal1")):
             tab.value(choose.format(name, value))
         assert tab.value(f"{shown}.length") == 1
@@ -57,15 +71,21 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
         # The film comes by itself, and every key moves film, timeline and explanation together.
         tab.until("document.querySelector('.screen img').naturalWidth > 0")
         assert tab.value("document.querySelectorAll('ul.legend li').length") >= 6
-        assert "what the robot's own cameras see" in tab.value("document.querySelector('.film-of').innerText")
+        assert "what the robot's own cameras see" in tab.value(
+            "document.querySelector('.film-of').innerText"
+        )
         said = "document.querySelector('.step').innerText"
         for key, step in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1)):
             press(tab, key)
             tab.until(f"document.querySelector('.step').dataset.shown === '{step}'")
             assert f"decision {step} " in tab.value(said)
-            assert f"decision {step} of 0 to " in tab.value("document.querySelector('.scrubber output, output').textContent")
+            assert f"decision {step} of 0 to " in tab.value(
+                "document.querySelector('.scrubber output, output').textContent"
+            )
             assert tab.value("location.search") == f"?step={step}"
-            assert tab.value("document.querySelector('.cursor').getAttribute('x1')") == str(step + 0.5)
+            assert tab.value("document.querySelector('.cursor').getAttribute('x1')") == str(
+                step + 0.5
+            )
         stops = tab.value("JSON.parse(document.querySelector('section.episode').dataset.stops)")
         expected = next(stop for stop in stops if stop > 1)
         press(tab, "n")
@@ -96,21 +116,32 @@ def test_pages_fit_a_narrow_window(browser: Browser, results: Path) -> None:
         for place in ("/", "/cells", f"/cell/{WASP}", f"/cell/{WASP}/episode/0?step=20"):
             tab.open(server.opening(place))
             assert tab.value("document.documentElement.scrollWidth") <= 500, place
-        edge = "Math.max(...[...document.querySelectorAll('pre.explain span')].map(span => span.getBoundingClientRect().right))"
+        edge = (
+            "Math.max(...[...document.querySelectorAll('pre.explain span')].map(span => "
+            "span.getBoundingClientRect().right))"
+        )
         assert tab.value(edge) <= 500, "what explains a decision is not cut either"
         tab.close()
 
 
-def test_of_many_rows_the_first_are_laid_out_and_all_are_found(browser: Browser, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_many_rows_the_first_are_laid_out_and_all_are_found(
+    browser: Browser, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("wasp_cli.view.pages.FIRST", 1)
     with viewed(results) as server:
         tab = browser.tab()
         tab.size(1280, 120)  # what follows the table is out of sight
         tab.open(server.opening("/cells"))
-        shown = "[...document.querySelectorAll('#cells tbody tr')].filter(row => !row.hidden).map(row => row.cells[0].textContent)"
+        shown = (
+            "[...document.querySelectorAll('#cells tbody tr')].filter(row => "
+            "!row.hidden).map(row => row.cells[0].textContent)"
+        )
         assert len(tab.value(shown)) == 1
         assert tab.value("document.querySelector('#counted').textContent") == "3 cells"
-        typed = "document.querySelector('[name=text]').value = '{}'; document.querySelector('#filters').dispatchEvent(new Event('input'))"
+        typed = (
+            "document.querySelector('[name=text]').value = '{}'; "
+            "document.querySelector('#filters').dispatchEvent(new Event('input'))"
+        )
         tab.value(typed.format("race1 wasp"))
         assert tab.value(shown) == ["race1"], "a row that was not laid out is found"
         tab.value(typed.format(""))

@@ -1,4 +1,6 @@
-"""The `wasp` program. Each command parses, makes one call and returns an exit code; heavy imports are inside the commands."""
+"""The `wasp` program. Each command parses, makes one call and returns an exit code; heavy
+imports are inside the commands.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,13 @@ def _print_version(asked: bool) -> None:
 
 @app.callback()
 def main_options(
-    debug: Annotated[bool, flag("--debug", "Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
-    version: Annotated[bool, flag("--version", "Print the version and exit.", callback=_print_version, is_eager=True)] = False,
+    debug: Annotated[
+        bool, flag("--debug", "Show the traceback of expected errors too (or set WASP_DEBUG=1).")
+    ] = False,
+    version: Annotated[
+        bool,
+        flag("--version", "Print the version and exit.", callback=_print_version, is_eager=True),
+    ] = False,
 ) -> None:
     """Take the options of every command."""
     if debug:
@@ -31,8 +38,15 @@ def main_options(
 
 
 def main() -> None:
-    os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working directory, which may be somebody's results
+    # no process of ours imports from the working directory, which may be somebody's results
+    os.environ["PYTHONSAFEPATH"] = "1"
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # an ASCII terminal shows ? where it has no character
+        # an ASCII terminal shows ? where it has no character
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    app([*(["--debug"] if "--debug" in sys.argv[1:] else []), *(word for word in sys.argv[1:] if word != "--debug")])
+    app(
+        [
+            *(["--debug"] if "--debug" in sys.argv[1:] else []),
+            *(word for word in sys.argv[1:] if word != "--debug"),
+        ]
+    )

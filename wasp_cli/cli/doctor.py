@@ -16,9 +16,19 @@ from wasp_cli.registry import Registry, load_target
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
 
-NEEDED = ("torch", "mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
+NEEDED = (
+    "torch",
+    "mujoco",
+    "gymnasium",
+    "numpy",
+    "stable-baselines3",
+    "joblib",
+    "pyarrow",
+    "safetensors",
+)
 SMALL_MEMORY_GB = 4.0
-ON_DEVICE = ("world_model", "latents", "evaluate")  # stages that compute on a GPU where there is one; a test holds this against their code
+# stages that compute on a GPU where there is one; a test holds this against their code
+ON_DEVICE = ("world_model", "latents", "evaluate")
 
 
 @command("wasp doctor", codes="0 all is there, 1 something is missing or broken, 2 usage")
@@ -32,10 +42,20 @@ def doctor(results: ResultsOption = RESULTS) -> None:
 
     findings = list(examine(results))
     table = Table(box=None, padding=(0, 2), show_header=False)
-    colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
+    colours = {
+        "ok": "green",
+        "missing": "bold red",
+        "broken": "bold red",
+        "low": "yellow",
+        "optional": "yellow",
+    }
     for finding in findings:
-        state = Text("none" if finding.state == "optional" else finding.state, style=colours[finding.state])
-        table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))
+        state = Text(
+            "none" if finding.state == "optional" else finding.state, style=colours[finding.state]
+        )
+        table.add_row(
+            Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim")
+        )
     out().print(table)
     require(findings)
 
@@ -57,26 +77,41 @@ def examine(results: Path) -> Iterator[Finding]:
     for name in NEEDED:
         try:
             import_module(name.replace("-", "_"))
-        except Exception as error:  # OSError: a library that it loads is not there; others: it is there, and cannot begin
+        except Exception as error:
+            # OSError: a library that it loads is not there; others: it is there, and cannot begin
             state: State = "missing" if isinstance(error, ImportError | OSError) else "broken"
-            yield Finding(name, state, str(error).partition("\n")[0], f"required: pip install {name}")
+            yield Finding(
+                name, state, str(error).partition("\n")[0], f"required: pip install {name}"
+            )
         else:
             yield Finding(name, "ok", installed(name) or "found")
     yield from _plugins()
-    yield Finding("cores", "ok", f"{cores()} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
+    yield Finding(
+        "cores",
+        "ok",
+        f"{cores()} ({processor()})",
+        "`wasp run` starts as many workers; -j N sets their number",
+    )
     memory, most = memory_gb(), limits("memory.max") or limits("memory/memory.limit_in_bytes")
     if memory is None:
         yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:
         memory = min([memory, *(round(size / 1e9, 1) for size in most)])
         small = memory < SMALL_MEMORY_GB
-        yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
+        yield Finding(
+            "memory",
+            "low" if small else "ok",
+            f"{memory:g} GB",
+            "use -j 1 and the preset quick" if small else "",
+        )
     yield _gpu()
     yield _writable(results)
 
 
 def registries() -> tuple[Registry[Any], ...]:
-    """Return what other packages can add to; imported here, since `wasp --help` imports this module."""
+    """Return what other packages can add to; imported here, since `wasp --help` imports this
+    module.
+    """
     from wasp_cli.methods.registry import METHODS
     from wasp_cli.operators.registry import OPERATORS
     from wasp_cli.stages.registry import STAGES
@@ -86,7 +121,9 @@ def registries() -> tuple[Registry[Any], ...]:
 
 
 def _plugins() -> Iterator[Finding]:
-    """What other packages add. One that cannot be used stops other commands, so that it must not stop this one."""
+    """What other packages add. One that cannot be used stops other commands, so that it must
+    not stop this one.
+    """
     from wasp_cli.methods.registry import MethodInfo
     from wasp_cli.spec.model import check_plugin
 
@@ -102,8 +139,17 @@ def _plugins() -> Iterator[Finding]:
                     added.config_model()
             except Exception as error:  # its code is another's
                 cause = error if error.__cause__ is None else error.__cause__
-                reason = cause.message if isinstance(cause, WaspError) else f"{type(cause).__name__}: {cause}"
-                yield Finding(what, "broken", f"{package}: {reason}".partition("\n")[0], "repair or uninstall it")
+                reason = (
+                    cause.message
+                    if isinstance(cause, WaspError)
+                    else f"{type(cause).__name__}: {cause}"
+                )
+                yield Finding(
+                    what,
+                    "broken",
+                    f"{package}: {reason}".partition("\n")[0],
+                    "repair or uninstall it",
+                )
             else:
                 yield Finding(what, "ok", package)
 
@@ -120,12 +166,20 @@ def _gpu() -> Finding:
     try:
         device = training_device()
     except UsageError as error:
-        return Finding("GPU", "missing", str(error), f"{error.hint}: the stages {stages} would end with this error")
+        return Finding(
+            "GPU",
+            "missing",
+            str(error),
+            f"{error.hint}: the stages {stages} would end with this error",
+        )
     asked = f" ({VARIABLE}={os.environ[VARIABLE]})" if os.environ.get(VARIABLE) else ""
     if device.type == "cpu":
         state: Literal["ok", "optional"] = "ok" if asked else "optional"
         return Finding("GPU", state, name, f"not needed: every stage computes on the CPU{asked}")
-    meaning = f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
+    meaning = (
+        f"the stages {stages} compute on {device}{asked}, the others on the CPU; "
+        f"{VARIABLE}=cpu keeps all off it"
+    )
     return Finding("GPU", "ok", name, meaning)
 
 
@@ -139,10 +193,18 @@ def _writable(results: Path) -> Finding:
         # Looking must not create anything: the nearest existing folder tells as much.
         place = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
         if not os.path.isdir(place) or not os.access(place, os.W_OK | os.X_OK):
-            return Finding("results", "missing", f"'{place}' is no folder that can be written", "choose another folder with --results DIR")
+            return Finding(
+                "results",
+                "missing",
+                f"'{place}' is no folder that can be written",
+                "choose another folder with --results DIR",
+            )
     return Finding("results", "ok", f"'{results}' can be written")
 
 
 def require(findings: list[Finding]) -> None:
     if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
-        raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
+        raise WaspError(
+            f"wasp cannot run here: {', '.join(missing)}",
+            "the last column of the table says what to do",
+        )

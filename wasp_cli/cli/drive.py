@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import argument, command, flag, method_names, option, print_json, require_extra
+from wasp_cli.cli.options import (
+    argument,
+    command,
+    flag,
+    method_names,
+    option,
+    print_json,
+    require_extra,
+)
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import out, say
 from wasp_cli.errors import UsageError
@@ -20,26 +28,64 @@ if TYPE_CHECKING:
     "wasp drive goal1 --method wasp",
     "wasp drive goal1 --check",
     "wasp drive specs/study.yaml --participant 7",
-    codes="0 done, 1 results cannot be written, or with --check: decisions are late, 2 usage, 3 invalid spec, 130 interrupted",
+    codes="0 done, 1 results cannot be written, or with --check: decisions are late, 2 usage, 3 "
+    "invalid spec, 130 interrupted",
 )
 def drive(
-    what: Annotated[str, argument("TASK|SPEC", "A task, or a spec with people among its operators.")],
+    what: Annotated[
+        str, argument("TASK|SPEC", "A task, or a spec with people among its operators.")
+    ],
     method: Annotated[
-        str | None, option("NAME", "The assistant; none: alone. (default: wasp)", "--method", "-m", among=method_names)
+        str | None,
+        option(
+            "NAME",
+            "The assistant; none: alone. (default: wasp)",
+            "--method",
+            "-m",
+            among=method_names,
+        ),
     ] = None,
-    participant: Annotated[int | None, option("N", "Number of the participant. (default: 0)", min=0)] = None,
+    participant: Annotated[
+        int | None, option("N", "Number of the participant. (default: 0)", min=0)
+    ] = None,
     episodes: Annotated[int | None, option("N", "Episodes to drive. (default: 5)", min=1)] = None,
-    number: Annotated[int | None, option("N", "Number of the session: its worlds. (default: the next one)", "--session", min=0)] = None,
-    speed: Annotated[float | None, option("X", "Simulated seconds per second. (default: 1)", min=0.05, max=4.0)] = None,
-    hide: Annotated[list[str] | None, option("NAME", "Do not show: cameras, map, cost, goals, gate or imagined (repeatable).")] = None,
+    number: Annotated[
+        int | None,
+        option(
+            "N", "Number of the session: its worlds. (default: the next one)", "--session", min=0
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None, option("X", "Simulated seconds per second. (default: 1)", min=0.05, max=4.0)
+    ] = None,
+    hide: Annotated[
+        list[str] | None,
+        option("NAME", "Do not show: cameras, map, cost, goals, gate or imagined (repeatable)."),
+    ] = None,
     port: options.PortOption = 0,
     browser: options.NoBrowserOption = False,
-    check: Annotated[bool, flag("--check", "Measure with a scripted driver whether decisions are in time; record nothing.")] = False,
+    check: Annotated[
+        bool,
+        flag(
+            "--check",
+            "Measure with a scripted driver whether decisions are in time; record nothing.",
+        ),
+    ] = False,
     simulate: Annotated[
-        bool, flag("--simulate", "Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
+        bool,
+        flag(
+            "--simulate",
+            "Let scripted drivers drive, through the real socket: of a spec all "
+            "participants, or the one named.",
+        ),
     ] = False,
     orders: Annotated[bool, flag("--orders", "Only show who drives what in which order.")] = False,
-    withdraw: Annotated[bool, flag("--withdraw", "Delete what the participant drove on this task, or on those of the spec.")] = False,
+    withdraw: Annotated[
+        bool,
+        flag(
+            "--withdraw", "Delete what the participant drove on this task, or on those of the spec."
+        ),
+    ] = False,
     preset: options.PresetOption = None,
     results: options.ResultsOption = options.RESULTS,
     jobs: options.JobsOption = None,
@@ -48,22 +94,39 @@ def drive(
 ) -> None:
     """Drive a task in a browser, with an assistant or alone.
 
-    The page is served on this machine alone, under an address with a token; through an SSH tunnel it works from elsewhere. What is driven
-    is a cell like any other: wasp report, explain, replay and compare show it. Only with --preset models of a task are trained.
+    The page is served on this machine alone, under an address with a token; through an SSH tunnel
+    it works from elsewhere. What is driven is a cell like any other: wasp report, explain, replay
+    and compare show it. Only with --preset models of a task are trained.
     """
     require_extra("drive", "starlette", "uvicorn", "websockets")
     from wasp_cli.drive.check import Habits
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
 
     hidden, settings = tuple(hide or ()), tuple(set_ or ())
-    wanted = Wanted(what, method, participant, episodes, number, speed, hidden, preset, settings, results, jobs, simulate)
+    wanted = Wanted(
+        what,
+        method,
+        participant,
+        episodes,
+        number,
+        speed,
+        hidden,
+        preset,
+        settings,
+        results,
+        jobs,
+        simulate,
+    )
     if json and (orders or withdraw):
         raise UsageError("--json goes with neither --orders nor --withdraw", "leave it out")
     if orders:  # before all that changes something: it only shows
         out().print(wanted.orders())
     elif withdraw:
         if method is not None or number is not None:
-            raise UsageError("--withdraw deletes all that the participant drove there", "leave out --method and --session")
+            raise UsageError(
+                "--withdraw deletes all that the participant drove there",
+                "leave out --method and --session",
+            )
         withdrawn(wanted)
     elif check:
         _check(wanted.prepared(recorded=False), json)
@@ -73,7 +136,9 @@ def drive(
             session = driver.prepared()
             habits = Habits(driver.participant or 0) if simulate else None
             try:
-                summaries.append(drive_session(session, port, open_browser=not browser, scripted=habits))
+                summaries.append(
+                    drive_session(session, port, open_browser=not browser, scripted=habits)
+                )
             finally:
                 driver.record(session)
         if json:
@@ -83,11 +148,15 @@ def drive(
             from wasp_cli.run.record import read_run, results_of
 
             layout = results_of(results)
-            show_report(layout, read_run(layout, last_runs(layout)[0][wanted.loaded().spec.name]), None)
+            show_report(
+                layout, read_run(layout, last_runs(layout)[0][wanted.loaded().spec.name]), None
+            )
 
 
 @command(
-    "wasp clone results/ --participant 7", codes="0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 interrupted"
+    "wasp clone results/ --participant 7",
+    codes="0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 "
+    "interrupted",
 )
 def clone(
     asked: options.Sized,
@@ -98,7 +167,8 @@ def clone(
 ) -> None:
     """Fit a policy to what a participant commanded.
 
-    It is an operator variant: afterwards any spec has `operators: {cloned: {p7: 7}}`. Every fourth episode is held out and judges it.
+    It is an operator variant: afterwards any spec has `operators: {cloned: {p7: 7}}`. Every fourth
+    episode is held out and judges it.
     """
     from wasp_cli.drive.block import ALONE
     from wasp_cli.drive.clone import clone_participant, quality_table
@@ -112,8 +182,12 @@ def clone(
     clones = []
     for name in asked.task or driven_tasks(results, participant):
         drives = f"operators={{{CLONED}: {{p{participant}: {participant}}}}}"
-        loaded = shipped(name, [ALONE], participant, [0], asked.preset, [drives, *(asked.set_ or ())])
-        cloned = clone_participant(loaded, results, participant, RunOptions(cores() if jobs is None else jobs))
+        loaded = shipped(
+            name, [ALONE], participant, [0], asked.preset, [drives, *(asked.set_ or ())]
+        )
+        cloned = clone_participant(
+            loaded, results, participant, RunOptions(cores() if jobs is None else jobs)
+        )
         clones.append(cloned)
         if not json:
             out().print(quality_table(cloned))
@@ -132,8 +206,17 @@ def _check(session: Session, json: bool) -> None:
     else:
         out().print(timing_table(timings))
         say(*(timing.where_gates_fired for timing in timings))
-        slow, pace = min(timing.recommended for timing in timings), max(timing.pace for timing in timings)
-        what = f"the world slows down, {pace:.1f} times" if pace > TOLERATED_PACE else "too many decisions are late"
-        say(f"{what}; --speed {slow:g} would keep them in time" if late else "decisions are in time")
+        slow, pace = (
+            min(timing.recommended for timing in timings),
+            max(timing.pace for timing in timings),
+        )
+        what = (
+            f"the world slows down, {pace:.1f} times"
+            if pace > TOLERATED_PACE
+            else "too many decisions are late"
+        )
+        say(
+            f"{what}; --speed {slow:g} would keep them in time" if late else "decisions are in time"
+        )
     if late:
         raise typer.Exit(1)

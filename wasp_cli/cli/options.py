@@ -1,8 +1,10 @@
-"""How a function becomes a command of `wasp`: its options, its help, and how an expected error ends it.
+"""How a function becomes a command of `wasp`: its options, its help, and how an expected error ends
+it.
 
-And the options that commands share: single ones, groups of them, which a command takes as one parameter, and what a shell offers. What is
-offered is imported when it is asked for: every command loads this module. Names in registries need neither torch nor MuJoCo. A
-plugin that does not load offers nothing, instead of a traceback.
+And the options that commands share: single ones, groups of them, which a command takes as one
+parameter, and what a shell offers. What is offered is imported when it is asked for: every command
+loads this module. Names in registries need neither torch nor MuJoCo. A plugin that does not load
+offers nothing, instead of a traceback.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
 
 
 PIPE_CLOSED = 141
-GROUPS = {  # all commands, as `wasp --help` lists them: each with the first sentence of its docstring
+# all commands, as `wasp --help` lists them: each with the first sentence of its docstring
+GROUPS = {
     "Start": ("run", "report", "view", "drive"),
     "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
     "Compare": ("sweep", "ablate", "compare"),
@@ -66,11 +69,22 @@ class _Group(TyperGroup):
         for title, names in GROUPS.items():
             table.add_row()
             for name in names:
-                table.add_row(title if name == names[0] else "", name, self.commands[name].get_short_help_str(limit=1000))
+                table.add_row(
+                    title if name == names[0] else "",
+                    name,
+                    self.commands[name].get_short_help_str(limit=1000),
+                )
         options = ", ".join(name for parameter in self.get_params(ctx) for name in parameter.opts)
         console = Console(highlight=False)
         with console.capture() as shown:
-            console.print(self.get_usage(ctx), f"\n{self.help}", table, f"\nOptions: {options}", sep="\n", markup=False)
+            console.print(
+                self.get_usage(ctx),
+                f"\n{self.help}",
+                table,
+                f"\nOptions: {options}",
+                sep="\n",
+                markup=False,
+            )
         formatter.write(shown.get())
 
 
@@ -87,13 +101,18 @@ HELP = """\
 Run experiments in shared autonomy. A spec says which; results go to results/.
 Start here: wasp run quickstart, then: wasp report results/
 Drive: wasp drive race1. Check: wasp verify. Your own: docs/extending.md"""
-app = typer.Typer(name="wasp", cls=_Group, help=HELP, rich_markup_mode="rich", pretty_exceptions_enable=False)
+app = typer.Typer(
+    name="wasp", cls=_Group, help=HELP, rich_markup_mode="rich", pretty_exceptions_enable=False
+)
 
 
-def command(*examples: str, codes: str = "", name: str | None = None) -> Callable[[Command], Command]:
+def command(
+    *examples: str, codes: str = "", name: str | None = None
+) -> Callable[[Command], Command]:
     """Make a function a command: its docstring is the help, its parameters are the options.
 
-    A parameter whose type is a dataclass stands for the fields of it, so that commands share options.
+    A parameter whose type is a dataclass stands for the fields of it, so that commands share
+    options.
     """
     shown = "   ·   ".join(f"[bold]{example}[/]" for example in examples)
     epilog = f"{shown}\n\nExit codes: {codes}." if codes else shown
@@ -114,7 +133,9 @@ def _flat(function: Callable[..., None]) -> Callable[..., None]:
         group = shared.get(parameter.name)
         types = get_type_hints(group, include_extras=True) if group else hints
         for option in inspect.signature(group).parameters.values() if group else [parameter]:
-            parameters.append(option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=types[option.name]))
+            parameters.append(
+                option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=types[option.name])
+            )
 
     @functools.wraps(function)
     def flat(**values: Any) -> None:
@@ -130,9 +151,11 @@ def _flat(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
-    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
+    """Show an expected error as one message and end with its exit code; everything else is a bug
+    and keeps its traceback.
 
-    Expected are also the refusals of the system: a full disk, a folder without permission, a broken pipe.
+    Expected are also the refusals of the system: a full disk, a folder without permission, a broken
+    pipe.
     """
 
     @functools.wraps(function)
@@ -170,7 +193,9 @@ Completion = Callable[..., list[str]] | None
 
 
 def spec_names(incomplete: str) -> list[str]:
-    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
+    """List the YAML files of the typed folder, and without one also those of `specs/` and the
+    names that come with the package.
+    """
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", "specs/"]
     files = [name for folder in folders for name in sorted(glob(f"{escape(folder)}*.yaml"))]
@@ -178,7 +203,9 @@ def spec_names(incomplete: str) -> list[str]:
 
 
 def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:
-    """What offers the names in something that is imported when it is asked; none where a plugin does not load."""
+    """What offers the names in something that is imported when it is asked; none where a plugin
+    does not load.
+    """
 
     def offered() -> list[str]:
         with suppress(WaspError):
@@ -201,17 +228,23 @@ def require_extra(extra: str, *packages: str) -> None:
         try:
             importlib.import_module(package)
         except ImportError as error:
-            raise UsageError(f"this command needs packages that are not here: {error}", f"pip install 'wasp-cli[{extra}]'") from error
+            raise UsageError(
+                f"this command needs packages that are not here: {error}",
+                f"pip install 'wasp-cli[{extra}]'",
+            ) from error
 
 
 def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name, and one that no report can hold."""
-    if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
+    # an unset variable of a script; Path("") would be the current folder
+    if not str(value).strip():
         raise typer.BadParameter("the name of the folder is empty")
     try:
         place = os.path.abspath(value)
     except OSError as error:
-        raise typer.BadParameter("the current folder is not there any more; change to another one") from error
+        raise typer.BadParameter(
+            "the current folder is not there any more; change to another one"
+        ) from error
     if os.fsencode(place).decode(errors="replace") != place:
         raise typer.BadParameter(f"{place!r} has bytes that are not UTF-8; rename the folder")
     return Path(value)
@@ -225,17 +258,34 @@ def parse_duration(text: str | float) -> float:
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
     seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
     if not 0 < seconds < LONGEST:
-        raise typer.BadParameter(f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)")
+        raise typer.BadParameter(
+            f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)"
+        )
     return seconds
 
 
 def option(metavar: str, text: str, *names: str, among: Completion = None, **more: Any) -> Any:
-    """Declare an option that takes a value. Without names it has that of its parameter; a default that the text explains is not shown."""
-    return typer.Option(*names, metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
+    """Declare an option that takes a value. Without names it has that of its parameter; a
+    default that the text explains is not shown.
+    """
+    return typer.Option(
+        *names,
+        metavar=metavar,
+        help=text,
+        show_default="(default: " not in text,
+        autocompletion=among,
+        **more,
+    )
 
 
 def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> Any:
-    return typer.Argument(metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
+    return typer.Argument(
+        metavar=metavar,
+        help=text,
+        show_default="(default: " not in text,
+        autocompletion=among,
+        **more,
+    )
 
 
 def flag(name: str, text: str, *names: str, **more: Any) -> Any:
@@ -245,26 +295,70 @@ def flag(name: str, text: str, *names: str, **more: Any) -> Any:
 directory = functools.partial(option, "DIR", parser=parse_folder)
 
 ResultsOption = Annotated[Path, directory("The results folder.", "--results")]
-ResultsArgument = Annotated[Path | None, argument("[DIR]", "The results folder. (default: what --results says)", parser=parse_folder)]
-NodeArgument = Annotated[str, argument("NODE", "A label ('goal1 s1 world_model'), or the beginning of a key.")]
+ResultsArgument = Annotated[
+    Path | None,
+    argument("[DIR]", "The results folder. (default: what --results says)", parser=parse_folder),
+]
+NodeArgument = Annotated[
+    str, argument("NODE", "A label ('goal1 s1 world_model'), or the beginning of a key.")
+]
 StoredCellArgument = Annotated[
-    str, argument("CELL", "A label ('goal1 s1 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
+    str,
+    argument(
+        "CELL",
+        "A label ('goal1 s1 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.",
+    ),
 ]
 EpisodeOption = Annotated[int, option("E", "The episode, counted from 0.", "--episode", "-e")]
 MethodOption = Annotated[
-    list[str] | None, option("NAME", "Only this method of the spec (repeatable).", "--method", "-m", among=method_names)
+    list[str] | None,
+    option(
+        "NAME", "Only this method of the spec (repeatable).", "--method", "-m", among=method_names
+    ),
 ]
-PresetOption = Annotated[str | None, option("NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=preset_names)]
-RunOption = Annotated[str | None, option("ID", "A folder name in runs/, its end, or the name of a spec. (default: the newest)", "--run")]
+PresetOption = Annotated[
+    str | None,
+    option(
+        "NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=preset_names
+    ),
+]
+RunOption = Annotated[
+    str | None,
+    option(
+        "ID",
+        "A folder name in runs/, its end, or the name of a spec. (default: the newest)",
+        "--run",
+    ),
+]
 JobsOption = Annotated[
-    int | None, option("N", "At most N workers; 0 computes in this process. (default: all cores)", "--jobs", "-j", min=0)
+    int | None,
+    option(
+        "N",
+        "At most N workers; 0 computes in this process. (default: all cores)",
+        "--jobs",
+        "-j",
+        min=0,
+    ),
 ]
-SetOption = Annotated[list[str] | None, option("KEY=VALUE", "Override a value of the spec (repeatable).", "--set", among=setting_names)]
+SetOption = Annotated[
+    list[str] | None,
+    option("KEY=VALUE", "Override a value of the spec (repeatable).", "--set", among=setting_names),
+]
 SelectOption = Annotated[
-    list[str] | None, option("FIELD=VALUE,...", "Only these: 'task=race1,method=wasp|ida', 'stage=world_model' (repeatable).", "--select")
+    list[str] | None,
+    option(
+        "FIELD=VALUE,...",
+        "Only these: 'task=race1,method=wasp|ida', 'stage=world_model' (repeatable).",
+        "--select",
+    ),
 ]
 ReuseOption = Annotated[
-    str | None, option("none|published|DIR", "Use results of results/published, or of DIR. (default: what the spec says)", "--reuse")
+    str | None,
+    option(
+        "none|published|DIR",
+        "Use results of results/published, or of DIR. (default: what the spec says)",
+        "--reuse",
+    ),
 ]
 JsonOption = Annotated[bool, flag("--json", "Print JSON.")]
 PortOption = Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)]
@@ -281,7 +375,10 @@ class Folder:
     @property
     def path(self) -> Path:
         if self.folder is not None and self.results not in (self.folder, RESULTS):
-            raise UsageError(f"two results folders: '{self.folder}' and --results '{self.results}'", "name one of them")
+            raise UsageError(
+                f"two results folders: '{self.folder}' and --results '{self.results}'",
+                "name one of them",
+            )
         return self.results if self.folder is None else self.folder
 
 
@@ -293,7 +390,12 @@ class Whereabouts:
 
 @dataclass(frozen=True, kw_only=True)
 class Sized:
-    task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=task_names)] = None
+    task: Annotated[
+        list[str] | None,
+        option(
+            "TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=task_names
+        ),
+    ] = None
     preset: PresetOption = None
     set_: SetOption = None
     results: ResultsOption = RESULTS
@@ -307,7 +409,9 @@ class Sized:
 
 @dataclass(frozen=True, kw_only=True)
 class SizedSpec(Sized):
-    spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)]
+    spec: Annotated[
+        Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)
+    ]
 
     def load(self) -> Loaded:
         from wasp_cli.spec.load import load, restricted
@@ -319,25 +423,48 @@ class SizedSpec(Sized):
 class SelectedSpec(SizedSpec):
     method: MethodOption = None
     select: SelectOption = None
-    limit: Annotated[int | None, option("N", "Only the first N episodes of each cell: a look before the whole.", min=1)] = None
-    failed: Annotated[bool, flag("--failed", "Only nodes that failed before, and nodes that wait for them.")] = False
+    limit: Annotated[
+        int | None,
+        option("N", "Only the first N episodes of each cell: a look before the whole.", min=1),
+    ] = None
+    failed: Annotated[
+        bool, flag("--failed", "Only nodes that failed before, and nodes that wait for them.")
+    ] = False
     reuse: ReuseOption = None
 
     def load(self) -> Loaded:
         """Load the spec that is meant; `select` and `failed` say which of its cells."""
         from wasp_cli.spec.load import limited, load, restricted
 
-        return limited(restricted(load(self.spec, self.settings), self.task, self.method), self.limit)
+        return limited(
+            restricted(load(self.spec, self.settings), self.task, self.method), self.limit
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    dry_run: Annotated[bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")] = False
+    dry_run: Annotated[
+        bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")
+    ] = False
     jobs: JobsOption = None
-    timeout: Annotated[float | None, option("TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration)] = None
-    retries: Annotated[int, option("N", "Retries of a node that fails for a reason which may pass.", min=0, max=9)] = 0
-    backend: Annotated[str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")] = "loky"
-    scheduler: Annotated[str | None, option("URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER")] = None
+    timeout: Annotated[
+        float | None,
+        option(
+            "TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration
+        ),
+    ] = None
+    retries: Annotated[
+        int, option("N", "Retries of a node that fails for a reason which may pass.", min=0, max=9)
+    ] = 0
+    backend: Annotated[
+        str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")
+    ] = "loky"
+    scheduler: Annotated[
+        str | None,
+        option(
+            "URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER"
+        ),
+    ] = None
 
     def options(self) -> RunOptions:
         from wasp_cli.run.pool import BACKENDS
@@ -346,4 +473,6 @@ class Work:
         if self.backend not in BACKENDS:  # also told where nothing is going to run
             raise UnknownName("backend", self.backend, BACKENDS)
         jobs = cores() if self.jobs is None else self.jobs
-        return RunOptions(jobs, self.timeout, self.retries, self.backend, self.scheduler, reports=True)
+        return RunOptions(
+            jobs, self.timeout, self.retries, self.backend, self.scheduler, reports=True
+        )

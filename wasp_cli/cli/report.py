@@ -1,4 +1,6 @@
-"""The commands about whole results folders: `wasp report`, `compare`, `gc`, `publish` and `verify`."""
+"""The commands about whole results folders: `wasp report`, `compare`, `gc`, `publish` and
+`verify`.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,28 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import argument, command, directory, flag, option, parse_folder, print_json
+from wasp_cli.cli.options import (
+    argument,
+    command,
+    directory,
+    flag,
+    option,
+    parse_folder,
+    print_json,
+)
 from wasp_cli.console import err, say, size, waiting_aloud
 from wasp_cli.console import out as console
-from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
+from wasp_cli.errors import (
+    ArtifactError,
+    CellsFailed,
+    NotAccepted,
+    StoreError,
+    UnknownName,
+    UsageError,
+    WaspError,
+    first,
+    refusal,
+)
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
@@ -33,20 +53,41 @@ class NotWritten(WaspError):
 @command(
     "wasp report results/",
     "wasp report results/ --spec table1 --strict",
-    codes="0 done, 1 part of the results cannot be read (with --strict also: something is missing; with --verify also: a file was "
+    codes="0 done, 1 part of the results cannot be read (with --strict also: something is "
+    "missing; with --verify also: a file was "
     "changed), 2 usage, 3 invalid paper",
 )
 def report(
     results: options.Folder,
-    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
-    paper: Annotated[
-        Path | None, option("FILE|none", "File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)")
+    spec: Annotated[
+        str | None, option("NAME", "Only the spec of this name. (default: all that ran)")
     ] = None,
-    out: Annotated[Path | None, directory("Write to DIR/<spec>. (default: reports/ in the results folder)")] = None,
-    strict: Annotated[bool, flag("--strict", "Exit with 1 if cells or counterfactual branches are missing.")] = False,
-    verify: Annotated[bool, flag("--verify", "Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.")] = False,
-    films: Annotated[bool, flag("--films/--no-films", "Add films: one episode of each task with every method.")] = True,
-    trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
+    paper: Annotated[
+        Path | None,
+        option(
+            "FILE|none",
+            "File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, directory("Write to DIR/<spec>. (default: reports/ in the results folder)")
+    ] = None,
+    strict: Annotated[
+        bool, flag("--strict", "Exit with 1 if cells or counterfactual branches are missing.")
+    ] = False,
+    verify: Annotated[
+        bool,
+        flag(
+            "--verify",
+            "Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.",
+        ),
+    ] = False,
+    films: Annotated[
+        bool, flag("--films/--no-films", "Add films: one episode of each task with every method.")
+    ] = True,
+    trained: Annotated[
+        bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")
+    ] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
     from wasp_cli.report.summarize import missing_words
@@ -67,7 +108,8 @@ def report(
             changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
             shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
-            if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):  # the run was killed before it wrote its own
+            # the run was killed before it wrote its own
+            if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):
                 layout.reporting(run_id).unlink(missing_ok=True)
             damaged += (*shown.damaged, *(gap.reason for gap in shown.missing if gap.damaged))
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
@@ -78,16 +120,28 @@ def report(
         except WaspError as error:  # the other specs are still worth seeing
             damaged.append(error.message)
     if changed:
-        told = [f"files are not those that were stored ({len(changed)}):", *(f"  {text}" for text in (*damaged, *changed))]
-        hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
+        told = [
+            f"files are not those that were stored ({len(changed)}):",
+            *(f"  {text}" for text in (*damaged, *changed)),
+        ]
+        hint = (
+            "remove the folder of each in store/, and run the spec again: what is gone is "
+            "computed again"
+        )
         raise ArtifactError("\n".join(told), hint)
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
-        raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
+        raise ArtifactError(
+            f"part of the results cannot be read:\n{lines}",
+            "run the spec again: only damaged results are computed again",
+        )
     if unwritten:
         raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
     if strict and gaps:
-        raise CellsFailed("\n".join([f"{'; '.join(gaps)}:", *first([f"  {cell}" for cell in missing], 10)]), "run the spec again")
+        raise CellsFailed(
+            "\n".join([f"{'; '.join(gaps)}:", *first([f"  {cell}" for cell in missing], 10)]),
+            "run the spec again",
+        )
 
 
 def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
@@ -106,14 +160,21 @@ def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], 
 
 
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:
-    """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
+    """Which artifacts of a run have other bytes than their manifests say; the number of those
+    that were read is told.
+    """
     from wasp_cli.plan.grid import COUNTERFACTUAL
     from wasp_cli.report.provenance import altered
     from wasp_cli.store.find import KIND
 
-    artifacts = [(KIND, key) for _, key in recorded.cells] + [(COUNTERFACTUAL, key) for _, key in recorded.branched]
+    artifacts = [(KIND, key) for _, key in recorded.cells] + [
+        (COUNTERFACTUAL, key) for _, key in recorded.branched
+    ]
     read, wrong = altered(layout, [*artifacts, *((part.kind, key) for part, key in recorded.parts)])
-    say(f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as they were stored")
+    say(
+        f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as "
+        "they were stored"
+    )
     return wrong
 
 
@@ -127,19 +188,38 @@ def show_report(
     redraw: bool = True,
     to: Path | None = None,
 ) -> Report:
-    """Print the report of one run, then write it. Where the files cannot be written, what is printed is there all the same.
+    """Print the report of one run, then write it. Where the files cannot be written, what is
+    printed is there all the same.
 
     `to` is the folder of the files; None: that of the spec in the results folder.
     """
     from wasp_cli.report.summarize import report_run
 
     spec = recorded.spec
-    report = report_run(layout.root, spec, recorded.cells, recorded.parts, paper, recorded.branched, recorded.unknown, recorded.absent)
+    report = report_run(
+        layout.root,
+        spec,
+        recorded.cells,
+        recorded.parts,
+        paper,
+        recorded.branched,
+        recorded.unknown,
+        recorded.absent,
+    )
     try:
         report.terminal(console())  # first: figures take longer than all that is printed
     finally:  # also where the terminal has gone
-        page = _written(report, layout.reports(spec.name) if to is None else to, films=films, trained=trained, redraw=redraw)
-    say(f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG)")
+        page = _written(
+            report,
+            layout.reports(spec.name) if to is None else to,
+            films=films,
+            trained=trained,
+            redraw=redraw,
+        )
+    say(
+        f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures "
+        "as PNG and SVG)"
+    )
     return report
 
 
@@ -149,40 +229,65 @@ def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw
             draw: Draw | None = None
             if films:
                 from wasp_cli.video.film import sprite_of as draw  # needs MuJoCo
-            _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained, redraw=redraw)
+            _, page, *_ = report.write(
+                folder,
+                draw,
+                lambda text: status.update(f"drawing {text}"),
+                evidence=trained,
+                redraw=redraw,
+            )
     except (OSError, StoreError) as error:
         refused = error if isinstance(error, WaspError) else refusal(error)
         hint = "wasp report DIR --out FOLDER writes it elsewhere"
-        raise NotWritten(f"the report of {report.name} cannot be written: {refused.message}", hint) from error
+        raise NotWritten(
+            f"the report of {report.name} cannot be written: {refused.message}", hint
+        ) from error
     return page
 
 
-@command("wasp export results/ --tensorboard runs/", "wasp export results/ --spec quickstart --trackio trackio/")
+@command(
+    "wasp export results/ --tensorboard runs/",
+    "wasp export results/ --spec quickstart --trackio trackio/",
+)
 def export(
     results: options.Folder,
-    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
+    spec: Annotated[
+        str | None, option("NAME", "Only the spec of this name. (default: all that ran)")
+    ] = None,
     tensorboard: Annotated[Path | None, directory("Write event files to DIR/<spec>.")] = None,
     trackio: Annotated[Path | None, directory("Write Trackio projects to DIR, one a spec.")] = None,
 ) -> None:
     """Write curves and tables for TensorBoard or Trackio.
 
-    Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR trackio show`.
+    Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR
+    trackio show`.
     """
     from wasp_cli.report.summarize import report_run
     from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
     from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:
-        raise UsageError("nothing to write: neither --tensorboard nor --trackio is given", "wasp export results/ --tensorboard runs/")
+        raise UsageError(
+            "nothing to write: neither --tensorboard nor --trackio is given",
+            "wasp export results/ --tensorboard runs/",
+        )
     layout, runs, damaged = _reported(results.path, spec)
     for name, run_id in runs.items():
         ran = read_run(layout, run_id)
-        report = report_run(layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent)
+        report = report_run(
+            layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent
+        )
         for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
             if folder is not None:
-                say(f"{name}: {write(name, series_of(report.layout, report.trained, report.frame), folder)} runs in {folder}")
+                say(
+                    f"{name}: "
+                    f"{write(name, series_of(report.layout, report.trained, report.frame), folder)} "
+                    f"runs in {folder}"
+                )
     if damaged:
-        raise ArtifactError("\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)]))
+        raise ArtifactError(
+            "\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)])
+        )
 
 
 @command(
@@ -193,24 +298,38 @@ def export(
 def compare(
     first: Annotated[Path, argument("A", "A results folder.", parser=parse_folder)],
     second: Annotated[Path, argument("B", "Another results folder.", parser=parse_folder)],
-    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran in both)")] = None,
+    spec: Annotated[
+        str | None, option("NAME", "Only the spec of this name. (default: all that ran in both)")
+    ] = None,
     spec_a: Annotated[str | None, option("NAME", "The spec in A; needs --spec-b.")] = None,
     spec_b: Annotated[str | None, option("NAME", "The spec in B; needs --spec-a.")] = None,
-    out: Annotated[Path | None, directory("Also write the comparison there, as Markdown, CSV, LaTeX and HTML.")] = None,
-    strict: Annotated[bool, flag("--strict", "Exit with 1 if a cell differs by more than noise, or is missing in A or B.")] = False,
+    out: Annotated[
+        Path | None, directory("Also write the comparison there, as Markdown, CSV, LaTeX and HTML.")
+    ] = None,
+    strict: Annotated[
+        bool,
+        flag(
+            "--strict", "Exit with 1 if a cell differs by more than noise, or is missing in A or B."
+        ),
+    ] = False,
     json: options.JsonOption = False,
 ) -> None:
     """Compare two results folders, cell by cell.
 
-    What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
+    What changed, and is it more than noise? The last run of each spec counts. Only stored rows are
+    read; nothing is computed.
     """
     from wasp_cli.compare import compare as compared_runs
     from wasp_cli.compare import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():
-        raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
-    comparisons: list[Compared] = [compared_runs(*pair) for pair in pairs(first, second, spec, spec_a, spec_b)]
+        raise UsageError(
+            f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist"
+        )
+    comparisons: list[Compared] = [
+        compared_runs(*pair) for pair in pairs(first, second, spec, spec_a, spec_b)
+    ]
     paths = [] if out is None else write(comparisons, out)
     if json:
         print_json([as_json(compared) for compared in comparisons])
@@ -221,7 +340,10 @@ def compare(
             say(f"written: {paths[0]} (its tables are in the same folder)")
     unlike = [compared.first.spec.name for compared in comparisons if not compared.alike]
     if strict and unlike:
-        raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names what is missing, not installed here or beyond noise")
+        raise NotAccepted(
+            f"not alike: {', '.join(unlike)}",
+            "the comparison names what is missing, not installed here or beyond noise",
+        )
 
 
 @command(
@@ -231,30 +353,45 @@ def compare(
 )
 def gc(
     results: options.Folder,
-    keep: Annotated[list[Path] | None, option("SPEC", "Also keep what this spec needs, as it is now (repeatable).")] = None,
-    older_than: Annotated[float | None, option("DAYS", "Only what is older than this.", min=0)] = None,
-    runs: Annotated[bool, flag("--runs", "Also remove run folders and their logs, except the newest of each spec.")] = False,
+    keep: Annotated[
+        list[Path] | None,
+        option("SPEC", "Also keep what this spec needs, as it is now (repeatable)."),
+    ] = None,
+    older_than: Annotated[
+        float | None, option("DAYS", "Only what is older than this.", min=0)
+    ] = None,
+    runs: Annotated[
+        bool,
+        flag("--runs", "Also remove run folders and their logs, except the newest of each spec."),
+    ] = False,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be removed.")] = False,
     yes: Annotated[bool, flag("--yes", "Do not ask. Required without a terminal.", "-y")] = False,
 ) -> None:
     """Remove results that no spec needs.
 
-    Kept is what the newest whole run of each spec needs, what later runs with --task, --method or --limit need, what active runs need, what
-    a person drove, what a note is about, and everything that these were computed from.
+    Kept is what the newest whole run of each spec needs, what later runs with --task, --method or
+    --limit need, what active runs need, what a person drove, what a note is about, and everything
+    that these were computed from.
     """
     from wasp_cli.report.notes import notes_of
     from wasp_cli.run.reach import kept_keys, remove_unreached, show_rubbish, unreached
     from wasp_cli.run.record import results_of
 
     layout = results_of(results.path)
-    kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
+    kept, before = (
+        kept_keys(layout, keep or ()),
+        None if older_than is None else time.time() - older_than * 86400,
+    )
     kept |= {note.key for note in notes_of(layout)}
     rubbish = unreached(layout, kept, runs=runs, before=before)
     show_rubbish(rubbish, console())
     if not rubbish or dry_run:
         return
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        console().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
+        console().print(
+            "nothing was removed: there is no terminal to ask on, and --yes was not given",
+            markup=False,
+        )
     elif yes or typer.confirm("Remove all of it?"):
         kept |= {note.key for note in notes_of(layout)}  # somebody may have written one since
         count, freed = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
@@ -268,20 +405,43 @@ def gc(
 )
 def publish(
     asked: options.SizedSpec,
-    to: Annotated[Path | None, directory("Destination folder. (default: published/ in the results folder)")] = None,
+    to: Annotated[
+        Path | None, directory("Destination folder. (default: published/ in the results folder)")
+    ] = None,
     select: options.SelectOption = None,
     largest: Annotated[float, option("MB", "Leave out larger artifacts.", min=0)] = 8.0,
-    reuse: Annotated[str, option("none|published|DIR", "none: only what this code computed; otherwise as for wasp run.")] = "none",
-    steps: Annotated[int | None, option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0)] = None,
+    reuse: Annotated[
+        str,
+        option(
+            "none|published|DIR", "none: only what this code computed; otherwise as for wasp run."
+        ),
+    ] = "none",
+    steps: Annotated[
+        int | None,
+        option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0),
+    ] = None,
     no_images: Annotated[bool, flag("--no-images", "Leave out the images of diagnostics.")] = False,
-    archive: Annotated[Path | None, option("FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card.")] = None,
+    archive: Annotated[
+        Path | None,
+        option(
+            "FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card."
+        ),
+    ] = None,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be published.")] = False,
 ) -> None:
     """Copy the results of a spec to a folder for git.
 
-    With its report. Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
+    With its report. Later runs use them instead of training (--reuse published). What is published
+    already and unchanged stays as it is.
     """
-    from wasp_cli.run.publish import carry_publication, fewer_steps, publication, require_archive, show_publication, write_archive
+    from wasp_cli.run.publish import (
+        carry_publication,
+        fewer_steps,
+        publication,
+        require_archive,
+        show_publication,
+        write_archive,
+    )
     from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
@@ -292,11 +452,18 @@ def publish(
     target = Layout(layout.within(layout.published) if to is None else to.absolute())
     # Meanwhile nothing is removed; nobody does where the folder cannot be written.
     free = dry_run or not os.access(layout.root, os.W_OK)
-    with nullcontext() if free else held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
+    with (
+        nullcontext()
+        if free
+        else held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
+    ):
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
         show_publication(planned, largest * 1e6)
         if cut := fewer_steps(planned, target, steps):
-            say(f"{cut} of the cells there have fewer steps and stay as they are: remove them from '{target.root}' to publish more")
+            say(
+                f"{cut} of the cells there have fewer steps and stay as they are: remove "
+                f"them from '{target.root}' to publish more"
+            )
         if dry_run:
             return
         carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
@@ -306,18 +473,23 @@ def publish(
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
 
 
-@command("wasp verify results/ --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage")
+@command(
+    "wasp verify results/ --cells 30 --seed 7",
+    codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage",
+)
 def verify(
     results: options.Folder,
     cells: Annotated[int, option("N", "Cells that are drawn.", min=1)] = 30,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
-    anywhere: Annotated[bool, flag("--anywhere", "Draw also from cells that another kind of processor computed.")] = False,
+    anywhere: Annotated[
+        bool, flag("--anywhere", "Draw also from cells that another kind of processor computed.")
+    ] = False,
     jobs: options.JobsOption = None,
 ) -> None:
     """Compute some cells again and compare to the bit.
 
-    They are drawn, and computed from the models beside them. Nothing in the folder changes. Wall times are not compared. What differs with
-    AVX512 is computed once more with AVX2.
+    They are drawn, and computed from the models beside them. Nothing in the folder changes. Wall
+    times are not compared. What differs with AVX512 is computed once more with AVX2.
     """
     from wasp_cli.run.session import cores
     from wasp_cli.run.verify import draw, kind, show_answer
@@ -325,8 +497,15 @@ def verify(
 
     layout = Layout(results.path.absolute())
     drawn = draw(layout, cells, seed, anywhere=anywhere)
-    others = f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a module is not wasp's"
-    left = f"; {drawn.elsewhere} of another kind of processor are left out (--anywhere)" if drawn.elsewhere else ""
+    others = (
+        f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a "
+        "module is not wasp's"
+    )
+    left = (
+        f"; {drawn.elsewhere} of another kind of processor are left out (--anywhere)"
+        if drawn.elsewhere
+        else ""
+    )
     say(f"{len(drawn.cells)} of {drawn.of} cells are computed again{left}; {others}")
     answers = []
     for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
@@ -334,8 +513,13 @@ def verify(
         show_answer(answer, console())
     same = sum(not answer.differing for answer in answers)
     console().print(f"{same} of {len(drawn.cells)} cells are the same to the bit", markup=False)
-    if elsewhere := sum(bool(answer.means) and kind(answer.then) != kind(answer.here) for answer in answers):
-        remark = "processors round differently, and an episode may then go another way: see how far the means are apart"
+    if elsewhere := sum(
+        bool(answer.means) and kind(answer.then) != kind(answer.here) for answer in answers
+    ):
+        remark = (
+            "processors round differently, and an episode may then go another way: see how far "
+            "the means are apart"
+        )
         say(f"{elsewhere} of the others were computed on another processor; {remark}")
     if same < len(drawn.cells):
         raise typer.Exit(1)

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import command, flag, option, print_json, setting_names, spec_names, variant_names
+from wasp_cli.cli.options import (
+    command,
+    flag,
+    option,
+    print_json,
+    setting_names,
+    spec_names,
+    variant_names,
+)
 from wasp_cli.cli.report import NotWritten, show_report
 from wasp_cli.console import err, out, plain, say
 from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
@@ -30,17 +38,21 @@ if TYPE_CHECKING:
 def run(asked: options.SelectedSpec, work: options.Work) -> None:
     """Run a spec and print its tables.
 
-    Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
-    second stops at once. Finished nodes are kept either way.
+    Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C
+    lets running nodes finish, the second stops at once. Finished nodes are kept either way.
     """
     from wasp_cli.run.session import planned
 
     loaded, how = asked.load(), work.options()
     if work.dry_run:
-        plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
+        plan = planned(
+            loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed
+        )
         print_plan(plan, loaded.spec.name, how.jobs)
     else:
-        run_and_report(loaded, asked.results, how, asked.select or (), asked.reuse, failed=asked.failed)
+        run_and_report(
+            loaded, asked.results, how, asked.select or (), asked.reuse, failed=asked.failed
+        )
 
 
 @command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
@@ -60,15 +72,20 @@ def plan(
 
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
 def ablate(
-    variant: Annotated[str, option("NAME", "The ablation, for example no-case2.", among=variant_names)],
+    variant: Annotated[
+        str, option("NAME", "The ablation, for example no-case2.", among=variant_names)
+    ],
     asked: options.Sized,
     work: options.Work,
-    spec: Annotated[Path, option("SPEC", "Gives operators, seeds and budgets.", among=spec_names)] = Path("specs/table2.yaml"),
+    spec: Annotated[
+        Path, option("SPEC", "Gives operators, seeds and budgets.", among=spec_names)
+    ] = Path("specs/table2.yaml"),
     reuse: options.ReuseOption = None,
 ) -> None:
     """Compare a method with one of its ablations.
 
-    Both stand beside the operators alone. Operators, seeds and episodes are those of the spec. With many of them this takes long:
+    Both stand beside the operators alone. Operators, seeds and episodes are those of the spec. With
+    many of them this takes long:
     --dry-run says how long, --set changes them.
     """
     from wasp_cli.run.session import planned
@@ -76,7 +93,12 @@ def ablate(
 
     how = work.options()
     loaded = ablation(spec, variant, asked.task, asked.preset, asked.set_ or ())
-    print_plan(planned(loaded.spec, asked.results, reuse=reuse), loaded.spec.name, how.jobs, aside=not work.dry_run)
+    print_plan(
+        planned(loaded.spec, asked.results, reuse=reuse),
+        loaded.spec.name,
+        how.jobs,
+        aside=not work.dry_run,
+    )
     if not work.dry_run:
         run_and_report(loaded, asked.results, how, reuse=reuse)
 
@@ -84,11 +106,19 @@ def ablate(
 @command(
     "wasp sweep specs/quickstart.yaml --vary diffusion.ratio=0,0.2,0.4,0.6",
     "wasp sweep specs/quickstart.yaml --vary wasp.tau_c=0.3,0.5,1 --json",
-    codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, 130 interrupted",
+    codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, "
+    "130 interrupted",
 )
 def sweep(
     asked: options.SizedSpec,
-    vary: Annotated[list[str], option("KEY=V1,V2,...", "The setting and its values, each written as for --set.", among=setting_names)],
+    vary: Annotated[
+        list[str],
+        option(
+            "KEY=V1,V2,...",
+            "The setting and its values, each written as for --set.",
+            among=setting_names,
+        ),
+    ],
     work: options.Work,
     method: options.MethodOption = None,
     reuse: options.ReuseOption = None,
@@ -96,8 +126,9 @@ def sweep(
 ) -> None:
     """Run a spec with several values of one setting.
 
-    What does not depend on the setting is computed once. Results that are in the results folder already are used. Without --method,
-    Human-only and the method of the setting run, or all methods where it is no method's.
+    What does not depend on the setting is computed once. Results that are in the results folder
+    already are used. Without --method, Human-only and the method of the setting run, or all methods
+    where it is no method's.
     """
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.sweep import report_sweep
@@ -105,15 +136,24 @@ def sweep(
     from wasp_cli.spec.load import read_sweep
 
     if len(vary) > 1:
-        raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
+        raise UsageError(
+            "--vary is given twice; a sweep varies one setting",
+            "run one sweep for each, or set the other with --set",
+        )
     varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
     how = work.options()
     if work.dry_run:
-        print_plan(planned_sweep(varied, Layout(asked.results.absolute()), reuse), varied.name, how.jobs, json=json)
+        print_plan(
+            planned_sweep(varied, Layout(asked.results.absolute()), reuse),
+            varied.name,
+            how.jobs,
+            json=json,
+        )
         return
     session, grids = run_sweep(varied, asked.results, how, reuse)
     layout = session.layout
-    # Also after failures: the other values are worth seeing, and the report names what is not there.
+    # Also after failures: the other values are worth seeing, and the report names what is not
+    # there.
     report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
     try:
         page, *_ = report.write(layout.reports(varied.name))
@@ -130,7 +170,15 @@ def sweep(
     require_cells(report.missing, layout)
 
 
-def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
+def print_plan(
+    plan: Plan,
+    name: str,
+    jobs: int,
+    *,
+    every: bool = False,
+    json: bool = False,
+    aside: bool = False,
+) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
     from wasp_cli.plan.plan import show
 
@@ -141,7 +189,13 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
 
 
 def run_and_report(
-    loaded: Loaded, results: Path, how: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
+    loaded: Loaded,
+    results: Path,
+    how: RunOptions,
+    select: Sequence[str] = (),
+    reuse: str | None = None,
+    *,
+    failed: bool = False,
 ) -> None:
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded
@@ -152,7 +206,13 @@ def run_and_report(
     session = run_spec(loaded, results, how, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
-    ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
+    ran = Recorded(
+        session.run_id,
+        loaded.spec,
+        with_keys(grid.cells),
+        with_keys(grid.parts),
+        with_keys(grid.branched),
+    )
     try:
         report = show_report(session.layout, ran, paper, redraw=False)
     except NotWritten as error:
@@ -161,7 +221,10 @@ def run_and_report(
     session.layout.reporting(session.run_id).unlink(missing_ok=True)
     say_next(results, [(cell.method, node.label, node.key) for cell, node in grid.cells])
     session.require_complete()
-    require_cells([cell for cell in report.missing if selected is None or cell.key in selected], session.layout)
+    require_cells(
+        [cell for cell in report.missing if selected is None or cell.key in selected],
+        session.layout,
+    )
 
 
 def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
@@ -173,13 +236,20 @@ def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
     for _, label, key in sorted(cells, key=lambda cell: cell[0] != "wasp"):
         with suppress(StoreError):  # what failed has no steps, nor have some published cells
             if read_steps(cell_file(Layout(results).artifact("evaluate", key))).num_rows:
-                plain(f"      wasp explain {shlex.quote(label)} --episode 0{option}   (what the assistant did, and why)")
+                plain(
+                    f"      wasp explain {shlex.quote(label)} --episode 0{option}   (what "
+                    "the assistant did, and why)"
+                )
                 break
-    plain(f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and pictures of the trained parts)")
+    plain(
+        f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and "
+        "pictures of the trained parts)"
+    )
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
-    """Raise CellsFailed when cells have no readable rows; the next run computes those again that have other bytes than were stored.
+    """Raise CellsFailed when cells have no readable rows; the next run computes those again that
+    have other bytes than were stored.
 
     A file that could not be read just now stays in use, and so does what a person drove.
     """
@@ -193,4 +263,7 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
                 invalidate(layout, cell.kind, cell.key, cell.reason)
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read:"
         lines = [what, *first([f"  {cell.label}: {cell.reason}" for cell in missing], 10)]
-        raise CellsFailed("\n".join(lines), "run again: cells that have other bytes than were stored are computed again")
+        raise CellsFailed(
+            "\n".join(lines),
+            "run again: cells that have other bytes than were stored are computed again",
+        )

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from wasp_cli.cli.options import JsonOption, SetOption, argument, command, option, parse_folder, print_json, spec_names, task_names
+from wasp_cli.cli.options import (
+    JsonOption,
+    SetOption,
+    argument,
+    command,
+    option,
+    parse_folder,
+    print_json,
+    spec_names,
+    task_names,
+)
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
@@ -26,7 +36,9 @@ if TYPE_CHECKING:
     codes="0 all are valid, 2 usage, 3 at least one is invalid",
 )
 def check(
-    specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=spec_names)], set_: SetOption = None, json: JsonOption = False
+    specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=spec_names)],
+    set_: SetOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Name every mistake in specs and paper files.
 
@@ -54,7 +66,9 @@ def check(
 
 
 def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
-    """Count the cells of a valid spec (None for a paper, which `--set` does not change), and say it in words."""
+    """Count the cells of a valid spec (None for a paper, which `--set` does not change), and
+    say it in words.
+    """
     from wasp_cli.plan.grid import cells_of
     from wasp_cli.spec.load import chain_of, loaded, override
     from wasp_cli.spec.paper import is_paper, paper_of
@@ -66,27 +80,34 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
         paper = paper_of(source)
         rows = sum(len(table.rows[task]) for table in paper.tables for task in table.rows)
         return None, f"{rows} printed rows, {len(paper.claims)} claims"
-    spec = loaded(chain_of(source), [override(number, text) for number, text in enumerate(settings, start=1)]).spec
+    spec = loaded(
+        chain_of(source), [override(number, text) for number, text in enumerate(settings, start=1)]
+    ).spec
     cells = len(list(cells_of(spec)))
     return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
 
 
 @command("wasp init", "wasp init experiments/specs")
-def init(folder: Annotated[Path, argument("DIR", "Where to.", parser=parse_folder)] = Path("specs")) -> None:
+def init(
+    folder: Annotated[Path, argument("DIR", "Where to.", parser=parse_folder)] = Path("specs"),
+) -> None:
     """Copy the specs that come with wasp, to edit them.
 
     Files that are there stay as they are.
     """
     written, kept = copy_specs(folder)
-    say(*(f"{path}: written" for path in written), *(f"{path}: is there, not changed" for path in kept))
+    say(
+        *(f"{path}: written" for path in written),
+        *(f"{path}: is there, not changed" for path in kept),
+    )
 
 
 @command("wasp schema > specs/wasp.schema.json")
 def schema() -> None:
     """Print the JSON Schema of specs, for editors.
 
-    It is for completion and checks, with the names of installed plugins. The first line of a spec names it:
-    `# yaml-language-server: $schema=wasp.schema.json`.
+    It is for completion and checks, with the names of installed plugins. The first line of a spec
+    names it: `# yaml-language-server: $schema=wasp.schema.json`.
     """
     from wasp_cli.spec.schema import spec_schema
 
@@ -96,14 +117,15 @@ def schema() -> None:
 @command("wasp list", "wasp list methods", "wasp list tasks --json | jq '.[].gym_id'", name="list")
 def list_names(
     what: Annotated[
-        Literal["methods", "operators", "tasks"] | None, argument("methods|operators|tasks", "Which. (default: all three)")
+        Literal["methods", "operators", "tasks"] | None,
+        argument("methods|operators|tasks", "Which. (default: all three)"),
     ] = None,
     json: JsonOption = False,
 ) -> None:
     """List assistants, operators and tasks.
 
-    What a spec can name, with what plugins bring: how an assistant decides and what it needs trained, what an operator's severity means,
-    and a task's spaces, cost sources and limits.
+    What a spec can name, with what plugins bring: how an assistant decides and what it needs
+    trained, what an operator's severity means, and a task's spaces, cost sources and limits.
     """
     from rich import box
     from rich.table import Table
@@ -134,12 +156,16 @@ def methods() -> list[Row]:
 
     return [
         {
-            "name": info.name, "title": info.title, "rule": info.rule, "variants": list(info.variants),
-            "needs": list(info.needs), "needs_with": list(dict.fromkeys(kind for *_, kind in info.needs_with)),
+            "name": info.name,
+            "title": info.title,
+            "rule": info.rule,
+            "variants": list(info.variants),
+            "needs": list(info.needs),
+            "needs_with": list(dict.fromkeys(kind for *_, kind in info.needs_with)),
             "module": module_of(info.target),
         }
         for info in METHODS.values()
-    ]  # fmt: skip
+    ]
 
 
 def operators() -> list[Row]:
@@ -147,11 +173,15 @@ def operators() -> list[Row]:
 
     return [
         {
-            "name": info.name, "title": info.title, "severity": info.unit, "low": info.low, "high": info.high,
+            "name": info.name,
+            "title": info.title,
+            "severity": info.unit,
+            "low": info.low,
+            "high": info.high,
             "module": module_of(info.target),
         }
         for info in OPERATORS.values()
-    ]  # fmt: skip
+    ]
 
 
 def tasks() -> list[Row]:
@@ -159,17 +189,25 @@ def tasks() -> list[Row]:
     from wasp_cli.tasks.make import make_task
     from wasp_cli.tasks.registry import TASKS
 
-    made = {name: make_task(name, 1, observe=()) for name in TASKS}  # without a camera, which would take most of the time
+    # without a camera, which would take most of the time
+    made = {name: make_task(name, 1, observe=()) for name in TASKS}
     return [
         {
-            "name": name, "title": TASKS[name].title, "gym_id": TASKS[name].gym_id, "env_steps": TASKS[name].env_steps,
-            "seconds": round(TASKS[name].env_steps * TASKS[name].env_seconds, 6), "success_goals": TASKS[name].success_goals,
-            "state_size": task.state_size, "pixels_shape": (6, CAMERA_SIZE, CAMERA_SIZE), "privileged_size": task.privileged_size,
-            "action_low": tuple(task.action_low.tolist()), "action_high": tuple(task.action_high.tolist()),
+            "name": name,
+            "title": TASKS[name].title,
+            "gym_id": TASKS[name].gym_id,
+            "env_steps": TASKS[name].env_steps,
+            "seconds": round(TASKS[name].env_steps * TASKS[name].env_seconds, 6),
+            "success_goals": TASKS[name].success_goals,
+            "state_size": task.state_size,
+            "pixels_shape": (6, CAMERA_SIZE, CAMERA_SIZE),
+            "privileged_size": task.privileged_size,
+            "action_low": tuple(task.action_low.tolist()),
+            "action_high": tuple(task.action_high.tolist()),
             "cost_sources": task.cost_sources,
         }
         for name, task in made.items()
-    ]  # fmt: skip
+    ]
 
 
 def method_cells(info: Row) -> tuple[str, ...]:
@@ -181,28 +219,51 @@ def method_cells(info: Row) -> tuple[str, ...]:
 def task_cells(task: Row) -> tuple[str, ...]:
     pixels = "x".join(map(str, task["pixels_shape"]))
     sides = zip(task["action_low"], task["action_high"], strict=True)
-    bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in sides)
+    bounds = dict.fromkeys(
+        f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in sides
+    )
     action = f"action {len(task['action_low'])} in {', '.join(bounds)}"
-    spaces = f"state {task['state_size']}\npixels {pixels}\nprivileged {task['privileged_size']}\n{action}"
+    spaces = (
+        f"state {task['state_size']}\npixels {pixels}\nprivileged "
+        f"{task['privileged_size']}\n{action}"
+    )
     goals = f"{task['success_goals']} goal{'s' if task['success_goals'] > 1 else ''}"
-    return spaces, "\n".join(task["cost_sources"]) or "none", f"{task['env_steps']} steps\n{task['seconds']:g} s\n{goals}"
+    return (
+        spaces,
+        "\n".join(task["cost_sources"]) or "none",
+        f"{task['env_steps']} steps\n{task['seconds']:g} s\n{goals}",
+    )
 
 
-LISTS: dict[str, tuple[Callable[[], list[Row]], tuple[str, ...], Callable[[Row], tuple[str, ...]], str]] = {
+LISTS: dict[
+    str, tuple[Callable[[], list[Row]], tuple[str, ...], Callable[[Row], tuple[str, ...]], str]
+] = {
     "methods": (
-        methods, ("Method", "How it decides", "Stages", "Variants"), method_cells,
-        "Stages are trained besides world model and policies; in brackets: under some settings only.",
+        methods,
+        ("Method", "How it decides", "Stages", "Variants"),
+        method_cells,
+        "Stages are trained besides world model and policies; in brackets: under some "
+        "settings only.",
     ),
     "operators": (
-        operators, ("Operator", "Severity", "Range"), lambda info: (info["severity"], f"{info['low']:g} to {info['high']:g}"),
+        operators,
+        ("Operator", "Severity", "Range"),
+        lambda info: (info["severity"], f"{info['low']:g} to {info['high']:g}"),
         "Your own assistant or operator: docs/extending.md",
     ),
-    "tasks": (tasks, ("Task", "Spaces", "Costs", "Limit"), task_cells, "Gymnasium ids with cost and images are tasks: docs/own_task.md"),
-}  # fmt: skip
+    "tasks": (
+        tasks,
+        ("Task", "Spaces", "Costs", "Limit"),
+        task_cells,
+        "Gymnasium ids with cost and images are tasks: docs/own_task.md",
+    ),
+}
 
 
 def named(info: Row) -> Text:
-    """Return a name; below it the title of a method or operator where that is another word, the id of a task, and a plugin's package."""
+    """Return a name; below it the title of a method or operator where that is another word, the
+    id of a task, and a plugin's package.
+    """
     from rich.text import Text
 
     name, text = info["name"], Text(info["name"], style="bold")
@@ -220,9 +281,14 @@ def named(info: Row) -> Text:
     codes="0 done, 1 the environment fails or the disk refuses, 2 usage, or no such folder",
 )
 def draw(
-    task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names)],
+    task: Annotated[
+        str,
+        argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names),
+    ],
     seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
-    out: Annotated[Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")] = None,
+    out: Annotated[
+        Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")
+    ] = None,
 ) -> None:
     """Draw a layout of a task: its map and camera images."""
     from wasp_cli.tasks.sheet import draw_sheet

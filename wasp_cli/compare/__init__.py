@@ -1,16 +1,20 @@
-"""Two runs side by side, cell by cell: the same rows, or a difference, whether it is more than noise, and where it comes from.
+"""Two runs side by side, cell by cell: the same rows, or a difference, whether it is more than
+noise, and where it comes from.
 
-A cell is what its identity says: task, method, variant, operator, value and seed. One key on both sides means one configuration, one code
-and one upstream, so the same rows but for what a machine may move; they are read all the same. Differences are second minus first.
+A cell is what its identity says: task, method, variant, operator, value and seed. One key on both
+sides means one configuration, one code and one upstream, so the same rows but for what a machine
+may move; they are read all the same. Differences are second minus first.
 
-Episodes of the same world are pairs. Under the hypothesis that the two evaluations are alike, the difference of every world could as well
-have the other sign, for all measures at once: the p-value of a measure is the share of the 2^n flips (all of them up to EXACT worlds, else
-FLIPS draws) in which the largest of all standardised differences reaches that of the measure (Westfall and Young 1993). So p-values are
-corrected for the number of measures already; `corrected` does the same for the number of cells (Holm 1979). What counts as noise is chance
-over worlds, for the models of these two evaluations.
+Episodes of the same world are pairs. Under the hypothesis that the two evaluations are alike, the
+difference of every world could as well have the other sign, for all measures at once: the p-value
+of a measure is the share of the 2^n flips (all of them up to EXACT worlds, else FLIPS draws) in
+which the largest of all standardised differences reaches that of the measure (Westfall and Young
+1993). So p-values are corrected for the number of measures already; `corrected` does the same for
+the number of cells (Holm 1979). What counts as noise is chance over worlds, for the models of these
+two evaluations.
 
-Causes are found from the manifests alone, which may be untrusted; nothing is imported and no code of today is looked at.
-Letters: n worlds (episodes), M measures, R flips.
+Causes are found from the manifests alone, which may be untrusted; nothing is imported and no code
+of today is looked at. Letters: n worlds (episodes), M measures, R flips.
 """
 
 from __future__ import annotations
@@ -60,37 +64,56 @@ class Paired:
 def paired_episodes(before: CellNumbers, after: CellNumbers) -> Paired | None:
     """Compare the episodes of two evaluations; None where they have no world in common."""
     x, y = (np.stack([cell.episodes[name] for name in MEASURES], 1) for cell in (before, after))
-    common, left, right = np.intersect1d(before.episodes["world"], after.episodes["world"], return_indices=True)
+    common, left, right = np.intersect1d(
+        before.episodes["world"], after.episodes["world"], return_indices=True
+    )
     if not len(common):
         return None
     change = y[right] - x[left]
     n, measures = change.shape
     intervals: list[Interval | None] = [None] * measures
     if n > 1:
-        limits = np.quantile(drawn(n) @ change / n, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=0)
+        limits = np.quantile(
+            drawn(n) @ change / n, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=0
+        )
         intervals = [Interval(float(low), float(high), "world", n) for low, high in limits.T]
     moved = change[np.any(change != 0, 1)]  # a world without any difference has no sign
     exact = len(moved) <= EXACT
     if exact:
         signs = 1.0 - 2.0 * ((np.arange(2 ** len(moved))[:, None] >> np.arange(len(moved))) & 1)
     else:
-        signs = 1.0 - 2.0 * (np.random.PCG64(SEED).random_raw((FLIPS, len(moved))) >> np.uint64(63)).astype(np.float64)
-    size = np.sqrt(np.square(moved).sum(0))  # the same under every flip; 0 of a measure that never differs
-    flipped, own = (np.divide(np.abs(v), size, out=np.zeros_like(v), where=size > 0) for v in (signs @ moved, moved.sum(0)))
+        signs = 1.0 - 2.0 * (
+            np.random.PCG64(SEED).random_raw((FLIPS, len(moved))) >> np.uint64(63)
+        ).astype(np.float64)
+    # the same under every flip; 0 of a measure that never differs
+    size = np.sqrt(np.square(moved).sum(0))
+    flipped, own = (
+        np.divide(np.abs(v), size, out=np.zeros_like(v), where=size > 0)
+        for v in (signs @ moved, moved.sum(0))
+    )
     reached = (flipped.max(1)[:, None] >= own * (1 - 1e-12)).sum(0)
     p = reached / len(signs) if exact else (reached + 1) / (FLIPS + 1)
     least = 1 / (FLIPS + 1) if not exact else 2.0 ** (1 - len(moved)) if len(moved) else 1.0
-    differences = {name: Difference(*each) for name, *each in zip(MEASURES, change.mean(0).tolist(), intervals, p.tolist(), strict=True)}
+    differences = {
+        name: Difference(*each)
+        for name, *each in zip(
+            MEASURES, change.mean(0).tolist(), intervals, p.tolist(), strict=True
+        )
+    }
     return Paired(differences, n, (len(x), len(y)), least)
 
 
 def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Correct the p-values of measures for the number of cells by Holm's steps: cells in the order of their smallest one."""
+    """Correct the p-values of measures for the number of cells by Holm's steps: cells in the
+    order of their smallest one.
+    """
     order = sorted(range(len(cells)), key=lambda i: min(cells[i].values()))
     adjusted: list[dict[str, float]] = [{} for _ in cells]
     floor = 0.0
     for step, i in enumerate(order):
-        adjusted[i] = {name: min(1.0, max(floor, (len(cells) - step) * p)) for name, p in cells[i].items()}
+        adjusted[i] = {
+            name: min(1.0, max(floor, (len(cells) - step) * p)) for name, p in cells[i].items()
+        }
         floor = min(adjusted[i].values())
     return adjusted
 
@@ -115,7 +138,8 @@ class ComparedCell:
     keys: tuple[str | None, str | None]
     reason: str = ""  # why it is not compared
     paired: Paired | None = None  # of one that differs
-    p: Mapping[str, float] = field(default_factory=dict)  # by measure, corrected for measures and cells
+    # by measure, corrected for measures and cells
+    p: Mapping[str, float] = field(default_factory=dict)
     causes: tuple[str, ...] = ()
 
     @property
@@ -158,9 +182,15 @@ class Compared:
 
 
 def pairs(
-    first: Path, second: Path, spec: str | None = None, spec_a: str | None = None, spec_b: str | None = None
+    first: Path,
+    second: Path,
+    spec: str | None = None,
+    spec_a: str | None = None,
+    spec_b: str | None = None,
 ) -> list[tuple[Side, Side]]:
-    """Return the pairs of runs to compare: two named specs, or every spec that has run in both folders."""
+    """Return the pairs of runs to compare: two named specs, or every spec that has run in both
+    folders.
+    """
     if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
         what = "--spec-a and --spec-b need each other, and exclude --spec"
         raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
@@ -171,11 +201,23 @@ def pairs(
         for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
             if name is not None and name not in known:
                 raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
-        names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
+        names = (
+            [(spec_a, spec_b)]
+            if spec_a is not None and spec_b is not None
+            else [(name, name) for name in runs[0] if name in runs[1]]
+        )
         if not names:
-            which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
-            raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
-        return [(Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names]
+            which = "; ".join(
+                f"'{folder}' has {', '.join(known) or 'none'}"
+                for folder, known in zip((first, second), runs, strict=True)
+            )
+            raise UsageError(
+                f"no spec has run in both folders: {which}",
+                "choose one of each with --spec-a and --spec-b",
+            )
+        return [
+            (Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names
+        ]
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
 
@@ -186,7 +228,9 @@ def compare(first: Side, second: Side) -> Compared:
     identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
     cells = [_cell(identity, sides[0], sides[1], causes) for identity in identities]
     tested = [(cell, cell.paired) for cell in cells if cell.paired is not None]
-    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in tested])
+    p = corrected(
+        [{name: each.p for name, each in paired.differences.items()} for _, paired in tested]
+    )
     by_identity = {cell.identity: numbers for (cell, _), numbers in zip(tested, p, strict=True)}
     cells = [replace(cell, p=by_identity.get(cell.identity, {})) for cell in cells]
     return Compared(first, second, tuple(cells), tuple(_summary(cells, *sides)))
@@ -198,7 +242,9 @@ class _Read:
         frame = read_frame(cells)
         self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
         self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}
-        self.numbers: dict[CellIdentity, CellNumbers] = {cell.identity: cell for cell in frame.cells}
+        self.numbers: dict[CellIdentity, CellNumbers] = {
+            cell.identity: cell for cell in frame.cells
+        }
         self.reasons = {gap.identity: gap.reason for gap in frame.missing}
 
 
@@ -206,8 +252,14 @@ def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -
     keys = first.keys.get(identity), second.keys.get(identity)
     label = (first.wanted.get(identity) or second.wanted[identity]).label
     if keys[0] is None or keys[1] is None:
-        return ComparedCell(label, identity, "only first" if keys[1] is None else "only second", keys)
-    reasons = [f"{which}: {side.reasons[identity]}" for which, side in (("first", first), ("second", second)) if identity in side.reasons]
+        return ComparedCell(
+            label, identity, "only first" if keys[1] is None else "only second", keys
+        )
+    reasons = [
+        f"{which}: {side.reasons[identity]}"
+        for which, side in (("first", first), ("second", second))
+        if identity in side.reasons
+    ]
     paths = first.wanted[identity].path, second.wanted[identity].path
     if not reasons:
         try:
@@ -219,11 +271,20 @@ def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -
         return ComparedCell(label, identity, "not compared", keys, reason="; ".join(reasons))
     if same:
         why = () if keys[0] == keys[1] else causes.of("evaluate", keys[0], keys[1])
-        return ComparedCell(label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why)
+        return ComparedCell(
+            label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why
+        )
     paired = paired_episodes(first.numbers[identity], second.numbers[identity])
     if paired is None:
         return ComparedCell(label, identity, "not compared", keys, reason="no world in common")
-    return ComparedCell(label, identity, "differs", keys, paired=paired, causes=causes.of("evaluate", keys[0], keys[1]))
+    return ComparedCell(
+        label,
+        identity,
+        "differs",
+        keys,
+        paired=paired,
+        causes=causes.of("evaluate", keys[0], keys[1]),
+    )
 
 
 def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iterator[Summary]:
@@ -231,26 +292,41 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
     rows: dict[tuple[str, str, str], list[ComparedCell]] = {}
     for cell in cells:
         if cell.state in ("same", "same rows", "differs"):
-            rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.variant), []).append(cell)
+            rows.setdefault(
+                (cell.identity.task, cell.identity.method, cell.identity.variant), []
+            ).append(cell)
     for (task, method, variant), own in rows.items():
         before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
         estimates = {name: difference_of(after, before, name) for name in MEASURES}
-        yield Summary(task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates)
+        yield Summary(
+            task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates
+        )
 
 
-MACHINE = ("processor", "platform", "python", "threads", "cuda")  # provenance that enters no key, and may move the last digits
+# provenance that enters no key, and may move the last digits
+MACHINE = ("processor", "platform", "python", "threads", "cuda")
 
 
 class Causes:
-    """Follows two artifacts upstream to where they begin to differ; every pair is looked at once."""
+    """Follows two artifacts upstream to where they begin to differ; every pair is looked at
+    once.
+    """
 
     def __init__(self, before: Layout, after: Layout) -> None:
         self._layouts = before, after
         self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
 
     def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
-        """Say in words what differs between two artifacts that should be alike; of the same key only the machine can differ."""
-        return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after)))
+        """Say in words what differs between two artifacts that should be alike; of the same key
+        only the machine can differ.
+        """
+        return tuple(
+            dict.fromkeys(
+                self._machine(kind, before)
+                if before == after
+                else self._follow(kind, before, after)
+            )
+        )
 
     def _follow(self, kind: str, before: str, after: str) -> tuple[str, ...]:
         place = (kind, before, after)
@@ -261,7 +337,10 @@ class Causes:
 
     def _changes(self, kind: str, before: str, after: str) -> Iterator[str]:
         try:
-            old, new = (read_manifest(layout, kind, key) for layout, key in zip(self._layouts, (before, after), strict=True))
+            old, new = (
+                read_manifest(layout, kind, key)
+                for layout, key in zip(self._layouts, (before, after), strict=True)
+            )
             own = changes_between(old, new)
         except (ArtifactError, StoreError):
             yield f"another {kind}, of which not both folders have the record"
@@ -271,8 +350,16 @@ class Causes:
             return
         yield from own
         first, second = upstream_of(old), upstream_of(new)
-        pairs = [(second[name][0], needed, second[name][1]) for name, (_, needed) in first.items() if name in second]
-        upstream = [(other, needed, needed_too) for other, needed, needed_too in pairs if needed != needed_too]
+        pairs = [
+            (second[name][0], needed, second[name][1])
+            for name, (_, needed) in first.items()
+            if name in second
+        ]
+        upstream = [
+            (other, needed, needed_too)
+            for other, needed, needed_too in pairs
+            if needed != needed_too
+        ]
         for each in upstream:
             yield from self._follow(*each)
         reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
@@ -288,6 +375,12 @@ class Causes:
             return
         machines = [mapping(each.get("provenance")) for each in manifests]
         libraries = [mapping(each.get("versions")) for each in machines]
-        for (old, new), names in ((machines, MACHINE), (libraries, dict.fromkeys((*libraries[0], *libraries[1])))):
-            pairs = ((name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown")) for name in names)
+        for (old, new), names in (
+            (machines, MACHINE),
+            (libraries, dict.fromkeys((*libraries[0], *libraries[1]))),
+        ):
+            pairs = (
+                (name, str(old.get(name) or "unknown"), str(new.get(name) or "unknown"))
+                for name in names
+            )
             yield from (f"{name} {one} -> {two}" for name, one, two in pairs if one != two)

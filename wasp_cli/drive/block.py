@@ -1,8 +1,10 @@
-"""One block of a session: a person drives the episodes of one cell, with an assistant that answers in time or not at all.
+"""One block of a session: a person drives the episodes of one cell, with an assistant that answers
+in time or not at all.
 
-A decision: the latest state of the controls is the command; the assistant corrects it. Its search ends where the period does, and the world
-slows down where that is not enough. Only an assistant that takes PATIENCE seconds is late: the command is executed as it is, and the row
-says so. Everything is recorded as an evaluation records it, so that the block is a cell like any other.
+A decision: the latest state of the controls is the command; the assistant corrects it. Its search
+ends where the period does, and the world slows down where that is not enough. Only an assistant
+that takes PATIENCE seconds is late: the command is executed as it is, and the row says so.
+Everything is recorded as an evaluation records it, so that the block is a cell like any other.
 """
 
 from __future__ import annotations
@@ -17,7 +19,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Clock, Decider, Desk, Frame, action_of
+from wasp_cli.drive.desk import (
+    END,
+    GO,
+    NEXT,
+    PAUSE,
+    RESTART,
+    Clock,
+    Decider,
+    Desk,
+    Frame,
+    action_of,
+)
 from wasp_cli.drive.view import Futures, WorldView, camera_bytes, short
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
@@ -36,7 +49,9 @@ from wasp_cli.video.map import stick
 
 ALONE = "human"  # the method without an assistant: nobody can be late
 PATIENCE = 1.0
-"""Seconds after which an assistant is late. The world slows down meanwhile: an answer that was waited for and thrown away helps nobody."""
+"""Seconds after which an assistant is late. The world slows down meanwhile: an answer that was
+waited for and thrown away helps nobody.
+"""
 LEAST = 0.5  # share of a period that its search has at least, however long everything else takes
 
 
@@ -47,7 +62,8 @@ class Beat(NamedTuple):
     decision_ms: float  # how long the assistant was waited for
     late: bool  # it had not answered after PATIENCE seconds, and the command was executed as it is
     behind_ms: float  # how long after its beat the decision began
-    rest_ms: float  # how long everything else took: the step of the world, its images, the filter, the frame
+    # how long everything else took: the step of the world, its images, the filter, the frame
+    rest_ms: float
     input: int  # number of the last message about the controls that the command knows of
     input_age_ms: float  # from the arrival of that message to the execution of the action
     round_trip_ms: float  # of the last frame that the page acknowledged
@@ -63,7 +79,8 @@ class Driven:
     beats: list[Beat]
     pauses: int = 0
     paused_seconds: float = 0.0
-    frames: list[dict[str, Any]] = field(default_factory=list)  # headers of the frames that were shown, for `Block.review`
+    # headers of the frames that were shown, for `Block.review`
+    frames: list[dict[str, Any]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -86,16 +103,34 @@ class How:
 
 
 class Block:
-    """See the module. Worlds come from outside, so that practice and restarts are told from the rest."""
+    """See the module. Worlds come from outside, so that practice and restarts are told from the
+    rest.
+    """
 
-    def __init__(self, cell: Cell, method_config: Mapping[str, Any], action_repeat: int, how: How, parts: Parts, desk: Desk) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        method_config: Mapping[str, Any],
+        action_repeat: int,
+        how: How,
+        parts: Parts,
+        desk: Desk,
+    ) -> None:
         self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
-        self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=("pixels",))
+        self.task: VectorTask = make_task(
+            cell.task, 1, action_repeat=action_repeat, observe=("pixels",)
+        )
         self.view = WorldView(self.task)
         self.period = self.task.decision_seconds / how.speed
         self.assistant = build_assistant(cell.method, method_config, parts)
-        self.operator = PersonOperator(parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1)
-        self.futures = Futures(cell.task, parts, self.assistant, self.task) if "imagined" in how.shown else None
+        self.operator = PersonOperator(
+            parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1
+        )
+        self.futures = (
+            Futures(cell.task, parts, self.assistant, self.task)
+            if "imagined" in how.shown
+            else None
+        )
         self._decider: Decider[Decision] = Decider()
         assistant: Any = self.assistant
         if hasattr(assistant, "time_is_up"):
@@ -111,21 +146,38 @@ class Block:
     def answers(self) -> list[tuple[float, bool, bool]]:
         """Every answer: how many seconds it took, whether it was late, and whether a gate fired."""
         made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
-        return [(seconds, late, record is not None and bool((record.gate != GATE_NONE).any())) for seconds, late, record in made]
+        return [
+            (seconds, late, record is not None and bool((record.gate != GATE_NONE).any()))
+            for seconds, late, record in made
+        ]
 
     def hello(self) -> dict[str, Any]:
         return {
-            "type": "block", "task": self.cell.task, "shown": [name for name in SHOWN if name in self.how.shown],
-            "period_ms": 1000 * self.period, "speed": self.how.speed, "cameras": getattr(self.task, "cameras", 2),
-            "map": self.view.still if "map" in self.how.shown else None, "decisions": self.task.max_decisions,
+            "type": "block",
+            "task": self.cell.task,
+            "shown": [name for name in SHOWN if name in self.how.shown],
+            "period_ms": 1000 * self.period,
+            "speed": self.how.speed,
+            "cameras": getattr(self.task, "cameras", 2),
+            "map": self.view.still if "map" in self.how.shown else None,
+            "decisions": self.task.max_decisions,
             "seconds": self.task.max_decisions * self.period,
-            "assistant": METHODS[self.cell.method].title if "gate" in self.how.shown and self.cell.method != ALONE else None,
-        }  # fmt: skip
+            "assistant": METHODS[self.cell.method].title
+            if "gate" in self.how.shown and self.cell.method != ALONE
+            else None,
+        }
 
     def episode(
-        self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None, most: int | None = None
+        self,
+        number: int,
+        layout: int,
+        method_seed: int,
+        facts: Mapping[str, Any] | None = None,
+        most: int | None = None,
     ) -> Driven | Cut:
-        """Let the driver drive one episode, after a `go`, for `most` decisions at most; `facts` are for the page."""
+        """Let the driver drive one episode, after a `go`, for `most` decisions at most; `facts`
+        are for the page.
+        """
         running = _Running(self, layout)
         with torch.inference_mode():
             running.reset(method_seed)
@@ -149,9 +201,11 @@ class Block:
         return running.driven()
 
     def review(self, driven: Driven) -> dict[str, Any]:
-        """Return what the page replays after an episode: what was driven, and the same commands in the same world without the assistant.
+        """Return what the page replays after an episode: what was driven, and the same commands in
+        the same world without the assistant.
 
-        A person would have reacted to what happened then. Of an episode without an assistant there is no second drive.
+        A person would have reacted to what happened then. Of an episode without an assistant there
+        is no second drive.
         """
         alone: list[dict[str, Any]] = []
         if self.cell.method != ALONE:
@@ -213,7 +267,9 @@ class _Running:
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
         held = block.desk.held
-        command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[None].to(self._latent.h.device)
+        command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[
+            None
+        ].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
         latent, assistant, operator = self._latent, block.assistant, block.operator
@@ -223,19 +279,34 @@ class _Running:
             with torch.inference_mode():
                 return checked(assistant.decide(latent, own, operator), assistant, own, a_h)
 
-        answered, seconds = block._decider.ask(answer, PATIENCE, clock.deadline(), LEAST * block.period)
+        answered, seconds = block._decider.ask(
+            answer, PATIENCE, clock.deadline(), LEAST * block.period
+        )
         late = answered is None and block.cell.method != ALONE
-        decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None) if answered is None else answered
+        decision = (
+            Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
+            if answered is None
+            else answered
+        )
         executed_at = time.monotonic()
         self._filter.executed(decision.action)
         step = block.task.step(decision.action.cpu().numpy())
         self._keep(step, a_h, decision)
         age = executed_at - held.at if held.number else float("nan")
-        self.beats.append(Beat(
-            at=begun - block._begun, decision_ms=1000 * seconds, late=late, behind_ms=1000 * behind, rest_ms=float("nan"),
-            input=held.number, input_age_ms=1000 * age, round_trip_ms=1000 * block.desk.round_trip,
-            keys=" ".join(sorted(held.keys)), focused=block.desk.focused,
-        ))  # fmt: skip
+        self.beats.append(
+            Beat(
+                at=begun - block._begun,
+                decision_ms=1000 * seconds,
+                late=late,
+                behind_ms=1000 * behind,
+                rest_ms=float("nan"),
+                input=held.number,
+                input_age_ms=1000 * age,
+                round_trip_ms=1000 * block.desk.round_trip,
+                keys=" ".join(sorted(held.keys)),
+                focused=block.desk.focused,
+            )
+        )
         self._seen, before = step.observation, self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
         self.ended = bool(step.ended[0])
@@ -244,25 +315,45 @@ class _Running:
         clock.spent(rest)
         self.beats[-1] = self.beats[-1]._replace(rest_ms=1000 * rest)
         if block.futures is not None and not self.ended:
-            lines = block.futures.lines(len(self.beats), latent, a_h, operator, decision, before.get("robot"), clock.due - time.monotonic())
+            lines = block.futures.lines(
+                len(self.beats),
+                latent,
+                a_h,
+                operator,
+                decision,
+                before.get("robot"),
+                clock.due - time.monotonic(),
+            )
             if lines is not None:
                 block.desk.say({"type": "imagined", "frame": block._frames, **lines})
 
     def _keep(self, step: Step, a_h: Tensor, decision: Decision) -> None:
         for name, value in (
-            ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps), ("goals", step.goals),
-            ("alive", np.ones(1, bool)), ("terminated", step.terminated),
-            ("a_h", a_h.cpu().numpy()), ("action", decision.action.cpu().numpy()),
-        ):  # fmt: skip
+            ("reward", step.reward),
+            ("cost", step.cost),
+            ("cost_env", step.cost_env),
+            ("env_steps", step.env_steps),
+            ("goals", step.goals),
+            ("alive", np.ones(1, bool)),
+            ("terminated", step.terminated),
+            ("a_h", a_h.cpu().numpy()),
+            ("action", decision.action.cpu().numpy()),
+        ):
             self.rows.setdefault(name, []).append(np.array(value))
         self.decisions.append(decision)
         self.score.add(step)
 
-    def show(self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None) -> None:
+    def show(
+        self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None
+    ) -> None:
         block = self.block
         block._frames += 1
         shown, t = block.how.shown, len(self.beats)
-        header: dict[str, Any] = {"frame": block._frames, "t": t, "seconds": round(t * block.task.decision_seconds, 2)}
+        header: dict[str, Any] = {
+            "frame": block._frames,
+            "t": t,
+            "seconds": round(t * block.task.decision_seconds, 2),
+        }
         if self.beats:
             header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
         header |= block._numbers(block.view, self.score, step)
@@ -297,11 +388,30 @@ class _Running:
         stacked = {name: np.stack(values) for name, values in self.rows.items()}
         times = np.array([beat.decision_ms for beat in self.beats], np.float32)
         # Decisions that were late have an empty plan where the others have plans.
-        plan = next((decision.planned for decision in self.decisions if decision.planned is not None), None)
+        plan = next(
+            (decision.planned for decision in self.decisions if decision.planned is not None), None
+        )
         decisions = self.decisions
         if plan is not None:
-            nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
-            decisions = [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]
+            nothing = Planned.nothing(
+                1,
+                plan.safe.shape[1],
+                plan.residuals.shape[1],
+                plan.residuals.shape[2],
+                plan.residuals.device,
+            )
+            decisions = [
+                decision if decision.planned is not None else decision._replace(planned=nothing)
+                for decision in decisions
+            ]
         loop = Loop(**stacked, decisions=decisions, decision_ms=times, h=None, z=None)
         (trajectory,), (decision_ms,) = trajectories(loop)
-        return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds, self.frames)
+        return Driven(
+            self.layout,
+            trajectory,
+            decision_ms,
+            self.beats,
+            self.pauses,
+            self.paused_seconds,
+            self.frames,
+        )

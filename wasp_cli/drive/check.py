@@ -1,8 +1,9 @@
-"""A scripted driver, which presses keys as a page would, through the real socket: for trials of a study, and to see whether this machine is
-fast enough.
+"""A scripted driver, which presses keys as a page would, through the real socket: for trials of a
+study, and to see whether this machine is fast enough.
 
-`wasp drive --check` drives a whole one, and every session begins with the first decisions of one. Hazards make a gate fire and start the
-search, so that the decisions at which a gate fires are judged by themselves too.
+`wasp drive --check` drives a whole one, and every session begins with the first decisions of one.
+Hazards make a gate fire and start the search, so that the decisions at which a gate fires are
+judged by themselves too.
 """
 
 from __future__ import annotations
@@ -35,14 +36,18 @@ from wasp_cli.store.artifact import exists
 from wasp_cli.store.people import percentiles
 from wasp_cli.tasks.frames import wrapped
 
-AHEAD, ASIDE = 1.0, 0.25  # angles to the goal in rad: below the first it drives forward, above the second it turns
-LARGEST = 4_000_000  # bytes of what the server sends at most: the picture of the ground is the largest
+# angles to the goal in rad: below the first it drives forward, above the second it turns
+AHEAD, ASIDE = 1.0, 0.25
+# bytes of what the server sends at most: the picture of the ground is the largest
+LARGEST = 4_000_000
 
-ATTEMPTS, PAUSE = 20, 0.5  # times that it tries to connect, and seconds between them. A page tries for ever.
+# times that it tries to connect, and seconds between them. A page tries for ever.
+ATTEMPTS, PAUSE = 20, 0.5
 
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 
-Driver = Callable[[Mapping[str, Any]], list[str]]  # from the header of a frame to the keys that are held
+# from the header of a frame to the keys that are held
+Driver = Callable[[Mapping[str, Any]], list[str]]
 
 
 def to_the_goal(header: Mapping[str, Any]) -> list[str]:
@@ -60,13 +65,17 @@ def to_the_goal(header: Mapping[str, Any]) -> list[str]:
 
 
 class Habits:
-    """A scripted participant: to the goal, with a delay and slips of its own, and answers that are drawn.
+    """A scripted participant: to the goal, with a delay and slips of its own, and answers that are
+    drawn.
 
-    Habits are drawn by the participant's number. What is driven still differs a little between two trials, as the clock does.
+    Habits are drawn by the participant's number. What is driven still differs a little between two
+    trials, as the clock does.
     """
 
     DELAY, SLIPS, HELD = 5, 0.08, 5
-    """Frames of delay at most, share of frames in which a key slips at most, frames for which a wrong one is held."""
+    """Frames of delay at most, share of frames in which a key slips at most, frames for which a
+    wrong one is held.
+    """
 
     def __init__(self, participant: int) -> None:
         self._draw = np.random.default_rng(seeds.derive("drive-script", participant))
@@ -85,7 +94,11 @@ class Habits:
         return {"agreed": True if form["name"] == "consent" else None, "scales": scales}
 
 
-async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None) -> int:
+async def drive(
+    address: str,
+    driver: Driver = to_the_goal,
+    answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None,
+) -> int:
     """Drive a whole session, from the first frame to the end; returns how many frames were seen.
 
     `answers` fills in a form; only studies have some.
@@ -113,7 +126,9 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                     keys = driver(header)
                     if keys != held:
                         held, number = keys, number + 1
-                        await send({"type": "input", "number": number, "keys": keys, "axes": [0.0, 0.0]})
+                        await send(
+                            {"type": "input", "number": number, "keys": keys, "axes": [0.0, 0.0]}
+                        )
                     continue
                 state = json.loads(message)
                 if state.get("type") != "state":
@@ -127,7 +142,9 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                     return frames
         except ConnectionClosed as error:
             hint = "the machine may be too busy: try again with --speed 0.5"
-            raise WaspError(f"the scripted driver lost its connection after {frames} frames", hint) from error
+            raise WaspError(
+                f"the scripted driver lost its connection after {frames} frames", hint
+            ) from error
         finally:
             beating.cancel()
     return frames
@@ -137,16 +154,25 @@ async def connected(address: str) -> ClientConnection:
     parts, left = urlsplit(address), ATTEMPTS
     while True:
         try:
-            return await connect(f"ws://{parts.netloc}/socket?{parts.query}", max_size=LARGEST, ping_interval=None, compression=None)
+            return await connect(
+                f"ws://{parts.netloc}/socket?{parts.query}",
+                max_size=LARGEST,
+                ping_interval=None,
+                compression=None,
+            )
         except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
             left -= 1
             if not left:
-                raise WaspError(f"the scripted driver cannot connect: {error}", "the machine may be too busy: try again") from error
+                raise WaspError(
+                    f"the scripted driver cannot connect: {error}",
+                    "the machine may be too busy: try again",
+                ) from error
         await asyncio.sleep(PAUSE)
 
 
 TOLERATED = 0.02  # share of late decisions that is said to be in time
-TOLERATED_FIRED = 0.1  # the same of the decisions at which a gate fires: their 90th percentile is in time
+# the same of the decisions at which a gate fires: their 90th percentile is in time
+TOLERATED_FIRED = 0.1
 TOLERATED_PACE = 1.05  # by how much the world may slow down
 BRIEF = 30  # decisions with which a session begins
 SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
@@ -159,7 +185,9 @@ class Timing:
     decisions: int
     late_share: float
     decision_ms: tuple[float, float]  # median and 99th percentile of the answers, late ones too
-    input_ms: tuple[float, float]  # from the arrival of a key to the execution of what it commands; of decisions whose command was new
+    # from the arrival of a key to the execution of what it commands; of decisions whose command was
+    # new
+    input_ms: tuple[float, float]
     round_trip_ms: tuple[float, float]
     speed: float
     recommended: float
@@ -170,7 +198,11 @@ class Timing:
 
     @property
     def in_time(self) -> bool:
-        return self.late_share <= TOLERATED and self.fired_late_share <= TOLERATED_FIRED and self.pace <= TOLERATED_PACE
+        return (
+            self.late_share <= TOLERATED
+            and self.fired_late_share <= TOLERATED_FIRED
+            and self.pace <= TOLERATED_PACE
+        )
 
     @property
     def where_gates_fired(self) -> str:
@@ -178,26 +210,43 @@ class Timing:
             return f"{self.label}: no gate fired"
         median, most = self.fired_ms
         times = f"{median:.0f} ms (median), {most:.0f} ms (90th percentile)"
-        return f"{self.label}: a gate fired at {self.fired} decisions: {times}, {self.fired_late_share:.0%} late"
+        return (
+            f"{self.label}: a gate fired at {self.fired} decisions: {times}, "
+            f"{self.fired_late_share:.0%} late"
+        )
 
 
 def warning(session: Session) -> str | None:
-    """Drive the first decisions of every condition that is to come; return what is to be said where they are not in time."""
+    """Drive the first decisions of every condition that is to come; return what is to be said
+    where they are not in time.
+    """
     ahead = {
         (cell.task, cell.method, cell.assistant): (cell, node)
         for cell, node in session.blocks
         if cell.method != ALONE and not exists(session.layout, node.kind, node.key)
     }
-    slow = [timing for timing in checked_blocks(replace(session, blocks=[*ahead.values()]), BRIEF) if not timing.in_time]
+    slow = [
+        timing
+        for timing in checked_blocks(replace(session, blocks=[*ahead.values()]), BRIEF)
+        if not timing.in_time
+    ]
     if not slow:
         return None
-    shares = ", ".join(f"{timing.label} {timing.late_share:.0%}, the world {timing.pace:.1f} times slower" for timing in slow)
+    shares = ", ".join(
+        f"{timing.label} {timing.late_share:.0%}, the world {timing.pace:.1f} times slower"
+        for timing in slow
+    )
     speed = min(timing.recommended for timing in slow)
-    return f"this machine is busy or slow, and the assistant may be late (late: {shares}); --speed {speed:g} would keep it in time"
+    return (
+        f"this machine is busy or slow, and the assistant may be late (late: {shares}); "
+        f"--speed {speed:g} would keep it in time"
+    )
 
 
 def checked_blocks(session: Session, most: int | None = None) -> list[Timing]:
-    """Let the scripted driver drive an episode of each block, or its first `most` decisions; nothing is recorded."""
+    """Let the scripted driver drive an episode of each block, or its first `most` decisions;
+    nothing is recorded.
+    """
     # The driver finds its way by the numbers of the map.
     session = replace(session, how=replace(session.how, shown=session.how.shown | {"map"}))
     timings = []
@@ -229,45 +278,82 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     beats, speed = driven.beats, session.how.speed
     fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
     seconds = [taken for taken, _, _ in block.answers]
-    fired, fired_late = [taken for taken, _, gate in block.answers if gate], [late for _, late, gate in block.answers if gate]
+    fired, fired_late = (
+        [taken for taken, _, gate in block.answers if gate],
+        [late for _, late, gate in block.answers if gate],
+    )
     between = [b.at - a.at for a, b in pairwise(beats)] or [block.period]
     return Timing(
-        label=node.label, period_ms=1000 * block.period, decisions=len(beats), late_share=float(np.mean([beat.late for beat in beats])),
-        decision_ms=percentiles([1000 * taken for taken in seconds]), input_ms=percentiles(fresh),
-        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]), speed=speed,
+        label=node.label,
+        period_ms=1000 * block.period,
+        decisions=len(beats),
+        late_share=float(np.mean([beat.late for beat in beats])),
+        decision_ms=percentiles([1000 * taken for taken in seconds]),
+        input_ms=percentiles(fresh),
+        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]),
+        speed=speed,
         recommended=recommended(seconds, fired, driven, block.period, speed, between),
-        pace=float(np.mean(between)) / block.period, fired=len(fired),
+        pace=float(np.mean(between)) / block.period,
+        fired=len(fired),
         fired_late_share=float(np.mean(fired_late)) if fired else 0.0,
-        fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
-    )  # fmt: skip
+        fired_ms=(
+            1000 * float(np.median(fired)),
+            1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED)),
+        )
+        if fired
+        else (math.nan, math.nan),
+    )
 
 
-def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float, between: Sequence[float]) -> float:
-    """Return the largest of SPEEDS at which all but a tolerated share of these answers would have been in time, and the world as well.
+def recommended(
+    seconds: list[float],
+    fired: list[float],
+    driven: Driven,
+    period: float,
+    speed: float,
+    between: Sequence[float],
+) -> float:
+    """Return the largest of SPEEDS at which all but a tolerated share of these answers would have
+    been in time, and the world as well.
 
-    Seconds: of all answers, of those with which a gate `fired`, and `between` decisions. The rest of the period is kept free, as it was.
+    Seconds: of all answers, of those with which a gate `fired`, and `between` decisions. The rest
+    of the period is kept free, as it was.
     """
     besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
-    answers = [np.quantile(times, 1 - share) for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if times]
+    answers = [
+        np.quantile(times, 1 - share)
+        for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED))
+        if times
+    ]
     needed = float(max(answers, default=0.0)) + besides
     slowed = np.mean(between) > TOLERATED_PACE * period
 
     def enough(longer: float) -> bool:
-        return longer >= needed and not (slowed and np.mean(np.maximum(between, longer)) > TOLERATED_PACE * longer)
+        return longer >= needed and not (
+            slowed and np.mean(np.maximum(between, longer)) > TOLERATED_PACE * longer
+        )
 
     return next((slower for slower in SPEEDS if enough(period * speed / slower)), SPEEDS[-1])
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:
-    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
+    """Return the figures of a check: a block of rows for each cell, so that 80 columns are
+    enough.
+    """
     table = count_table("", "median", "99th percentile")
     for timing in timings:
         table.add_row(timing.label, style="bold")
-        pairs = {"decision": timing.decision_ms, "key to action": timing.input_ms, "round trip": timing.round_trip_ms}
+        pairs = {
+            "decision": timing.decision_ms,
+            "key to action": timing.input_ms,
+            "round trip": timing.round_trip_ms,
+        }
         for name, pair in pairs.items():
             table.add_row(f"  {name}", *(f"{value:.1f} ms" for value in pair))
         table.add_row(f"  {timing.late_share:.1%} of {timing.decisions} decisions late")
-        table.add_row(f"  period {timing.period_ms:.0f} ms; in time at --speed {timing.recommended:g}")
+        table.add_row(
+            f"  period {timing.period_ms:.0f} ms; in time at --speed {timing.recommended:g}"
+        )
     return table
 
 
@@ -275,11 +361,28 @@ def as_json(timing: Timing) -> dict[str, Any]:
     def known(value: float) -> float | None:
         return round(value, 2) if math.isfinite(value) else None
 
-    pairs = {"decision": timing.decision_ms, "key_to_action": timing.input_ms, "round_trip": timing.round_trip_ms}
-    numbers = {f"{name}_p{share}_ms": known(value) for name, pair in pairs.items() for share, value in zip((50, 99), pair, strict=True)}
+    pairs = {
+        "decision": timing.decision_ms,
+        "key_to_action": timing.input_ms,
+        "round_trip": timing.round_trip_ms,
+    }
+    numbers = {
+        f"{name}_p{share}_ms": known(value)
+        for name, pair in pairs.items()
+        for share, value in zip((50, 99), pair, strict=True)
+    }
     numbers |= {"pace": known(timing.pace), "fired_late_share": round(timing.fired_late_share, 4)}
-    numbers |= {f"fired_p{share}_ms": known(value) for share, value in zip((50, 90), timing.fired_ms, strict=True)}
+    numbers |= {
+        f"fired_p{share}_ms": known(value)
+        for share, value in zip((50, 90), timing.fired_ms, strict=True)
+    }
     return {
-        "label": timing.label, "period_ms": timing.period_ms, "decisions": timing.decisions, "late_share": round(timing.late_share, 4),
-        **numbers, "fired": timing.fired, "speed": timing.speed, "recommended": timing.recommended,
-    }  # fmt: skip
+        "label": timing.label,
+        "period_ms": timing.period_ms,
+        "decisions": timing.decisions,
+        "late_share": round(timing.late_share, 4),
+        **numbers,
+        "fired": timing.fired,
+        "speed": timing.speed,
+        "recommended": timing.recommended,
+    }

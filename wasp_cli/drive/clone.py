@@ -1,7 +1,8 @@
 """`wasp clone`: a policy fitted to what a participant commanded, which then drives in the grid.
 
-The sessions are played again for what the world model saw. Every fourth episode is held out and judges the clone beside what needs no
-learning: repeating the last command, commanding what the expert would, any command at all. K decisions, F features, A actions.
+The sessions are played again for what the world model saw. Every fourth episode is held out and
+judges the clone beside what needs no learning: repeating the last command, commanding what the
+expert would, any command at all. K decisions, F features, A actions.
 """
 
 from __future__ import annotations
@@ -39,7 +40,15 @@ from wasp_cli.run.worker import manifest_of, require_whole
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store import lock
-from wasp_cli.store.artifact import commit, discard, exists, read_manifest, read_record, staging_folder, stored_keys
+from wasp_cli.store.artifact import (
+    commit,
+    discard,
+    exists,
+    read_manifest,
+    read_record,
+    staging_folder,
+    stored_keys,
+)
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.recorded import read_recorded
@@ -51,10 +60,14 @@ FEWEST, HELD_OUT = 4, 4  # episodes that are needed at least, and of how many on
 ROUNDS = 50  # of expectation and maximisation, for the shares of a baseline
 
 
-def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
-    """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
+def clone_participant(
+    loaded: Loaded, results: Path, participant: int, options: RunOptions
+) -> dict[str, Any]:
+    """Fit a clone to everything that a participant drove on a task with the models of a spec, and
+    put it where plans look for it.
 
-    `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are not here yet. Returns JSON values.
+    `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are
+    not here yet. Returns JSON values.
     """
     layout = Layout(results.absolute())
     ((_, evaluation),) = lay_out_over(loaded.spec, layout, None).cells
@@ -62,7 +75,9 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     keys = _driven_with(layout, node, participant)
     _require_unused(layout, node)
     # It is not asked for by a report: under the name of its spec it would hide what was driven.
-    asked = replace(loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"}))
+    asked = replace(
+        loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"})
+    )
     made = run_spec(asked, results, options, ["stage=world_model|policies"])
     made.require_complete()
     read = [(kind, node.needs[kind].key) for kind in ("world_model", "policies")]
@@ -72,26 +87,60 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     with threads_of_evaluations():
         episodes = [episode for key in keys for episode in _episodes(layout, key, node, model)]
         if len(episodes) < FEWEST:
-            drove = f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models"
-            raise UsageError(f"{drove}, and {FEWEST} are needed", f"wasp drive {node.task} --participant {participant}")
+            drove = (
+                f"participant {participant} drove {len(episodes)} episodes of {node.task} with "
+                "these models"
+            )
+            raise UsageError(
+                f"{drove}, and {FEWEST} are needed",
+                f"wasp drive {node.task} --participant {participant}",
+            )
         held = episodes[HELD_OUT - 1 :: HELD_OUT]
-        learnt = [episode for number, episode in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1]
+        learnt = [
+            episode for number, episode in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1
+        ]
         config = CloneConfig.model_validate(node.config)
         torch.manual_seed(derive("clone-weights", node.task, node.seed, PERSON, participant))
         stream = derive("clone", node.task, node.seed, PERSON, participant)
-        clone, curve = fit_clone(together(learnt), skills.expert, config, stream, lambda share, text: plain(text) if share == 1 else None)
+        clone, curve = fit_clone(
+            together(learnt),
+            skills.expert,
+            config,
+            stream,
+            lambda share, text: plain(text) if share == 1 else None,
+        )
     document = {
-        "participant": participant, "cells": keys,
-        "simulated": any((read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get("simulated", False) for key in keys),
-        "episodes": len(learnt), "heldout_episodes": len(held), "decisions": sum(len(episode.command) for episode in learnt),
-        "ways": dict(zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)),
+        "participant": participant,
+        "cells": keys,
+        "simulated": any(
+            (read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get(
+                "simulated", False
+            )
+            for key in keys
+        ),
+        "episodes": len(learnt),
+        "heldout_episodes": len(held),
+        "decisions": sum(len(episode.command) for episode in learnt),
+        "ways": dict(
+            zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)
+        ),
         "models": judged(clone, skills.expert, together(learnt), together(held)),
-    }  # fmt: skip
+    }
     models = cast(dict[str, dict[str, float]], document["models"])
-    summary = {f"{name}_{figure}": round(number, 3) for name, row in models.items() for figure, number in row.items()}
+    summary = {
+        f"{name}_{figure}": round(number, 3)
+        for name, row in models.items()
+        for figure, number in row.items()
+    }
     begun = read_manifest(layout, "evaluate", keys[0])["provenance"]["started_at"]
-    arguments = {"features": learnt[0].features.shape[1], "hidden": list(config.hidden), "action": learnt[0].command.shape[1]}
-    with lock.held(layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
+    arguments = {
+        "features": learnt[0].features.shape[1],
+        "hidden": list(config.hidden),
+        "action": learnt[0].command.shape[1],
+    }
+    with lock.held(
+        layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")
+    ):
         staging = staging_folder(layout, node.key)
         save_weights(clone, staging / "clone.safetensors", **arguments)
         (staging / "curve.json").write_text(json.dumps(curve, indent=1))
@@ -99,41 +148,68 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
         if exists(layout, CLONE, node.key):
             say(f"{node.label}: made again, in the place of the earlier one")
             discard(layout.artifact(CLONE, node.key))
-        commit(layout, CLONE, node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
+        commit(
+            layout,
+            CLONE,
+            node.key,
+            staging,
+            manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun),
+        )
     discard(layout.run(made.run_id))
     return {"label": node.label, "key": node.key, **document}
 
 
 def quality_table(document: Mapping[str, Any]) -> RichTable:
     held, learnt = document["heldout_episodes"], document["episodes"]
-    table = count_table(f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}", "log-density", "squared error")
+    table = count_table(
+        f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}",
+        "log-density",
+        "squared error",
+    )
     for name, row in document["models"].items():
         table.add_row(name, f"{row['log_density']:.2f}", f"{row['squared_error']:.3f}")
     return table
 
 
 def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
-    """Keys of the cells that a participant drove with the models that the clone reads, in ascending order."""
+    """Keys of the cells that a participant drove with the models that the clone reads, in
+    ascending order.
+    """
     models = {name: needed.key for name, needed in node.needs.items()}
-    whole: dict[str, tuple[int, str]] = {}  # by seed and condition: a sitting that was continued has its first episodes in two cells
+    # by seed and condition: a sitting that was continued has its first episodes in two cells
+    whole: dict[str, tuple[int, str]] = {}
     others = 0
     for key, manifest in driven(layout, participant):
         if manifest.get("task") == node.task:
-            same = all(manifest.get("upstream", {}).get(name) == needed for name, needed in models.items())
-            same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
+            same = all(
+                manifest.get("upstream", {}).get(name) == needed for name, needed in models.items()
+            )
+            same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get(
+                "action_repeat"
+            )
             if same:
                 cell = canonical([manifest["seed"], manifest["axes"]])
-                whole[cell] = max(whole.get(cell, (0, "")), (int(manifest["config"]["episodes"]), key))
+                whole[cell] = max(
+                    whole.get(cell, (0, "")), (int(manifest["config"]["episodes"]), key)
+                )
             others += not same
     if not whole:
-        more = f"; {others} cells of theirs were driven with other models: --preset or --set" if others else ""
-        drove = f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}"
+        more = (
+            f"; {others} cells of theirs were driven with other models: --preset or --set"
+            if others
+            else ""
+        )
+        drove = (
+            f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}"
+        )
         raise UsageError(drove, f"wasp drive {node.task} --participant {participant}")
     return sorted(key for _, key in whole.values())
 
 
 def _require_unused(layout: Layout, node: Node) -> None:
-    """See that no result was computed from an earlier clone: it would say that it came from this one."""
+    """See that no result was computed from an earlier clone: it would say that it came from
+    this one.
+    """
     if not exists(layout, node.kind, node.key):
         return
     using = [
@@ -153,7 +229,9 @@ def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
     episodes = []
     for e in range(len(recorded.a)):
         own = recorded.of(range(e, e + 1))
-        world = make_task(node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",))
+        world = make_task(
+            node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",)
+        )
         moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
         pairs = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
         features, command = torch.stack([f for f, _ in pairs]), torch.stack([a for _, a in pairs])
@@ -168,8 +246,12 @@ def together(episodes: Sequence[Issued]) -> Issued:
 
 
 @torch.no_grad()
-def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[str, dict[str, float]]:
-    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on."""
+def judged(
+    clone: Clone, expert: Policy, learnt: Issued, held: Issued
+) -> dict[str, dict[str, float]]:
+    """Judge the clone and what needs no learning on held-out decisions, from the second of each
+    episode on.
+    """
 
     def later(seen: Issued) -> Issued:
         keep = ~seen.last.isnan().any(-1)
@@ -177,25 +259,45 @@ def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[s
 
     learnt, held = later(learnt), later(held)
     right = expert(held.features)
-    foretold = {"clone": (clone.log_density(held.command, held.features, held.last, right), clone.mean(held.features, held.last, right))}
-    for name, before, now in (("repeat", learnt.last, held.last), ("expert", expert(learnt.features), right)):
-        foretold[name] = mixture_density(held.command - now, *fitted_mixture(learnt.command - before)), now
+    foretold = {
+        "clone": (
+            clone.log_density(held.command, held.features, held.last, right),
+            clone.mean(held.features, held.last, right),
+        )
+    }
+    for name, before, now in (
+        ("repeat", learnt.last, held.last),
+        ("expert", expert(learnt.features), right),
+    ):
+        foretold[name] = (
+            mixture_density(held.command - now, *fitted_mixture(learnt.command - before)),
+            now,
+        )
     uniform = torch.full((len(held.command),), -held.command.shape[1] * math.log(2.0))
     foretold["uniform"] = uniform, torch.zeros_like(held.command)
     return {
-        name: {"log_density": float(density.mean()), "squared_error": float((mean - held.command).square().sum(-1).mean())}
+        name: {
+            "log_density": float(density.mean()),
+            "squared_error": float((mean - held.command).square().sum(-1).mean()),
+        }
         for name, (density, mean) in foretold.items()
     }
 
 
 def fitted_mixture(residual: Tensor) -> tuple[Tensor, float]:
-    """Return the spread [A] of a normal around zero and its share beside a uniform density that make residuals [K, A] most likely."""
+    """Return the spread [A] of a normal around zero and its share beside a uniform density that
+    make residuals [K, A] most likely.
+    """
     spread, share = residual.square().mean(0).sqrt().clamp(REPEAT, 1.0), 0.5
     for _ in range(ROUNDS):
         near = share * _normal(residual, spread)
         own = near / (near + (1 - share) * 0.5 ** residual.shape[1])
         share = float(own.mean().clamp(0.001, 0.999))
-        spread = ((own.unsqueeze(-1) * residual.square()).sum(0) / own.sum().clamp_min(1e-6)).sqrt().clamp(REPEAT, 1.0)
+        spread = (
+            ((own.unsqueeze(-1) * residual.square()).sum(0) / own.sum().clamp_min(1e-6))
+            .sqrt()
+            .clamp(REPEAT, 1.0)
+        )
     return spread, share
 
 
@@ -205,4 +307,6 @@ def mixture_density(residual: Tensor, spread: Tensor, share: float) -> Tensor:
 
 
 def _normal(residual: Tensor, spread: Tensor) -> Tensor:
-    return torch.exp(-0.5 * (residual / spread).square().sum(-1)) / float(np.prod(spread.numpy() * math.sqrt(2 * math.pi)))
+    return torch.exp(-0.5 * (residual / spread).square().sum(-1)) / float(
+        np.prod(spread.numpy() * math.sqrt(2 * math.pi))
+    )

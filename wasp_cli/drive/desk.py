@@ -1,6 +1,8 @@
-"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown, and who is there; and the clock.
+"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown,
+and who is there; and the clock.
 
-Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes. Nothing here waits for the network.
+Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes.
+Nothing here waits for the network.
 """
 
 from __future__ import annotations
@@ -22,9 +24,15 @@ ROUND_TRIPS = 20  # frames whose acknowledgement may be outstanding before their
 
 FORWARD, LEFT = 0, 1
 KEYS = {
-    "ArrowUp": (FORWARD, 1.0), "KeyW": (FORWARD, 1.0), "ArrowDown": (FORWARD, -1.0), "KeyS": (FORWARD, -1.0),
-    "ArrowLeft": (LEFT, 1.0), "KeyA": (LEFT, 1.0), "ArrowRight": (LEFT, -1.0), "KeyD": (LEFT, -1.0),
-}  # fmt: skip
+    "ArrowUp": (FORWARD, 1.0),
+    "KeyW": (FORWARD, 1.0),
+    "ArrowDown": (FORWARD, -1.0),
+    "KeyS": (FORWARD, -1.0),
+    "ArrowLeft": (LEFT, 1.0),
+    "KeyA": (LEFT, 1.0),
+    "ArrowRight": (LEFT, -1.0),
+    "KeyD": (LEFT, -1.0),
+}
 """By `KeyboardEvent.code`: along which axis of the stick, and which way."""
 
 
@@ -35,7 +43,9 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at one moment. The page sends the whole state of keys and sticks whenever it changes."""
+    """What is held at one moment. The page sends the whole state of keys and sticks whenever it
+    changes.
+    """
 
     keys: frozenset[str] = frozenset()
     axes: tuple[float, float] = (0.0, 0.0)  # of a gamepad or a finger: forward, left in [-1, 1]
@@ -44,16 +54,22 @@ class Held:
 
     @property
     def stick(self) -> NDArray[np.float32]:
-        """Return (forward, left) [2] in [-1, 1]: keys and axes together, opposite keys cancel out."""
+        """Return (forward, left) [2] in [-1, 1]: keys and axes together, opposite keys cancel
+        out.
+        """
         stick = np.array(self.axes, np.float32)
         for axis in (FORWARD, LEFT):
-            stick[axis] += sum({way for key in self.keys for along, way in [KEYS[key]] if along == axis})
+            stick[axis] += sum(
+                {way for key in self.keys for along, way in [KEYS[key]] if along == axis}
+            )
         return np.clip(stick, -1.0, 1.0)
 
 
 class Desk:
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
-        self.held = Held()  # the latest state of the controls: nothing queues up behind a slow moment. One reference, which needs no lock.
+        # the latest state of the controls: nothing queues up behind a slow moment. One reference,
+        # which needs no lock.
+        self.held = Held()
         self.changed = changed
         self._lock = threading.Condition()
         self._request: str | None = None
@@ -64,7 +80,8 @@ class Desk:
         self._messages: deque[Mapping[str, Any]] = deque(maxlen=200)
         self._state: Mapping[str, Any] = {"phase": "starting"}
         self.present = self.focused = False
-        self.lost, self.blurred = 0, 0  # how often the connection broke, and the window lost the focus, while someone drove
+        # how often the connection broke, and the window lost the focus, while someone drove
+        self.lost, self.blurred = 0, 0
         self._sent: dict[int, float] = {}
         self._free = True
         self.round_trip = float("nan")  # of the last acknowledged frame, in seconds
@@ -95,7 +112,9 @@ class Desk:
             self.say({"type": "state", **self._state})
 
     def asked(self) -> str | None:
-        """Return and forget what was asked for. Where nobody is there, or the window has no focus, it is a pause."""
+        """Return and forget what was asked for. Where nobody is there, or the window has no
+        focus, it is a pause.
+        """
         with self._lock:
             request, self._request = self._request, None
             return request if self.focused else request or PAUSE
@@ -120,14 +139,18 @@ class Desk:
     # The socket's side.
 
     def come(self) -> bool:
-        """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
+        """Let a driver in, who is told what goes on and shown the last frame; not where there
+        is one already.
+        """
         with self._lock:
             if self.present:
                 return False
             self.present = self._free = self.focused = True
             self._sent.clear()
             self._messages.clear()
-            self._messages.extend(([] if self._world is None else [self._world]) + [{"type": "state", **self._state}])
+            self._messages.extend(
+                ([] if self._world is None else [self._world]) + [{"type": "state", **self._state}]
+            )
             self._frame = self._latest
             return True
 
@@ -138,17 +161,23 @@ class Desk:
         self._release()
 
     def ask(self, request: str) -> None:
-        """Ask for GO, PAUSE, RESTART, NEXT or END. A later one takes the place of an earlier one that nobody heard, but not that of END."""
+        """Ask for GO, PAUSE, RESTART, NEXT or END. A later one takes the place of an earlier
+        one that nobody heard, but not that of END.
+        """
         with self._lock:
             if self._request != END:
                 self._request = request
             self._lock.notify_all()
 
     def answer(self, values: dict[str, Any]) -> None:
-        """Take answers to all questions of the form that is shown, and no others: a second click may come when the next form is there."""
+        """Take answers to all questions of the form that is shown, and no others: a second
+        click may come when the next form is there.
+        """
         with self._lock:
             form = self._state.get("form")
-            if form is not None and values.keys() - {"agreed"} == {scale["name"] for scale in form["scales"]}:
+            if form is not None and values.keys() - {"agreed"} == {
+                scale["name"] for scale in form["scales"]
+            }:
                 self._answers = values
                 self._lock.notify_all()
 
@@ -161,7 +190,9 @@ class Desk:
             self._release()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state of the controls, unless the window has no focus; keys that mean nothing here are left out."""
+        """Take a new state of the controls, unless the window has no focus; keys that mean
+        nothing here are left out.
+        """
         if self.focused:
             self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
 
@@ -191,11 +222,13 @@ class Desk:
 def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float32]:
     """Turn a stick (forward, left) [2] into an action [2]: the inverse of `video.map.stick`.
 
-    A point has throttle and turn rate, a car the torques of the driver's right and left wheel. A task that does not say how it is driven
-    gets the stick as it is.
+    A point has throttle and turn rate, a car the torques of the driver's right and left wheel. A
+    task that does not say how it is driven gets the stick as it is.
     """
     forward, left = stick
-    action = np.array([forward + left, forward - left] if drive == "car" else [forward, left], np.float32)
+    action = np.array(
+        [forward + left, forward - left] if drive == "car" else [forward, left], np.float32
+    )
     return np.clip(action, -1.0, 1.0)
 
 
@@ -205,7 +238,9 @@ RESERVE = 0.15  # share of a period that is left for it before anything is known
 
 
 class Clock:
-    """Beats of one period in wall time; what takes longer moves all later beats, so that none is skipped."""
+    """Beats of one period in wall time; what takes longer moves all later beats, so that none
+    is skipped.
+    """
 
     def __init__(self, period: float) -> None:
         self.period = period
@@ -219,12 +254,15 @@ class Clock:
         """Begin a decision now. Returns when it began and how many seconds after its beat."""
         now = time.monotonic()
         behind = max(now - self.due, 0.0)
-        # A beat that came late by less than a tenth is caught up with; else the world waits for the assistant.
+        # A beat that came late by less than a tenth is caught up with; else the world waits for the
+        # assistant.
         self.due = (self.due if behind < 0.1 * self.period else now) + self.period
         return now, behind
 
     def deadline(self) -> float:
-        """Return until when the decision of this beat is wanted: what else is to be done in the period still fits then."""
+        """Return until when the decision of this beat is wanted: what else is to be done in the
+        period still fits then.
+        """
         rest = float(np.quantile(self._rest, 0.9)) if self._rest else RESERVE * self.period
         return self.due - min(rest, self.period)
 
@@ -233,19 +271,29 @@ class Clock:
 
 
 class Decider(Generic[T]):
-    """Asks for one thing at a time in a thread of its own, and does not wait for it for longer than it has patience."""
+    """Asks for one thing at a time in a thread of its own, and does not wait for it for longer
+    than it has patience.
+    """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "assistant")
         self._asked: Future[T] | None = None
         self._wanted = self._looked = 0.0
-        self.answers: list[tuple[float, bool, T]] = []  # every answer: how many seconds it took, whether it was late, and what it was
+        # every answer: how many seconds it took, whether it was late, and what it was
+        self.answers: list[tuple[float, bool, T]] = []
 
-    def ask(self, question: Callable[[], T], patience: float, wanted: float = -math.inf, least: float = 0.0) -> tuple[T | None, float]:
+    def ask(
+        self,
+        question: Callable[[], T],
+        patience: float,
+        wanted: float = -math.inf,
+        least: float = 0.0,
+    ) -> tuple[T | None, float]:
         """Return the answer, None where it is late, and the seconds waited for it.
 
-        A late answer is thrown away; while it is still being thought about, nothing new is asked. `patience` and
-        `least` count from when it can be thought about; until `wanted`, on the monotonic clock, a search is to end (`time_is_up`).
+        A late answer is thrown away; while it is still being thought about, nothing new is asked.
+        `patience` and `least` count from when it can be thought about; until `wanted`, on the
+        monotonic clock, a search is to end (`time_is_up`).
         """
         begun = time.monotonic()
         if self._asked is not None:
@@ -264,7 +312,9 @@ class Decider(Generic[T]):
         return asked.result(), seconds
 
     def time_is_up(self) -> bool:
-        """Tell a question that is being answered whether a further step, as long as its last one, would end later than is wanted."""
+        """Tell a question that is being answered whether a further step, as long as its last
+        one, would end later than is wanted.
+        """
         now = time.monotonic()
         step, self._looked = now - self._looked, now
         return now + step > self._wanted

@@ -1,7 +1,8 @@
 """The web server of a session: one page, one socket, one driver; on this machine alone.
 
-Nothing that comes over the network becomes a path or reaches the simulator unchecked: messages are bounded, parsed against models, and
-counted. A page of another site cannot talk to it (Host, Origin and a random token are checked), and its own page may load nothing else.
+Nothing that comes over the network becomes a path or reaches the simulator unchecked: messages are
+bounded, parsed against models, and counted. A page of another site cannot talk to it (Host, Origin
+and a random token are checked), and its own page may load nothing else.
 """
 
 from __future__ import annotations
@@ -25,13 +26,19 @@ from wasp_cli.web import LocalServer, local, own_origin, page, static
 
 LONGEST = 8192  # bytes of a message
 MOST = 2000
-"""Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
-SILENT = 10.0  # seconds without any message after which a connection counts as lost; a page says something every second
+"""Messages in a second; a page sends one for each key, frame and move of a stick, a scripted
+driver at 40 times the speed a thousand.
+"""
+# seconds without any message after which a connection counts as lost; a page says something every
+# second
+SILENT = 10.0
 PAGE = Path(__file__).parent / "page"
 FILES = {name: PAGE / name for name in ("drive.js", "drive.css")}
 
 REFUSED, BUSY, TOO_MUCH = 4403, 4409, 4429
-"""Codes with which the socket closes: not allowed, somebody drives already, too many or too large messages."""
+"""Codes with which the socket closes: not allowed, somebody drives already, too many or too
+large messages.
+"""
 
 
 class _Message(BaseModel):
@@ -67,29 +74,45 @@ class Ask(_Message):
 class Answers(_Message):
     type: Literal["answers"]
     agreed: bool | None = None
-    scales: Annotated[dict[Word, Annotated[float, Field(ge=0.0, le=100.0)]], Field(max_length=32)] = {}
+    scales: Annotated[
+        dict[Word, Annotated[float, Field(ge=0.0, le=100.0)]], Field(max_length=32)
+    ] = {}
 
 
 class Alive(_Message):
     type: Literal["alive"]
 
 
-MESSAGE: TypeAdapter[Any] = TypeAdapter(Annotated[Input | Ack | Focus | Ask | Answers | Alive, Field(discriminator="type")])
+MESSAGE: TypeAdapter[Any] = TypeAdapter(
+    Annotated[Input | Ack | Focus | Ask | Answers | Alive, Field(discriminator="type")]
+)
 
 
 class Server(LocalServer):
     def __init__(self, desk: Desk, port: int = 0) -> None:
         self.desk = desk
-        routes = [Route("/", self._index), Route("/{name}", self._file), WebSocketRoute("/socket", self._drive)]
-        super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
+        routes = [
+            Route("/", self._index),
+            Route("/{name}", self._file),
+            WebSocketRoute("/socket", self._drive),
+        ]
+        super().__init__(
+            routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None
+        )
 
     async def _index(self, request: Request) -> Response:
-        if not (local(request.headers.get("host")) and self.known(request.query_params.get("token"))):
+        if not (
+            local(request.headers.get("host")) and self.known(request.query_params.get("token"))
+        ):
             return self.forbidden()
         return page((PAGE / "index.html").read_bytes(), "text/html")
 
     async def _file(self, request: Request) -> Response:
-        return static(FILES, request.path_params["name"]) if local(request.headers.get("host")) else self.forbidden()
+        return (
+            static(FILES, request.path_params["name"])
+            if local(request.headers.get("host"))
+            else self.forbidden()
+        )
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
@@ -98,7 +121,8 @@ class Server(LocalServer):
             return
         await ws.accept()
         if not self.known(ws.query_params.get("token")):
-            await ws.close(REFUSED)  # only now: before, a browser's page would see a broken connection
+            # only now: before, a browser's page would see a broken connection
+            await ws.close(REFUSED)
             return
         if not self.desk.come():
             await ws.close(BUSY, "somebody drives already, in another window")
@@ -112,7 +136,8 @@ class Server(LocalServer):
         self.desk.changed = changed
         sender = asyncio.create_task(self._send(ws, wake))
         try:
-            # Gone, closed while something was sent, or silent for too long: the desk is told below, and the world waits.
+            # Gone, closed while something was sent, or silent for too long: the desk is told below,
+            # and the world waits.
             with suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
                 await self._receive(ws)
         finally:
@@ -144,7 +169,8 @@ class Server(LocalServer):
                 await ws.close(TOO_MUCH, "too many messages")
                 return
             try:
-                self._take(MESSAGE.validate_json(received.get("text") or ""))  # no longer than LONGEST: see above
+                # no longer than LONGEST: see above
+                self._take(MESSAGE.validate_json(received.get("text") or ""))
             except ValidationError:
                 await ws.close(TOO_MUCH, "a message that the page does not send")
                 return

@@ -1,6 +1,8 @@
-"""What the page draws: a map as numbers, the bytes of the cameras, and what the assistant imagines as lines on the map.
+"""What the page draws: a map as numbers, the bytes of the cameras, and what the assistant imagines
+as lines on the map.
 
-The lines are where the command alone leads, and where its correction does. Nothing here is an observation of an assistant.
+The lines are where the command alone leads, and where its correction does. Nothing here is an
+observation of an assistant.
 """
 
 from __future__ import annotations
@@ -28,58 +30,99 @@ from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import WIDEST, cameras_of, poses_of, things_of
 from wasp_cli.video.replay import HORIZON
-from wasp_cli.video.trace import Readout, displacements, fit, following, imagine, integrated, rollout_start
+from wasp_cli.video.trace import (
+    Readout,
+    displacements,
+    fit,
+    following,
+    imagine,
+    integrated,
+    rollout_start,
+)
 
 GROUND = 2048  # px of a side of the picture of the ground at most
 FINE = 0.02  # m of a pixel of it, where that is not too many
-MARGIN = 1.5  # the picture of the ground shows so many times the map's half side: one may drive off the map
+# the picture of the ground shows so many times the map's half side: one may drive off the map
+MARGIN = 1.5
 
 
 class WorldView:
-    """Numbers of a task's first row for a map that the page draws; of a task without a map nothing."""
+    """Numbers of a task's first row for a map that the page draws; of a task without a map
+    nothing.
+    """
 
     def __init__(self, task: VectorTask) -> None:
         self._task = task if isinstance(task, HasScene) else None
 
     @property
     def still(self) -> dict[str, Any] | None:
-        """What stays as it is: how large the map is, what is on it with colours and outlines, and the ground as a picture."""
+        """What stays as it is: how large the map is, what is on it with colours and outlines,
+        and the ground as a picture.
+        """
         if self._task is None:
             return None
         appearance = self._task.appearance()
         colours = dict(things_of(appearance))
         kinds = [
             {
-                "name": kind.name, "colour": colours[kind.name], "flat": kind.painted is not None,
-                "shapes": [_outline(s) for s in ((disc(kind.column[0]),) if kind.column is not None else shapes_of(kind.geoms))],
+                "name": kind.name,
+                "colour": colours[kind.name],
+                "flat": kind.painted is not None,
+                "shapes": [
+                    _outline(s)
+                    for s in (
+                        (disc(kind.column[0]),)
+                        if kind.column is not None
+                        else shapes_of(kind.geoms)
+                    )
+                ],
             }
             for kind in appearance.kinds
-        ]  # fmt: skip
+        ]
         robot = {
-            "colour": colours.get("robot", "#c03030"), "front": round(float(np.arctan2(*appearance.forward[::-1])), 3),
-            "shapes": [outline for part in appearance.robot for outline in map(_outline, shapes_of(part.geom))],
-        }  # fmt: skip
+            "colour": colours.get("robot", "#c03030"),
+            "front": round(float(np.arctan2(*appearance.forward[::-1])), 3),
+            "shapes": [
+                outline
+                for part in appearance.robot
+                for outline in map(_outline, shapes_of(part.geom))
+            ],
+        }
         whole = appearance.map_half_side <= WIDEST
         return {
-            "half": min(appearance.map_half_side, WIDEST), "centre": list(appearance.map_centre or (0.0, 0.0)) if whole else None,
-            "kinds": kinds, "robot": robot, "ground": self._ground(),
-        }  # fmt: skip
+            "half": min(appearance.map_half_side, WIDEST),
+            "centre": list(appearance.map_centre or (0.0, 0.0)) if whole else None,
+            "kinds": kinds,
+            "robot": robot,
+            "ground": self._ground(),
+        }
 
     def _ground(self) -> dict[str, Any]:
         assert self._task is not None
         appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
         half = MARGIN * appearance.map_half_side
         centre = appearance.map_centre or (0.0, 0.0)
-        nothing = {name: Things(t.position, t.rotation, np.zeros_like(t.shown)) for name, t in scene.things.items()}
+        nothing = {
+            name: Things(t.position, t.rotation, np.zeros_like(t.shown))
+            for name, t in scene.things.items()
+        }
         # The robot stands where the picture does not reach.
         empty = Scene(scene.position + 100.0 * half, scene.rotation, nothing)
         size = min(GROUND, round(2 * half / FINE))
         file = io.BytesIO()
-        Image.fromarray(draw_map(appearance, empty, 0, size, (centre, half))).save(file, "WEBP", quality=80)
-        return {"half": half, "centre": list(centre), "image": "data:image/webp;base64," + base64.b64encode(file.getvalue()).decode()}
+        Image.fromarray(draw_map(appearance, empty, 0, size, (centre, half))).save(
+            file, "WEBP", quality=80
+        )
+        return {
+            "half": half,
+            "centre": list(centre),
+            "image": "data:image/webp;base64," + base64.b64encode(file.getvalue()).decode(),
+        }
 
     def now(self) -> dict[str, Any]:
-        """Return where everything is: the robot as [x, y, direction of its front], things by kind as [x, y, direction], in m and rad."""
+        """Return where everything is: the robot as [x, y, direction of its front], things by
+        kind as [x, y, direction], in m and rad.
+        """
         if self._task is None:
             return {}
         appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
@@ -87,7 +130,10 @@ class WorldView:
         things: dict[str, list[list[float]]] = {}
         for name, of in scene.things.items():
             position, rotation = of.position[0, :, :2], of.rotation[0]
-            near = of.shown[0] & (np.abs(position - robot[:2]).max(axis=1, initial=0.0) < 4 * WIDEST)  # enough for a map around the robot
+            # enough for a map around the robot
+            near = of.shown[0] & (
+                np.abs(position - robot[:2]).max(axis=1, initial=0.0) < 4 * WIDEST
+            )
             yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
             things[name] = [short([*position[k], yaw[k]]) for k in np.flatnonzero(near)]
         return {"robot": short(robot), "things": things}
@@ -96,7 +142,12 @@ class WorldView:
 def _outline(shape: Shape) -> dict[str, Any]:
     half = np.sqrt(shape.half.prod()) * np.ones(2) if shape.round else shape.half
     angle = round(float(np.arctan2(shape.axes[0, 1], shape.axes[0, 0])), 3)
-    return {"round": shape.round, "centre": short(shape.centre), "half": short(half), "angle": angle}
+    return {
+        "round": shape.round,
+        "centre": short(shape.centre),
+        "half": short(half),
+        "angle": angle,
+    }
 
 
 def short(values: Any) -> list[float]:
@@ -104,7 +155,9 @@ def short(values: Any) -> list[float]:
 
 
 def camera_bytes(observation: Observation) -> bytes:
-    """Return the cameras of the first row as RGB, one below the other: [cameras * 64, 64, 3] uint8."""
+    """Return the cameras of the first row as RGB, one below the other: [cameras * 64, 64, 3]
+    uint8.
+    """
     assert observation.pixels is not None
     return cameras_of(observation.pixels[0]).tobytes()
 
@@ -114,7 +167,9 @@ ROLE = "drive-readout"
 
 
 class Futures:
-    """See the module. It is never waited for: where there is no time left before the next decision, nothing is drawn."""
+    """See the module. It is never waited for: where there is no time left before the next
+    decision, nothing is drawn.
+    """
 
     def __init__(self, task: str, parts: Parts, assistant: Assistant, world: VectorTask) -> None:
         self._model = parts.world_model
@@ -122,15 +177,28 @@ class Futures:
         config: Any = getattr(assistant, "config", None)
         self._horizon = int(getattr(config, "horizon", HORIZON))
         self._hold = isinstance(config, PrintedConfig)
-        self._expert = following(parts.skills.expert, world.action_size, 1) if isinstance(config, WASPConfig) else None
+        self._expert = (
+            following(parts.skills.expert, world.action_size, 1)
+            if isinstance(config, WASPConfig)
+            else None
+        )
         self._seconds = 0.0
 
     def lines(
-        self, t: int, latent: Latent, a_h: Tensor, operator: Operator, decision: Decision, robot: list[float] | None, seconds: float
+        self,
+        t: int,
+        latent: Latent,
+        a_h: Tensor,
+        operator: Operator,
+        decision: Decision,
+        robot: list[float] | None,
+        seconds: float,
     ) -> dict[str, Any] | None:
-        """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected` where there was a correction.
+        """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected`
+        where there was a correction.
 
-        `a_h` is [1, A]; `robot` is [x, y, direction]; None is returned where `seconds` was not enough before.
+        `a_h` is [1, A]; `robot` is [x, y, direction]; None is returned where `seconds` was not
+        enough before.
         """
         if self._readout is None or robot is None or seconds < self._seconds:
             # What takes long once, while other work disturbs it, is tried again later.
@@ -139,11 +207,24 @@ class Futures:
         begun = time.monotonic()
         with torch.inference_mode():
             residuals = _correction(a_h, decision)
-            start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), self._expert or operator, residuals, self._horizon)
+            start = rollout_start(
+                t,
+                latent,
+                0,
+                a_h[0].cpu().numpy(),
+                self._expert or operator,
+                residuals,
+                self._horizon,
+            )
             imagined = imagine(self._model, start, self._horizon, (), hold=self._hold)
-        ways = [integrated(np.array(robot), self._readout(features[0])) for features in imagined.features]
+        ways = [
+            integrated(np.array(robot), self._readout(features[0]))
+            for features in imagined.features
+        ]
         self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)
-        return dict(zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False))
+        return dict(
+            zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False)
+        )
 
 
 def _correction(a_h: Tensor, decision: Decision) -> Any:
@@ -155,7 +236,9 @@ def _correction(a_h: Tensor, decision: Decision) -> Any:
 
 
 def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
-    """Fit displacements of the robot to latents on a short drive of the expert; None of a task without a map."""
+    """Fit displacements of the robot to latents on a short drive of the expert; None of a task
+    without a map.
+    """
     if not isinstance(world, HasScene):
         return None
     worlds = make_task(task, WORLDS, action_repeat=world.action_repeat, observe=("pixels",))
@@ -177,4 +260,7 @@ def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
             if step.ended.any():
                 break
     arrived, places = np.stack(features)[1:], np.stack(poses)
-    return fit([arrived[:, row] for row in range(WORLDS)], [displacements(places[:, row]) for row in range(WORLDS)])
+    return fit(
+        [arrived[:, row] for row in range(WORLDS)],
+        [displacements(places[:, row]) for row in range(WORLDS)],
+    )

@@ -19,16 +19,28 @@ from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 
 def load_parts(
-    inputs: Mapping[str, Path], returns: ReturnsConfig, device: torch.device | None = None, *, motors: Motors = UNKNOWN
+    inputs: Mapping[str, Path],
+    returns: ReturnsConfig,
+    device: torch.device | None = None,
+    *,
+    motors: Motors = UNKNOWN,
 ) -> Parts:
-    """Load the frozen models of a training chain to a device (the CPU), and the calibrated thresholds where there are any."""
+    """Load the frozen models of a training chain to a device (the CPU), and the calibrated
+    thresholds where there are any.
+    """
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
         thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
     return Parts(
-        load_world_model(inputs["world_model"]).to(device), load_skills(inputs["policies"]).to(device), inputs, thresholds,
-        returns.gamma_r, returns.gamma_c, returns.lam, motors,
-    )  # fmt: skip
+        load_world_model(inputs["world_model"]).to(device),
+        load_skills(inputs["policies"]).to(device),
+        inputs,
+        thresholds,
+        returns.gamma_r,
+        returns.gamma_c,
+        returns.lam,
+        motors,
+    )
 
 
 def method_config(method: str, resolved: Mapping[str, Any]) -> Config:

@@ -20,7 +20,9 @@ Array = NDArray[Any]
 
 
 class Loop(NamedTuple):
-    """What B episodes left behind, by decision step: [T, B] unless said. After an episode's end only rows of `alive` count."""
+    """What B episodes left behind, by decision step: [T, B] unless said. After an episode's end
+    only rows of `alive` count.
+    """
 
     reward: Array
     cost: Array
@@ -38,7 +40,8 @@ class Loop(NamedTuple):
 
 
 def batches(begin: int, episodes: int, size: int) -> list[range]:
-    """Return which episodes of a cell meet side by side: `size` at a time, the last batch with what is left.
+    """Return which episodes of a cell meet side by side: `size` at a time, the last batch with what
+    is left.
 
     Args:
         begin: how many are there already, in whole batches.
@@ -69,7 +72,9 @@ class Filter:
     def see(self, observation: Observation, first: Tensor) -> Latent:
         """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
         read = getattr(observation, self.model.reads)
-        self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(read).to(self.device), first.to(self.device))
+        self.latent = self.model.filter(
+            self.latent, self._action, torch.from_numpy(read).to(self.device), first.to(self.device)
+        )
         return self.latent
 
     def executed(self, action: Tensor) -> None:
@@ -78,7 +83,9 @@ class Filter:
 
 
 def told(operator: Operator, observation: Observation) -> Tensor | None:
-    """Return what an operator who knows more than assistants perceive reads, [B, P]; None for one who does not."""
+    """Return what an operator who knows more than assistants perceive reads, [B, P]; None for
+    one who does not.
+    """
     if not operator.knows_more:
         return None
     assert observation.privileged is not None
@@ -100,7 +107,8 @@ def run_episodes(
     """Run one episode per row, until all have ended.
 
     Args:
-        task: B episodes with what the model reads, and for an informed operator with privileged observations.
+        task: B episodes with what the model reads, and for an informed operator with privileged
+            observations.
         operator: of B rows, fresh.
         assistant: decides; it is reset for all rows.
         keep_latents: also return the filtered latents.
@@ -110,13 +118,24 @@ def run_episodes(
     filter_ = Filter(model, batch)
     first = torch.ones(batch)
     assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
-    names = ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "terminated", "a_h", "action")
+    names = (
+        "reward",
+        "cost",
+        "cost_env",
+        "env_steps",
+        "goals",
+        "alive",
+        "terminated",
+        "a_h",
+        "action",
+    )
     rows: dict[str, list[Array]] = {name: [] for name in names}
     decisions: list[Decision] = []
     times: list[float] = []
     kept: list[Latent] = []
     ended = np.zeros(batch, bool)
-    rest: Callable[[Tensor], None] | None = getattr(assistant, "rest", None)  # no work for episodes that have ended
+    # no work for episodes that have ended
+    rest: Callable[[Tensor], None] | None = getattr(assistant, "rest", None)
     for t in range(task.max_decisions):
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
@@ -130,10 +149,16 @@ def run_episodes(
         operator.observe(action)
         step = task.step(action.cpu().numpy())
         for name, value in (
-            ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps),
-            ("goals", step.goals), ("alive", ~ended), ("terminated", step.terminated & ~ended),
-            ("a_h", a_h.cpu().numpy()), ("action", action.cpu().numpy()),
-        ):  # fmt: skip
+            ("reward", step.reward),
+            ("cost", step.cost),
+            ("cost_env", step.cost_env),
+            ("env_steps", step.env_steps),
+            ("goals", step.goals),
+            ("alive", ~ended),
+            ("terminated", step.terminated & ~ended),
+            ("a_h", a_h.cpu().numpy()),
+            ("action", action.cpu().numpy()),
+        ):
             rows[name].append(np.array(value))
         decisions.append(decision)
         if keep_latents:

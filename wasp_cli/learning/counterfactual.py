@@ -1,9 +1,11 @@
-"""Counterfactual branches of the real task (section 5.3 of the paper): what would have happened without an intervention.
+"""Counterfactual branches of the real task (section 5.3 of the paper): what would have happened
+without an intervention.
 
-At a chosen decision of a stored episode two branches begin in the same state: `asst` executes the recorded action, `cf` the operator's
-command; then both follow the operator alone. Their draws are those of the episode and the decision (common random numbers). Every branch
-runs in the row that its episode had, in a batch of the same size, so that one that does what the episode did gives the same bits.
-B = episodes, A = action size, W = decision steps of a branch at most.
+At a chosen decision of a stored episode two branches begin in the same state: `asst` executes the
+recorded action, `cf` the operator's command; then both follow the operator alone. Their draws are
+those of the episode and the decision (common random numbers). Every branch runs in the row that its
+episode had, in a batch of the same size, so that one that does what the episode did gives the same
+bits. B = episodes, A = action size, W = decision steps of a branch at most.
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ class _Start(NamedTuple):
 
 
 def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[int]]:
-    """Choose every `stride`-th intervened decision of a cell, counted on from episode to episode, so that each is as likely as any other.
+    """Choose every `stride`-th intervened decision of a cell, counted on from episode to episode,
+    so that each is as likely as any other.
 
     Args:
         intervened: per episode [T_e].
@@ -70,14 +73,18 @@ def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[i
 
 
 def least_gain(heldout: Heldout, window: int, fraction: float) -> float:
-    """Return tau_R of Eq. 21: a share of the unimpaired expert's mean return in W decision steps; NaN where no episode has as many."""
+    """Return tau_R of Eq. 21: a share of the unimpaired expert's mean return in W decision
+    steps; NaN where no episode has as many.
+    """
     earned = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), window)
     earned = earned[~np.isnan(earned)]
     return fraction * float(earned.mean()) if len(earned) else float("nan")
 
 
 @torch.inference_mode()
-def branches(rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progress: Progress) -> list[Branch]:
+def branches(
+    rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progress: Progress
+) -> list[Branch]:
     """Run both branches at every chosen decision, sorted by episode, decision and name.
 
     Args:
@@ -87,17 +94,24 @@ def branches(rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progres
     batches = max(map(len, chosen), default=0)
     again = 1 + max((decisions[-1] for decisions in chosen if decisions), default=-1)
     steps = again + 2 * window * batches
-    starts = _starts(rerun, chosen, again, lambda t: progress(t / steps, f"played again {t}/{again}"))
+    starts = _starts(
+        rerun, chosen, again, lambda t: progress(t / steps, f"played again {t}/{again}")
+    )
     found: list[Branch] = []
     for k in range(batches):
         rows = {e: mine[k] for e, mine in enumerate(starts) if k < len(mine)}
         for name in (ASSISTED, ALONE):
             found += _run(rerun, rows, name, window)
-        progress(1 - 2 * window * (batches - k - 1) / steps, f"branches {k + 1}/{batches} of every episode")
+        progress(
+            1 - 2 * window * (batches - k - 1) / steps,
+            f"branches {k + 1}/{batches} of every episode",
+        )
     return sorted(found, key=lambda branch: branch[:3])
 
 
-def _starts(rerun: Rerun, chosen: Sequence[Sequence[int]], again: int, progress: Callable[[int], None]) -> list[list[_Start]]:
+def _starts(
+    rerun: Rerun, chosen: Sequence[Sequence[int]], again: int, progress: Callable[[int], None]
+) -> list[list[_Start]]:
     """By episode, the state at every chosen decision; `again` decisions are played again."""
     at: dict[int, list[int]] = {}
     for e, decisions in enumerate(chosen):
@@ -134,8 +148,15 @@ def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Itera
     absent = [e not in rows for e in range(task.batch)]
     world["ended"][absent] = True
     task.restore(world)
-    operator.restore({field: torch.stack([start.operator[field] for start in starts]) for field in other.operator})
-    rerun.filter.latent = Latent(torch.stack([start.h for start in starts]), torch.stack([start.z for start in starts]))
+    operator.restore(
+        {
+            field: torch.stack([start.operator[field] for start in starts])
+            for field in other.operator
+        }
+    )
+    rerun.filter.latent = Latent(
+        torch.stack([start.h for start in starts]), torch.stack([start.z for start in starts])
+    )
     action = torch.stack([start.first[name] for start in starts])
     going, on = np.zeros(task.batch), torch.zeros(task.batch)
     steps = []
@@ -151,7 +172,10 @@ def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Itera
             break
         features = rerun.filter.see(step.observation, on).features
         action = operator.command(features, told(operator, step.observation)).clamp(-1, 1)
-    parts = [np.stack([getattr(step, field) for step in steps]) for field in ("cost", "cost_env", "reward")]
+    parts = [
+        np.stack([getattr(step, field) for step in steps])
+        for field in ("cost", "cost_env", "reward")
+    ]
     for e, start in rows.items():
         cost, cost_env, reward = (part[: int(going[e]), e] for part in parts)
         yield Branch(e, start.t, name, cost.astype(bool), cost_env, reward)

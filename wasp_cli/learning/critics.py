@@ -1,4 +1,6 @@
-"""Critics: V_r and V_c of the nominal expert, from imagined rollouts (Eq. 7-8) and from recorded transitions."""
+"""Critics: V_r and V_c of the nominal expert, from imagined rollouts (Eq. 7-8) and from
+recorded transitions.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,12 @@ Q_SHARE = 0.3  # share of the progress that Q takes
 
 
 def starts_of(recording: Recording) -> Tensor:
-    """Return the indices [S] of the recorded rows from which imagination may begin: never held out or after an episode's own end."""
-    return torch.from_numpy(np.flatnonzero((recording.terminal == 0) & ~recording.held_out(HELD_OUT)))
+    """Return the indices [S] of the recorded rows from which imagination may begin: never held
+    out or after an episode's own end.
+    """
+    return torch.from_numpy(
+        np.flatnonzero((recording.terminal == 0) & ~recording.held_out(HELD_OUT))
+    )
 
 
 class Rollout(NamedTuple):
@@ -57,16 +63,19 @@ def train_critics(
 ) -> tuple[LatentCritics, list[dict[str, float]]]:
     """Evaluate the expert; model and policy stay fixed, and no held-out row is seen.
 
-    From filtered latents the expert is imagined for H steps, and the critics learn the TD-lambda returns of these rollouts, with slow
-    critics behind them. Imagined rewards and costs drift with every step, and so do critics that learn from nothing else. Where
-    `config.recorded` says so, they therefore also learn at recorded rows what Q says from recorded transitions (see `recorded_values`): at
-    the filtered latent, and at those that the prior imagines for the same row under the recorded actions, since a planner reads V there.
+    From filtered latents the expert is imagined for H steps, and the critics learn the TD-lambda
+    returns of these rollouts, with slow critics behind them. Imagined rewards and costs drift with
+    every step, and so do critics that learn from nothing else. Where `config.recorded` says so,
+    they therefore also learn at recorded rows what Q says from recorded transitions (see
+    `recorded_values`): at the filtered latent, and at those that the prior imagines for the same
+    row under the recorded actions, since a planner reads V there.
 
     Args:
         recording: action, reward, cost, terminal, first and episode of the recorded rows.
 
     Returns:
-        The frozen critics, and the curve: rows of the losses of Q per 100 updates, then a row per 20 updates of the critics: means of the
+        The frozen critics, and the curve: rows of the losses of Q per 100 updates, then a row per
+            20 updates of the critics: means of the
         losses and of the imagined targets over these updates.
     """
     curve: list[dict[str, float]] = []
@@ -74,7 +83,13 @@ def train_critics(
     if config.recorded:
         begun = Q_SHARE
         values, curve = recorded_values(
-            skills, recording, latents, config, returns, derive("recorded-values", seed), lambda share, text: report(Q_SHARE * share, text)
+            skills,
+            recording,
+            latents,
+            config,
+            returns,
+            derive("recorded-values", seed),
+            lambda share, text: report(Q_SHARE * share, text),
         )
         segments = Segments(recording, values, config.horizon)
     critics = LatentCritics(model.feature_size, config.hidden, config.bins, config.reach)
@@ -88,16 +103,23 @@ def train_critics(
             index = starts[torch.randint(len(starts), (config.starts,), generator=source)]
             rollout = imagine(model, skills, latents.at(index), config.horizon, source)
             value_r, value_c = slow.value_r(rollout.arrived), slow.value_c(rollout.arrived)
-            target_r = td_lambda_all(rollout.reward, value_r, returns.gamma_r, returns.lam, rollout.keep)
-            target_c = td_lambda_all(rollout.cost, value_c, returns.gamma_c, returns.lam, rollout.keep)
+            target_r = td_lambda_all(
+                rollout.reward, value_r, returns.gamma_r, returns.lam, rollout.keep
+            )
+            target_c = td_lambda_all(
+                rollout.cost, value_c, returns.gamma_c, returns.lam, rollout.keep
+            )
             weight = rollout.weight()
-        loss_r, loss_c = ((weight * loss).mean() for loss in critics.losses(rollout.features, target_r, target_c))
+        loss_r, loss_c = (
+            (weight * loss).mean() for loss in critics.losses(rollout.features, target_r, target_c)
+        )
         loss, recorded = loss_r + loss_c, torch.zeros(2)
         if segments is not None:
             recorded = _recorded_losses(critics, model, latents, segments, config.starts, source)
             loss = loss + config.recorded * recorded.sum()
         for group in optimizer.param_groups:
-            # Constant for the first half, then down to a tenth: the noise of single targets averages out at the end.
+            # Constant for the first half, then down to a tenth: the noise of single targets
+            # averages out at the end.
             group["lr"] = config.learning_rate * min(1.0, 1.9 - 1.8 * update / config.updates)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -106,33 +128,60 @@ def train_critics(
         with torch.no_grad():
             for target, online in zip(slow.parameters(), critics.parameters(), strict=True):
                 target.lerp_(online, config.slow)
-            recent.append(torch.stack([loss_r, loss_c, target_r.mean(), target_c.mean(), *recorded]))
+            recent.append(
+                torch.stack([loss_r, loss_c, target_r.mean(), target_c.mean(), *recorded])
+            )
         if update % 20 == 19 or update == config.updates - 1:
             means = torch.stack(recent).mean(0).tolist()
             recent.clear()
-            names = ("loss_r", "loss_c", "target_r", "target_c", "recorded_loss_r", "recorded_loss_c")
+            names = (
+                "loss_r",
+                "loss_c",
+                "target_r",
+                "target_c",
+                "recorded_loss_r",
+                "recorded_loss_c",
+            )
             curve.append({"update": update + 1, **dict(zip(names, means, strict=True))})
             told = f"V_r {curve[-1]['target_r']:.2f}, V_c {curve[-1]['target_c']:.3f}"
-            report(begun + (1 - begun) * (update + 1) / config.updates, f"update {update + 1}/{config.updates}, {told}")
+            report(
+                begun + (1 - begun) * (update + 1) / config.updates,
+                f"update {update + 1}/{config.updates}, {told}",
+            )
     critics.eval().requires_grad_(False)
     return critics, curve
 
 
 def _recorded_losses(
-    critics: LatentCritics, model: SafetyWorldModel, latents: Latents, segments: Segments, count: int, source: torch.Generator
+    critics: LatentCritics,
+    model: SafetyWorldModel,
+    latents: Latents,
+    segments: Segments,
+    count: int,
+    source: torch.Generator,
 ) -> Tensor:
-    """Score both critics [2] on what Q says of recorded rows: at filtered latents, and at prior ones that arrive at the same rows."""
+    """Score both critics [2] on what Q says of recorded rows: at filtered latents, and at prior
+    ones that arrive at the same rows.
+    """
     rows, actions, values, counts = segments.sample(count, source)
     with torch.no_grad():
         filtered = latents.at(rows)
-        features = torch.cat([filtered.features.unsqueeze(1), roll_prior(model, filtered, actions, source).features], 1)  # [B, H + 1, F]
+        # [B, H + 1, F]
+        features = torch.cat(
+            [filtered.features.unsqueeze(1), roll_prior(model, filtered, actions, source).features],
+            1,
+        )
     losses = torch.stack(critics.losses(features, values[0], values[1]))
     scored: Tensor = (losses * counts).sum((1, 2)) / counts.sum()
     return scored
 
 
-def imagine(model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator) -> Rollout:
-    """Imagine H steps under the expert from B latents; the heads read all arrived states at once."""
+def imagine(
+    model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator
+) -> Rollout:
+    """Imagine H steps under the expert from B latents; the heads read all arrived states at
+    once.
+    """
     noise = gumbel((horizon, len(start.h), model.noise_size), source)
     features, hs, zs = [], [], []
     latent = start
@@ -142,4 +191,10 @@ def imagine(model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int
         hs.append(latent.h)
         zs.append(latent.z)
     arrived = Latent(torch.stack(hs), torch.stack(zs))
-    return Rollout(torch.stack(features), arrived, model.reward(arrived), model.cost(arrived), model.continues(arrived))
+    return Rollout(
+        torch.stack(features),
+        arrived,
+        model.reward(arrived),
+        model.cost(arrived),
+        model.continues(arrived),
+    )

@@ -26,19 +26,25 @@ class Behaviour:
     repeat: float = 0.0  # probability of the last command again
     delay: int = 0  # decision steps between what is seen and the command for it
     burst: float = 0.0  # probability that a random command begins and is held for 2-11 steps
-    drift: float = 0.0  # constant that is added to the last component: the turning of the point, one wheel of the car
+    # constant that is added to the last component: the turning of the point, one wheel of the car
+    drift: float = 0.0
     sticky: float = 0.0  # standard deviation of noise that persists from step to step
     correlation: float = 0.9  # correlation of that noise between one decision step and the next
 
 
-def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
-    """Draw a behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
+def behaviours(
+    mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator
+) -> list[Behaviour]:
+    """Draw a behaviour for each episode, in the shares of the mixture; `skills` is the number of
+    checkpoints.
 
-    The order is random, except that the episodes which `Recording.held_out` keeps from training have the shares of all: left to chance, a
-    behaviour may be missing among them, or one that always costs may outweigh the others.
+    The order is random, except that the episodes which `Recording.held_out` keeps from training
+    have the shares of all: left to chance, a behaviour may be missing among them, or one that
+    always costs may outweigh the others.
     """
     variants: dict[str, list[Behaviour]] = {
-        "expert": [Behaviour("expert", gaussian=0.25)],  # small mistakes, so as not to see its own way alone
+        # small mistakes, so as not to see its own way alone
+        "expert": [Behaviour("expert", gaussian=0.25)],
         "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
         "laggy": [Behaviour("laggy", repeat=p) for p in (0.5, 0.7, 0.85)],
         "delayed": [Behaviour("delayed", delay=d) for d in (2, 3, 5)],
@@ -50,14 +56,17 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
     # Largest remainders: the counts follow the shares as closely as whole episodes can.
     exact = {name: share * episodes for name, share in mixture.items()}
     counts = {name: int(value) for name, value in exact.items()}
-    for name in sorted(exact, key=lambda n: counts[n] - exact[n])[: episodes - sum(counts.values())]:
+    for name in sorted(exact, key=lambda n: counts[n] - exact[n])[
+        : episodes - sum(counts.values())
+    ]:
         counts[name] += 1
     chosen = []
     for name, count in counts.items():
         own = [variants[name][i % len(variants[name])] for i in range(count)]
         chosen += [own[i] for i in random.permutation(count)]
     order, period = np.arange(len(chosen)), held_out_period(HELD_OUT)
-    for first in range(period):  # every period-th of `chosen`, which is sorted by behaviour, has its shares
+    # every period-th of `chosen`, which is sorted by behaviour, has its shares
+    for first in range(period):
         order[first::period] = random.permutation(order[first::period])
     return [chosen[i] for i in order]
 
@@ -65,7 +74,13 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
 class Commander:
     """Commands for B rows, each with its own behaviour."""
 
-    def __init__(self, skills: Sequence[PrivilegedPolicy], rows: Sequence[Behaviour], action: int, random: np.random.Generator) -> None:
+    def __init__(
+        self,
+        skills: Sequence[PrivilegedPolicy],
+        rows: Sequence[Behaviour],
+        action: int,
+        random: np.random.Generator,
+    ) -> None:
         self._skills, self._rows, self._random = skills, rows, random
         self._last = np.zeros((len(rows), action), np.float32)
         self._held = np.zeros(len(rows), int)
@@ -81,8 +96,15 @@ class Commander:
         self._seen.append(intended[[b.skill for b in rows], np.arange(len(rows))])
         now = len(self._seen) - 1
         neutral = np.zeros_like(self._last[0])
-        action = np.stack([self._seen[now - b.delay][i] if now >= b.delay else neutral for i, b in enumerate(rows)])
-        action = action + np.array([b.gaussian for b in rows], np.float32)[:, None] * random.standard_normal(action.shape, np.float32)
+        action = np.stack(
+            [
+                self._seen[now - b.delay][i] if now >= b.delay else neutral
+                for i, b in enumerate(rows)
+            ]
+        )
+        action = action + np.array([b.gaussian for b in rows], np.float32)[
+            :, None
+        ] * random.standard_normal(action.shape, np.float32)
         fresh = random.standard_normal(action.shape, np.float32)
         # A stationary first-order process: its standard deviation is 1 from the first step on.
         kept = np.array([b.correlation for b in rows], np.float32)[:, None]
@@ -97,13 +119,19 @@ class Commander:
         self._held = np.where(begins, length, np.maximum(self._held - 1, 0))
         action = np.where((replaced | begins)[:, None], uniform, action)
         # While a burst is held, and where a lag repeats, the last command stands.
-        action = np.where((repeats | ((self._held > 0) & ~begins))[:, None], self._last, action).clip(-1, 1)
+        action = np.where(
+            (repeats | ((self._held > 0) & ~begins))[:, None], self._last, action
+        ).clip(-1, 1)
         self._last = action.astype(np.float32)
         return self._last
 
 
 def record(
-    task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
+    task: VectorTask,
+    seeds: Sequence[int],
+    command: Callable[[NDArray[np.float32]], NDArray[Any]],
+    names: Sequence[str],
+    number: int,
 ) -> Recording:
     """Record one episode per row as a shard.
 
@@ -120,11 +148,18 @@ def record(
     zeros = np.zeros(batch, np.float32)
     steps: list[dict[str, NDArray[Any]]] = [
         {
-            "pixels": seen.pixels, "action": np.zeros((batch, task.action_size), np.float32), "reward": zeros,
-            "cost": zeros, "cost_env": zeros, "sources": np.zeros((batch, len(kinds)), np.int16), "goals": np.zeros(batch, np.int16),
-            "terminal": zeros, "first": zeros + 1, "privileged": seen.privileged,
+            "pixels": seen.pixels,
+            "action": np.zeros((batch, task.action_size), np.float32),
+            "reward": zeros,
+            "cost": zeros,
+            "cost_env": zeros,
+            "sources": np.zeros((batch, len(kinds)), np.int16),
+            "goals": np.zeros(batch, np.int16),
+            "terminal": zeros,
+            "first": zeros + 1,
+            "privileged": seen.privileged,
         }
-    ]  # fmt: skip
+    ]
     alive = [np.ones(batch, bool)]
     ended = np.zeros(batch, bool)
     for _ in range(task.max_decisions):
@@ -137,19 +172,26 @@ def record(
         costs = [step.sources[kind].astype(np.int16) for kind in kinds]
         steps.append(
             {
-                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32),
+                "pixels": seen.pixels,
+                "action": action,
+                "reward": step.reward.astype(np.float32),
+                "cost": step.cost.astype(np.float32),
                 "cost_env": step.cost_env.astype(np.float32),
-                "sources": np.stack(costs, 1) if costs else np.zeros((batch, 0), np.int16), "goals": step.goals.astype(np.int16),
-                "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged,
+                "sources": np.stack(costs, 1) if costs else np.zeros((batch, 0), np.int16),
+                "goals": step.goals.astype(np.int16),
+                "terminal": (step.terminated & ~ended).astype(np.float32),
+                "first": zeros,
+                "privileged": seen.privileged,
             }
-        )  # fmt: skip
+        )
         alive.append(~ended)
         ended = ended | step.ended
         if ended.all():
             break
     kept = np.stack(alive, 1)  # [B, T + 1]
     lengths = kept.sum(1)
-    # Field by field, each taken out of the steps on the way, so that the images of a shard are in memory at most twice.
+    # Field by field, each taken out of the steps on the way, so that the images of a shard are in
+    # memory at most twice.
     flat = {name: np.stack([s.pop(name) for s in steps], 1)[kept] for name in list(steps[0])}
     return Recording(
         episode=np.repeat(np.arange(number, number + batch, dtype=np.int32), lengths),

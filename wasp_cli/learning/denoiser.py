@@ -1,4 +1,5 @@
-"""Diffusion's denoiser: training on the expert's actions at recorded latents, and how near it brings commands to them.
+"""Diffusion's denoiser: training on the expert's actions at recorded latents, and how near it
+brings commands to them.
 
 After Yoneda et al. 2023. K decisions on held-out episodes, A actions.
 """
@@ -23,11 +24,17 @@ RATIOS = (0.2, 0.3, 0.4, 0.6)  # forward diffusion ratios; at 0 a command stays 
 
 
 def train_denoiser(
-    recording: Recording, labels: torch.Tensor, latents: Latents, config: DenoiserConfig, seed: int, report: Callable[[float, str], None]
+    recording: Recording,
+    labels: torch.Tensor,
+    latents: Latents,
+    config: DenoiserConfig,
+    seed: int,
+    report: Callable[[float, str], None],
 ) -> tuple[Denoiser, NoiseSchedule, dict[str, float]]:
     """Predict the noise in diffused expert actions; the averaged weights are what is returned.
 
-    As with the original's option of random behaviour and the expert's labels, the expert's action is learned in all recorded states.
+    As with the original's option of random behaviour and the expert's labels, the expert's action
+    is learned in all recorded states.
 
     Args:
         recording: recorded rows; held-out ones are not learned.
@@ -46,7 +53,9 @@ def train_denoiser(
         half = torch.randint(config.steps, ((config.batch + 1) // 2,), generator=source)
         level = torch.cat([half, config.steps - 1 - half])[: config.batch]  # antithetic pairs
         noise = torch.randn((config.batch, labels.shape[1]), generator=source)
-        predicted = denoiser(latents.at(index).features, schedule.diffuse(labels[index], level, noise), level)
+        predicted = denoiser(
+            latents.at(index).features, schedule.diffuse(labels[index], level, noise), level
+        )
         loss = (predicted - noise).square().mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -59,24 +68,42 @@ def train_denoiser(
                 old.lerp_(new, 1 - decay)
         smoothed = 0.98 * smoothed + 0.02 * float(loss.detach())
         if update % 100 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, loss {smoothed:.3f}")
+            report(
+                update / config.updates, f"update {update}/{config.updates}, loss {smoothed:.3f}"
+            )
     average.eval()
     return average, schedule, {"noise_loss": smoothed, "demonstrations": float(len(rows))}
 
 
 @torch.inference_mode()
-def noise_loss(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, source: torch.Generator) -> float:
-    """Return the mean squared error of the predicted noise over all levels at expert actions [K, A]; predicting none at all scores 1."""
+def noise_loss(
+    denoiser: Denoiser,
+    schedule: NoiseSchedule,
+    features: Tensor,
+    expert: Tensor,
+    source: torch.Generator,
+) -> float:
+    """Return the mean squared error of the predicted noise over all levels at expert actions
+    [K, A]; predicting none at all scores 1.
+    """
     level = torch.randint(schedule.steps, (len(expert),), generator=source)
     noise = torch.randn(tuple(expert.shape), generator=source)
-    return float((denoiser(features, schedule.diffuse(expert, level, noise), level) - noise).square().mean())
+    return float(
+        (denoiser(features, schedule.diffuse(expert, level, noise), level) - noise).square().mean()
+    )
 
 
 @torch.inference_mode()
 def denoiser_quality(
-    denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, recorded: Tensor, source: torch.Generator
+    denoiser: Denoiser,
+    schedule: NoiseSchedule,
+    features: Tensor,
+    expert: Tensor,
+    recorded: Tensor,
+    source: torch.Generator,
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return mean distances by kind of command and ratio: `conformity` to the expert's action, `fidelity` to the command (0 is nearest).
+    """Return mean distances by kind of command and ratio: `conformity` to the expert's action,
+    `fidelity` to the command (0 is nearest).
 
     Args:
         denoiser: trained.
@@ -92,9 +119,14 @@ def denoiser_quality(
         for ratio in RATIOS:
             k = schedule.forward_level(ratio)
             draws = torch.randn((k + 1, *expert.shape), generator=source)
-            found[kind][f"{ratio:g}"] = _distances(assist(denoiser, schedule, features, command, k, draws), command, expert)
+            found[kind][f"{ratio:g}"] = _distances(
+                assist(denoiser, schedule, features, command, k, draws), command, expert
+            )
     return found
 
 
 def _distances(executed: Tensor, command: Tensor, expert: Tensor) -> dict[str, float]:
-    return {"conformity": float((executed - expert).norm(dim=-1).mean()), "fidelity": float((executed - command).norm(dim=-1).mean())}
+    return {
+        "conformity": float((executed - expert).norm(dim=-1).mean()),
+        "fidelity": float((executed - command).norm(dim=-1).mean()),
+    }

@@ -1,4 +1,6 @@
-"""Where networks train and assistants decide: `WASP_DEVICE`, else a GPU that torch sees, else the CPU. No key knows it."""
+"""Where networks train and assistants decide: `WASP_DEVICE`, else a GPU that torch sees, else
+the CPU. No key knows it.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,13 @@ def training_device() -> torch.device:
     except (RuntimeError, AssertionError) as error:
         line = str(error).splitlines()[0]
         raise UsageError(
-            f"{VARIABLE}={wanted} names no device that torch can use here: {line}", f"unset {VARIABLE}, or set it to cpu"
+            f"{VARIABLE}={wanted} names no device that torch can use here: {line}",
+            f"unset {VARIABLE}, or set it to cpu",
         ) from error
 
 
 def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
-    """Compute with bfloat16 products on a GPU; float32 on a CPU, most of which have no fast bfloat16."""
+    """Compute with bfloat16 products on a GPU; float32 on a CPU, most of which have no fast
+    bfloat16.
+    """
     return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")

@@ -1,6 +1,8 @@
-"""What imagined costs, rewards and images are worth on recorded episodes, per imagined step k = 1..H and over the whole window.
+"""What imagined costs, rewards and images are worth on recorded episodes, per imagined step k =
+1..H and over the whole window.
 
-From the filtered latent of a recorded row under the true actions: step k is held against what arrived k rows later. K starts, S sources.
+From the filtered latent of a recorded row under the true actions: step k is held against what
+arrived k rows later. K starts, S sources.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from wasp_cli.tasks.base import VectorTask
 FALSE_ALARMS = 0.1  # share of the moments without a cost at which a recall is read
 CHUNK = 256  # starts that are imagined, or images that are decoded, together
 
-HALF_TRAINED = 2  # index of the first checkpoint that is not among the two `early` ones of the mixture
+# index of the first checkpoint that is not among the two `early` ones of the mixture
+HALF_TRAINED = 2
 
 Floats = NDArray[Any]
 Row = dict[str, Any]
@@ -38,8 +41,11 @@ class Forecast(NamedTuple):
     starts: NDArray[np.int64]  # [K] rows of the recording
     cost: Floats  # [K, H] probability of a cost at the arrived state
     reward: Floats  # [K, H]
-    ends: Floats  # [K, H] probability that the episode ends by its own rule in arriving there, given that it went on until then
-    follow: NDArray[np.int64]  # [K, H] rows that really followed; after the end of an episode its last one
+    # [K, H] probability that the episode ends by its own rule in arriving there, given that it went
+    # on until then
+    ends: Floats
+    # [K, H] rows that really followed; after the end of an episode its last one
+    follow: NDArray[np.int64]
     within: NDArray[np.bool_]  # [K, H] the episode was still going; only these steps are judged
 
 
@@ -51,15 +57,21 @@ class Alarm(NamedTuple):
 
     def up(self, cost: Floats) -> NDArray[np.bool_]:
         """Return where the alarm [K] is raised by costs [K, H]."""
-        raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(1) > self.threshold
+        raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(
+            1
+        ) > self.threshold
         return raised
 
 
-def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
-    """Choose at most `count` rows [K], evenly spread over those from which `horizon` rows follow within their episode.
+def spread_starts(
+    recording: Recording, horizon: int, count: int, *, ended: bool = False
+) -> NDArray[np.int64]:
+    """Choose at most `count` rows [K], evenly spread over those from which `horizon` rows follow
+    within their episode.
 
-    With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it, the others never see the goal. Episodes
-    that a time limit cuts off say nothing of what would have followed.
+    With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it,
+    the others never see the goal. Episodes that a time limit cuts off say nothing of what would
+    have followed.
     """
     starts = recording.window_starts(horizon + 1)
     if ended:
@@ -72,9 +84,14 @@ def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool
     return chosen
 
 
-def what_followed(recording: Recording, starts: NDArray[np.int64], horizon: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
-    last = np.searchsorted(recording.episode, recording.episode[starts], side="right")[:, None] - 1  # [K, 1]
+def what_followed(
+    recording: Recording, starts: NDArray[np.int64], horizon: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the rows [K, H] after each start, after the end of its episode the last one again,
+    and whether the episode was still going.
+    """
+    # [K, 1]
+    last = np.searchsorted(recording.episode, recording.episode[starts], side="right")[:, None] - 1
     ahead: NDArray[np.int64] = starts[:, None] + 1 + np.arange(horizon)
     within: NDArray[np.bool_] = ahead <= last
     return np.minimum(ahead, last), within
@@ -82,7 +99,13 @@ def what_followed(recording: Recording, starts: NDArray[np.int64], horizon: int)
 
 @torch.inference_mode()
 def forecast(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+    model: SafetyWorldModel,
+    recording: Recording,
+    latents: Latents,
+    starts: NDArray[np.int64],
+    horizon: int,
+    samples: int,
+    seed: int,
 ) -> Forecast:
     """Imagine from `starts` [K] under the true actions."""
     source = generator(seed)
@@ -100,13 +123,17 @@ def forecast(
     return Forecast(starts, cost.numpy(), reward.numpy(), ends.numpy(), follow, within)
 
 
-def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
+def judged_steps(
+    recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]
+) -> list[Row]:
     """Judge every imagined step: a row of numbers for each.
 
-    `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95 % interval of it over resampled
-    episodes; `persistence` is that of "cost stays what it is at the start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of
-    the costs before which the alarm was up over the imagined window. With `onset_` only starts count that do not cost themselves.
-    `reliability` has a row per bin. `ends_` is about episodes that end by the task's own rule.
+    `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95
+    % interval of it over resampled episodes; `persistence` is that of "cost stays what it is at the
+    start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the
+    alarm was up over the imagined window. With `onset_` only starts count that do not cost
+    themselves. `reliability` has a row per bin. `ends_` is about episodes that end by the task's
+    own rule.
 
     Args:
         recording: the recorded episodes.
@@ -116,7 +143,9 @@ def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Se
     """
     raised = alarm.up(seen.cost * seen.within)
     rows = []
-    for k, (going, *columns) in enumerate(zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, seen.ends.T, strict=True), 1):
+    for k, (going, *columns) in enumerate(
+        zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, seen.ends.T, strict=True), 1
+    ):
         follow, cost, reward, ends = (column[going] for column in columns)
         now, up = recording.cost[seen.starts[going]], raised[going]
         calm = now == 0
@@ -128,61 +157,97 @@ def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Se
         by = {kind: recording.sources[follow, i] > 0 for i, kind in enumerate(sources)}
         rows.append(
             {
-                "k": k, "base": base, "auprc": average_precision(event, cost), "auprc_low": low, "auprc_high": high,
+                "k": k,
+                "base": base,
+                "auprc": average_precision(event, cost),
+                "auprc_low": low,
+                "auprc_high": high,
                 "persistence": average_precision(event, now),
-                "onset_base": _mean(event[calm]), "onset_auprc": average_precision(event[calm], cost[calm]),
-                "recall": recall_at(event, cost, FALSE_ALARMS), "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
-                "foreseen": _mean(up[event]), "onset_foreseen": _mean(up[event & calm]),
+                "onset_base": _mean(event[calm]),
+                "onset_auprc": average_precision(event[calm], cost[calm]),
+                "recall": recall_at(event, cost, FALSE_ALARMS),
+                "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
+                "foreseen": _mean(up[event]),
+                "onset_foreseen": _mean(up[event & calm]),
                 "foreseen_by_source": {kind: _mean(up[costs]) for kind, costs in by.items()},
                 "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
-                "calibration_error": calibration_error(bins), "reliability": [row._asdict() for row in bins],
+                "calibration_error": calibration_error(bins),
+                "reliability": [row._asdict() for row in bins],
                 "reward_r2": 1.0 - error / variance if variance else float("nan"),
-                "reward_error": error, "reward_variance": variance,
-                "ends_base": _mean(over), "ends_auprc": average_precision(over, ends),
+                "reward_error": error,
+                "reward_variance": variance,
+                "ends_base": _mean(over),
+                "ends_auprc": average_precision(over, ends),
                 "ends_over_base": float(ends.mean()) / _mean(over) if over.any() else float("nan"),
             }
-        )  # fmt: skip
+        )
     return rows
 
 
 def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
-    """Judge the whole window, or what the episode left of it: the sum of costs, and whether there is any.
+    """Judge the whole window, or what the episode left of it: the sum of costs, and whether there
+    is any.
 
     The score of "any" is 1 - prod(1 - c-hat) over the steps.
     """
-    costs, predicted = recording.cost[seen.follow] * seen.within, seen.cost.astype(np.float64) * seen.within  # [K, H]
+    # [K, H]
+    costs, predicted = (
+        recording.cost[seen.follow] * seen.within,
+        seen.cost.astype(np.float64) * seen.within,
+    )
     event, calm = costs.sum(1) > 0, recording.cost[seen.starts] == 0
     score, up = 1.0 - np.prod(1.0 - predicted, 1), alarm.up(predicted)
-    table: Row = {"cost_correlation": _correlation(predicted.sum(1), costs.sum(1)), **alarm._asdict()}
+    table: Row = {
+        "cost_correlation": _correlation(predicted.sum(1), costs.sum(1)),
+        **alarm._asdict(),
+    }
     for prefix, rows in (("", np.ones(len(event), bool)), ("onset_", calm)):
         table |= {
-            f"{prefix}base": _mean(event[rows]), f"{prefix}auprc": average_precision(event[rows], score[rows]),
+            f"{prefix}base": _mean(event[rows]),
+            f"{prefix}auprc": average_precision(event[rows], score[rows]),
             f"{prefix}recall": recall_at(event[rows], score[rows], FALSE_ALARMS),
-            f"{prefix}foreseen": _mean(up[rows & event]), f"{prefix}false_alarms": _mean(up[rows & ~event]),
-        }  # fmt: skip
+            f"{prefix}foreseen": _mean(up[rows & event]),
+            f"{prefix}false_alarms": _mean(up[rows & ~event]),
+        }
     return table | {"persistence": average_precision(event, recording.cost[seen.starts])}
 
 
 @torch.inference_mode()
-def judged_filter(model: SafetyWorldModel, recording: Recording, latents: Latents, images: int) -> Row:
+def judged_filter(
+    model: SafetyWorldModel, recording: Recording, latents: Latents, images: int
+) -> Row:
     """Judge the filtered state itself (k = 0): its cost, and how well it shows its own image."""
-    index = torch.from_numpy(np.flatnonzero(recording.first == 0))  # nothing can cost before the first decision
+    # nothing can cost before the first decision
+    index = torch.from_numpy(np.flatnonzero(recording.first == 0))
     cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
     event = recording.cost[index.numpy()] > 0
     base = _mean(event)
-    chosen = np.linspace(0, len(recording.first) - 1, min(images, len(recording.first))).round().astype(int)
+    chosen = (
+        np.linspace(0, len(recording.first) - 1, min(images, len(recording.first)))
+        .round()
+        .astype(int)
+    )
     true = recording.pixels[chosen].astype(np.float32) / 255.0
-    decoded = torch.cat([model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]).numpy()
+    decoded = torch.cat(
+        [model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]
+    ).numpy()
     return {
-        "base": base, "auprc": average_precision(event, cost), "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
+        "base": base,
+        "auprc": average_precision(event, cost),
+        "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
         "image_error": float(((decoded - true) ** 2).mean()),
         "image_variance": float(((model.mean_image.numpy() - true) ** 2).mean()),
-    }  # fmt: skip
+    }
 
 
 @torch.inference_mode()
 def imagined_images(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, source: torch.Generator
+    model: SafetyWorldModel,
+    recording: Recording,
+    latents: Latents,
+    starts: NDArray[np.int64],
+    horizon: int,
+    source: torch.Generator,
 ) -> Floats:
     """Imagine images of one future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
     actions = torch.from_numpy(recording.action[starts[:, None] + 1 + np.arange(horizon)])
@@ -194,17 +259,31 @@ def imagined_images(
 
 
 def judged_images(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+    model: SafetyWorldModel,
+    recording: Recording,
+    latents: Latents,
+    starts: NDArray[np.int64],
+    horizon: int,
+    samples: int,
+    seed: int,
 ) -> list[Row]:
     """Judge images per imagined step from starts [K].
 
-    Squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image;
+    Squared error per pixel of the imagined image (mean over samples) and of a copy of the start's
+    image;
 
-    `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of the change that is explained.
+    `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of
+    the change that is explained.
     """
     source, error, copy = generator(seed), np.zeros(horizon), np.zeros(horizon)
     for part in np.array_split(starts, max(1, len(starts) // 8)):
-        imagined = sum(imagined_images(model, recording, latents, part, horizon, source) for _ in range(samples)) / samples
+        imagined = (
+            sum(
+                imagined_images(model, recording, latents, part, horizon, source)
+                for _ in range(samples)
+            )
+            / samples
+        )
         true = recording.pixels[part[:, None] + 1 + np.arange(horizon)].astype(np.float32) / 255.0
         last = recording.pixels[part].astype(np.float32)[:, None] / 255.0
         error += ((imagined - true) ** 2).mean((2, 3, 4)).sum(0)
@@ -213,7 +292,14 @@ def judged_images(
     rows = []
     for mine, theirs in zip((error / count).tolist(), (copy / count).tolist(), strict=True):
         ratio = mine / theirs if theirs else float("nan")
-        rows.append({"image_error": mine, "copy_error": theirs, "image_over_copy": ratio, "image_explained": 1.0 - ratio})
+        rows.append(
+            {
+                "image_error": mine,
+                "copy_error": theirs,
+                "image_over_copy": ratio,
+                "image_explained": 1.0 - ratio,
+            }
+        )
     return rows
 
 
@@ -228,7 +314,9 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 
 def unseen_behaviours(skills: int) -> list[Behaviour]:
-    """List the kinds of operators; a half-trained one only where there is a checkpoint between the early ones and the last."""
+    """List the kinds of operators; a half-trained one only where there is a checkpoint between
+    the early ones and the last.
+    """
     kinds = [
         Behaviour("sticky noise", sticky=1.0),
         Behaviour("delay with noise", delay=4, gaussian=0.25),
@@ -239,7 +327,9 @@ def unseen_behaviours(skills: int) -> list[Behaviour]:
     return [kind for kind in kinds if kind.skill < 0 or kind.skill < skills - 1]
 
 
-def unseen_episodes(task: VectorTask, skills: Sequence[PrivilegedPolicy], task_name: str, seed: int) -> Recording:
+def unseen_episodes(
+    task: VectorTask, skills: Sequence[PrivilegedPolicy], task_name: str, seed: int
+) -> Recording:
     """Record one episode per row of the task, with seeds that no other stage uses.
 
     Args:
@@ -248,6 +338,11 @@ def unseen_episodes(task: VectorTask, skills: Sequence[PrivilegedPolicy], task_n
     """
     kinds = unseen_behaviours(len(skills))
     rows = [kinds[i % len(kinds)] for i in range(task.batch)]
-    commander = Commander(skills, rows, task.action_size, np.random.default_rng(derive("diagnostics-commands", task_name, seed)))
+    commander = Commander(
+        skills,
+        rows,
+        task.action_size,
+        np.random.default_rng(derive("diagnostics-commands", task_name, seed)),
+    )
     seeds = [derive("diagnostics-episode", task_name, seed, i) for i in range(task.batch)]
     return record(task, seeds, commander.command, [kind.name for kind in rows], 0)

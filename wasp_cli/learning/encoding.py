@@ -17,7 +17,8 @@ SIDE_BY_SIDE = 16  # episodes that are filtered together on a CPU
 
 @torch.inference_mode()
 def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Latents:
-    """Filter every recorded row as the closed loop would: episodes side by side, the posterior's mode.
+    """Filter every recorded row as the closed loop would: episodes side by side, the posterior's
+    mode.
 
     Args:
         recording: pixels, action, first and episode of N rows.
@@ -37,13 +38,19 @@ def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Lat
             # Rows whose episode is over repeat its last row; what they produce is not stored.
             index = np.array([rows[min(t, len(rows) - 1)] for rows in group])
             action, pixels, first = (
-                torch.from_numpy(field[index]).to(device) for field in (recording.action, recording.pixels, recording.first)
+                torch.from_numpy(field[index]).to(device)
+                for field in (recording.action, recording.pixels, recording.first)
             )
             latent = model.filter(latent, action, pixels, first)
             live = torch.tensor([t < len(rows) for rows in group])
             keep = torch.from_numpy(index)[live]
             h[keep] = latent.h.cpu()[live]
-            z[keep] = latent.z.cpu()[live].unflatten(-1, (model.sizes.variables, -1)).argmax(-1).to(torch.uint8)
+            z[keep] = (
+                latent.z.cpu()[live]
+                .unflatten(-1, (model.sizes.variables, -1))
+                .argmax(-1)
+                .to(torch.uint8)
+            )
         done = min(begin + together, len(episodes))
         report(done / len(episodes), f"encoding episode {done}/{len(episodes)}")
     return Latents(h, z, model.sizes.classes)

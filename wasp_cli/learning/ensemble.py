@@ -1,4 +1,6 @@
-"""IDA's Q ensemble: TD learning of Q^{pi_E}(h, z, a) on recorded transitions, impaired ones included."""
+"""IDA's Q ensemble: TD learning of Q^{pi_E}(h, z, a) on recorded transitions, impaired ones
+included.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,12 @@ def train_ensemble(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[QEnsemble, list[float]]:
-    """Learn Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
+    """Learn Q of acting once and following the expert afterwards: target r + gamma Q'(s',
+    pi_E(s')).
 
-    Every member has a target network of its own and sees the same transitions; a third of each batch comes from uniformly
-    random commands being executed ('noisy', 'bursts', 'random'), so that human-like actions are covered.
+    Every member has a target network of its own and sees the same transitions; a third of each
+    batch comes from uniformly random commands being executed ('noisy', 'bursts', 'random'), so that
+    human-like actions are covered.
 
     Returns:
         The ensemble, and its TD loss at every hundredth update.
@@ -42,7 +46,9 @@ def train_ensemble(
     source = generator(seed)
     windows = recording.window_starts(2)
     starts = torch.from_numpy(windows[~recording.held_out(HELD_OUT)[windows]])
-    odd = torch.from_numpy(np.flatnonzero(np.isin(recording.behaviour[starts.numpy()], ["noisy", "bursts", "random"])))
+    odd = torch.from_numpy(
+        np.flatnonzero(np.isin(recording.behaviour[starts.numpy()], ["noisy", "bursts", "random"]))
+    )
     action, reward = torch.from_numpy(recording.action), torch.from_numpy(recording.reward)
     terminal = torch.from_numpy(recording.terminal)
     curve: list[float] = []
@@ -65,13 +71,19 @@ def train_ensemble(
                 old.lerp_(new, config.target_rate)
         if update % 100 == 0:
             curve.append(float(loss.detach()))
-            report(update / config.updates, f"update {update}/{config.updates}, loss {curve[-1]:.4f}")
+            report(
+                update / config.updates, f"update {update}/{config.updates}, loss {curve[-1]:.4f}"
+            )
     ensemble.eval().requires_grad_(False)
     return ensemble, curve
 
 
 @torch.inference_mode()
 def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float) -> Pairs:
-    """Pair Q(h, z, a^E), mean over the members, with the discounted reward that really followed on episodes of the unimpaired expert."""
+    """Pair Q(h, z, a^E), mean over the members, with the discounted reward that really followed
+    on episodes of the unimpaired expert.
+    """
     q = ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
-    return pairs(q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma)
+    return pairs(
+        q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma
+    )

@@ -16,7 +16,9 @@ Array = NDArray[Any]
 
 
 def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
-    """Return one trajectory and the decision times [T] in milliseconds of each episode, without the rows after its end."""
+    """Return one trajectory and the decision times [T] in milliseconds of each episode, without
+    the rows after its end.
+    """
     batch = loop.alive.shape[1]
     records = _stacked([decision.record or blank_record(batch) for decision in loop.decisions])
     planned = [decision.planned for decision in loop.decisions if decision.planned is not None]
@@ -26,20 +28,29 @@ def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
         rows = loop.alive[:, b].astype(bool)
         found.append(
             Trajectory(
-                reward=loop.reward[rows, b], cost=loop.cost[rows, b].astype(bool), cost_env=loop.cost_env[rows, b],
-                env_steps=loop.env_steps[rows, b], goals=loop.goals[rows, b],
-                a_h=loop.a_h[rows, b].astype(np.float64), a=loop.action[rows, b].astype(np.float64),
+                reward=loop.reward[rows, b],
+                cost=loop.cost[rows, b].astype(bool),
+                cost_env=loop.cost_env[rows, b],
+                env_steps=loop.env_steps[rows, b],
+                goals=loop.goals[rows, b],
+                a_h=loop.a_h[rows, b].astype(np.float64),
+                a=loop.action[rows, b].astype(np.float64),
                 **{name: _finite(values[rows, b]) for name, values in records.items()},
-                plans=None if plans is None else Plans(**{name: _finite(values[rows, b]) for name, values in plans.items()}),
+                plans=None
+                if plans is None
+                else Plans(**{name: _finite(values[rows, b]) for name, values in plans.items()}),
             )
-        )  # fmt: skip
+        )
         times.append(loop.decision_ms[rows])
     return found, times
 
 
 def _stacked(decisions: list[Any] | list[Planned]) -> dict[str, Array]:
     """The fields of T decisions, each [T, B, ...]."""
-    return {name: torch.stack([getattr(decision, name) for decision in decisions]).cpu().numpy() for name in decisions[0]._fields}
+    return {
+        name: torch.stack([getattr(decision, name) for decision in decisions]).cpu().numpy()
+        for name in decisions[0]._fields
+    }
 
 
 def _finite(values: Array) -> Array:

@@ -12,7 +12,9 @@ from wasp_cli.models.weights import read_tensors
 
 
 def save_heldout(heldout: Heldout, folder: Path) -> None:
-    """Write `heldout.safetensors`: h [N, D], z [N, Z], a_h [N, A] and, [N] each, reward, cost, episode and terminal."""
+    """Write `heldout.safetensors`: h [N, D], z [N, Z], a_h [N, A] and, [N] each, reward, cost,
+    episode and terminal.
+    """
     latent, *rest = heldout
     named = dict(zip(Heldout._fields[1:], rest, strict=True))
     save_file({"h": latent.h, "z": latent.z, **named}, folder / "heldout.safetensors")
@@ -21,4 +23,6 @@ def save_heldout(heldout: Heldout, folder: Path) -> None:
 def load_heldout(folder: Path) -> Heldout:
     """Load the N rows of a held-out artifact."""
     t = read_tensors(folder / "heldout.safetensors")
-    return Heldout(Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"])
+    return Heldout(
+        Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"]
+    )

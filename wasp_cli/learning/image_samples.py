@@ -1,4 +1,6 @@
-"""Sample what a world model sees and imagines, as numbers: true frames beside decoded and imagined ones."""
+"""Sample what a world model sees and imagines, as numbers: true frames beside decoded and
+imagined ones.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
-COSTLY, CALM = 3, 2  # imagined windows that reach a cost from a start without one, and windows without any cost
+# imagined windows that reach a cost from a start without one, and windows without any cost
+COSTLY, CALM = 3, 2
 DECODED = 10  # frames that are decoded from the filtered state
 
 Images = NDArray[np.uint8]
@@ -33,12 +36,18 @@ class Sample(NamedTuple):
 
 
 @torch.inference_mode()
-def decoded_sample(model: SafetyWorldModel, recording: Recording, latents: Latents, count: int = DECODED) -> Sample:
-    """Decode `count` filtered states: spread over the episodes, the second half of them costly ones where there are any."""
+def decoded_sample(
+    model: SafetyWorldModel, recording: Recording, latents: Latents, count: int = DECODED
+) -> Sample:
+    """Decode `count` filtered states: spread over the episodes, the second half of them costly
+    ones where there are any.
+    """
     spread = np.linspace(0, len(recording.first) - 1, count).astype(int)
     costly = np.flatnonzero(recording.cost > 0)
     if len(costly):
-        spread[count // 2 :] = costly[np.linspace(0, len(costly) - 1, count - count // 2).astype(int)]
+        spread[count // 2 :] = costly[
+            np.linspace(0, len(costly) - 1, count - count // 2).astype(int)
+        ]
     seen = latents.at(torch.from_numpy(spread))
     return Sample(spread, _bytes(model.decode(seen).numpy()), model.cost(seen).numpy())
 
@@ -46,7 +55,8 @@ def decoded_sample(model: SafetyWorldModel, recording: Recording, latents: Laten
 def sampled_windows(recording: Recording, seen: Forecast) -> list[int]:
     """Choose windows, as indices into the starts of the forecast.
 
-    Onsets of a cost late in the window first, spread over the episodes, then windows without any cost.
+    Onsets of a cost late in the window first, spread over the episodes, then windows without any
+    cost.
     """
     whole: NDArray[np.bool_] = np.asarray(seen.within.all(1))
     costs = (recording.cost[seen.follow] > 0) & whole[:, None]
@@ -57,16 +67,25 @@ def sampled_windows(recording: Recording, seen: Forecast) -> list[int]:
     if not len(onset):
         onset = np.flatnonzero(costs.any(1))
     quiet = np.flatnonzero(calm & ~costs.any(1))
-    return [int(i) for group, count in ((onset, COSTLY), (quiet, CALM)) for i in _spread(group, count)]
+    return [
+        int(i) for group, count in ((onset, COSTLY), (quiet, CALM)) for i in _spread(group, count)
+    ]
 
 
 @torch.inference_mode()
 def imagined_samples(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, seen: Forecast, windows: Sequence[int], seed: int
+    model: SafetyWorldModel,
+    recording: Recording,
+    latents: Latents,
+    seen: Forecast,
+    windows: Sequence[int],
+    seed: int,
 ) -> list[Sample]:
-    """Imagine the chosen windows once each: 1 + H frames, the first of which is the decoded filtered state.
+    """Imagine the chosen windows once each: 1 + H frames, the first of which is the decoded
+    filtered state.
 
-    Predicted costs are those of the forecast (means over its samples), the first one is the filtered state's.
+    Predicted costs are those of the forecast (means over its samples), the first one is the
+    filtered state's.
     """
     index, horizon = np.array(windows, int), seen.cost.shape[1]
     starts = seen.starts[index]
@@ -75,14 +94,20 @@ def imagined_samples(
     future = imagined_images(model, recording, latents, starts, horizon, generator(seed))
     imagined = _bytes(np.concatenate([begun, future], 1))
     predicted = np.concatenate([cost, seen.cost[index]], 1)
-    return [Sample(np.arange(start, start + horizon + 1), imagined[i], predicted[i]) for i, start in enumerate(starts.tolist())]
+    return [
+        Sample(np.arange(start, start + horizon + 1), imagined[i], predicted[i])
+        for i, start in enumerate(starts.tolist())
+    ]
 
 
-def write_samples(path: Path, recording: Recording, decoded: Sample, imagined: Sequence[Sample]) -> None:
+def write_samples(
+    path: Path, recording: Recording, decoded: Sample, imagined: Sequence[Sample]
+) -> None:
     """Write a Parquet file with a row per frame.
 
-    Columns: `window` (-1: decoded, then the imagined ones by number), `step` (place in it), `behaviour`, `episode`, `decision` (rows since
-    the episode began), `cost` (the real one), `predicted` (its probability), `true` and `model` (the bytes of uint8 [6, 64, 64]).
+    Columns: `window` (-1: decoded, then the imagined ones by number), `step` (place in it),
+    `behaviour`, `episode`, `decision` (rows since the episode began), `cost` (the real one),
+    `predicted` (its probability), `true` and `model` (the bytes of uint8 [6, 64, 64]).
     """
     samples = [decoded, *imagined]
     rows = np.concatenate([sample.rows for sample in samples])
@@ -95,17 +120,27 @@ def write_samples(path: Path, recording: Recording, decoded: Sample, imagined: S
         "episode": pa.array(recording.episode[rows], pa.int32()),
         "decision": pa.array(decision, pa.int32()),
         "cost": pa.array(recording.cost[rows], pa.float32()),
-        "predicted": pa.array(np.concatenate([sample.predicted for sample in samples]), pa.float32()),
+        "predicted": pa.array(
+            np.concatenate([sample.predicted for sample in samples]), pa.float32()
+        ),
         "true": _binary(recording.pixels[rows]),
         "model": _binary(np.concatenate([sample.images for sample in samples])),
     }
-    pq.write_table(pa.table(columns), path, compression="zstd", compression_level=3, use_dictionary=["behaviour"])
+    pq.write_table(
+        pa.table(columns),
+        path,
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=["behaviour"],
+    )
 
 
 def _binary(images: Images) -> pa.Array:
     """[K, 6, 64, 64] to K binary values."""
     size = int(np.prod(images.shape[1:]))
-    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(size), len(images), [None, pa.py_buffer(np.ascontiguousarray(images))])
+    return pa.FixedSizeBinaryArray.from_buffers(
+        pa.binary(size), len(images), [None, pa.py_buffer(np.ascontiguousarray(images))]
+    )
 
 
 def _bytes(images: NDArray[Any]) -> Images:
@@ -116,5 +151,7 @@ def _bytes(images: NDArray[Any]) -> Images:
 def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """At most `count` of the rows, from the middles of equal parts."""
     count = min(count, len(rows))
-    spread: NDArray[np.int64] = rows[((np.arange(count) + 0.5) / max(1, count) * len(rows)).astype(int)]
+    spread: NDArray[np.int64] = rows[
+        ((np.arange(count) + 0.5) / max(1, count) * len(rows)).astype(int)
+    ]
     return spread

@@ -1,4 +1,5 @@
-"""Operators who know more than assistants perceive: in the task they follow the privileged policies (`TaskInfo.informed`).
+"""Operators who know more than assistants perceive: in the task they follow the privileged policies
+(`TaskInfo.informed`).
 
 In imagination there is nothing privileged: there they follow the latent policy of the same skill.
 """
@@ -22,8 +23,11 @@ def observed(task: str) -> tuple[str, ...]:
     return ("pixels", "privileged") if TASKS[task].informed else ("pixels",)
 
 
-def informed_policies(task: str, inputs: Mapping[str, Path], device: torch.device | None = None) -> Callable[[float], Policy] | None:
-    """Return the policies of operators in a task by skill, on privileged observations [B, P]; None where they perceive what assistants do.
+def informed_policies(
+    task: str, inputs: Mapping[str, Path], device: torch.device | None = None
+) -> Callable[[float], Policy] | None:
+    """Return the policies of operators in a task by skill, on privileged observations [B, P]; None
+    where they perceive what assistants do.
 
     Args:
         inputs: artifact folders by stage kind; that of the expert is read.

@@ -1,4 +1,6 @@
-"""Recorded states with the expert's own action at each, from which Diffusion and CSA learn. N = recorded rows, A = action size."""
+"""Recorded states with the expert's own action at each, from which Diffusion and CSA learn. N =
+recorded rows, A = action size.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +32,27 @@ class LabelledStates(NamedTuple):
         return self.latents.h.shape[1] + self.latents.z.shape[1] * self.latents.classes
 
     def held_out(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return features [K, F], the expert's actions [K, A] and those that were executed [K, A] at K held-out decisions."""
+        """Return features [K, F], the expert's actions [K, A] and those that were executed [K,
+        A] at K held-out decisions.
+        """
         # The action at row i + 1 is what was executed at the state of row i.
-        held = torch.from_numpy(np.flatnonzero(self.recording.held_out(HELD_OUT)[:-1] & ~self.recording.first[1:].astype(bool)))
+        held = torch.from_numpy(
+            np.flatnonzero(
+                self.recording.held_out(HELD_OUT)[:-1] & ~self.recording.first[1:].astype(bool)
+            )
+        )
         held = held[:: max(1, len(held) // JUDGED)]
-        return self.latents.at(held).features, self.labels[held], torch.from_numpy(self.recording.action)[held + 1]
+        return (
+            self.latents.at(held).features,
+            self.labels[held],
+            torch.from_numpy(self.recording.action)[held + 1],
+        )
 
 
 def load_labelled(inputs: Mapping[str, Path]) -> LabelledStates:
-    """Read the rows of a dataset with their latents, and ask the expert about each; `inputs` are artifact folders by stage kind."""
+    """Read the rows of a dataset with their latents, and ask the expert about each; `inputs`
+    are artifact folders by stage kind.
+    """
     recording = read_shards(inputs["dataset"], ["privileged", "action", "first", "episode"])
     with torch.inference_mode():
         labels = load_privileged(inputs["expert"], 1.0)(torch.from_numpy(recording.privileged))

@@ -30,7 +30,9 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class MultiplierRule:
-    """lambda <- clip(lambda + rate * (cost / limit - 1), floor, bound), once per rollout, `delay` interactions after the start."""
+    """lambda <- clip(lambda + rate * (cost / limit - 1), floor, bound), once per rollout,
+    `delay` interactions after the start.
+    """
 
     follows = "cost_per_1000"
     initial: float
@@ -42,7 +44,9 @@ class MultiplierRule:
     later: tuple[int, float] | None = None  # another limit from so many interactions on
 
     def next(self, value: float, cost: float, at: int = 0) -> float:
-        """Return the multiplier after one of `value`, where the latest cost was that per 1000 env steps, `at` so many interactions."""
+        """Return the multiplier after one of `value`, where the latest cost was that per 1000
+        env steps, `at` so many interactions.
+        """
         limit = self.later[1] if self.later is not None and at >= self.later[0] else self.limit
         excess = cost / max(limit, 1e-9) - 1.0
         return min(self.bound, max(self.floor, value + self.rate * excess))
@@ -50,7 +54,9 @@ class MultiplierRule:
 
 @dataclass(frozen=True)
 class ReturnRule:
-    """lambda <- clip(lambda + rate * (1 - return / least), 0, bound): the multiplier of a least return per episode."""
+    """lambda <- clip(lambda + rate * (1 - return / least), 0, bound): the multiplier of a least
+    return per episode.
+    """
 
     follows = "return"
     initial: float
@@ -61,18 +67,24 @@ class ReturnRule:
 
     def __post_init__(self) -> None:
         if self.least <= 0:
-            raise ValueError(f"the least return is {self.least:g}, and only a positive one can be asked for")
+            raise ValueError(
+                f"the least return is {self.least:g}, and only a positive one can be asked for"
+            )
 
     def next(self, value: float, measured: float, at: int = 0) -> float:
-        """Return the multiplier after one of `value`, where the latest episodes returned `measured`; whenever that is."""
+        """Return the multiplier after one of `value`, where the latest episodes returned
+        `measured`; whenever that is.
+        """
         return min(self.bound, max(0.0, value + self.rate * (1.0 - measured / self.least)))
 
 
 class LagrangianCallback(BaseCallback):
-    """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores checkpoints.
+    """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores
+    checkpoints.
 
-    The multiplier follows the mean over the latest rollouts that together are as long as an episode. A single one is too noisy, and
-    where the rows are in phase, it is only a part of the episode.
+    The multiplier follows the mean over the latest rollouts that together are as long as an
+    episode. A single one is too noisy, and where the rows are in phase, it is only a part of the
+    episode.
 
     Args:
         env: whose multiplier moves.
@@ -105,7 +117,11 @@ class LagrangianCallback(BaseCallback):
         """Continue a training with that curve, whose owners have been restored."""
         self.curve = list(curve)
         if curve:
-            self._checkpoints = {at: store for at, store in self._checkpoints.items() if at > curve[-1]["interactions"]}
+            self._checkpoints = {
+                at: store
+                for at, store in self._checkpoints.items()
+                if at > curve[-1]["interactions"]
+            }
 
     def _on_step(self) -> bool:
         for at in [a for a in self._checkpoints if self.num_timesteps >= a]:
@@ -126,12 +142,19 @@ class LagrangianCallback(BaseCallback):
         self.curve.append(row)
         measured = self._average()
         if self.num_timesteps >= self._rule.delay and not math.isnan(measured):
-            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, measured, self.num_timesteps)
-        text = f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier {row['multiplier']:.2f}"
+            self._tasks.multiplier = self._rule.next(
+                self._tasks.multiplier, measured, self.num_timesteps
+            )
+        text = (
+            f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier "
+            f"{row['multiplier']:.2f}"
+        )
         self._progress(min(1.0, self.num_timesteps / self.total), text)
 
     def _average(self) -> float:
-        """What the rule follows, over about the length of an episode; NaN where no episode ended. All rollouts are equally long."""
+        """What the rule follows, over about the length of an episode; NaN where no episode
+        ended. All rollouts are equally long.
+        """
         model: Any = self.model
         rollouts = math.ceil(self._tasks.task.max_decisions / model.n_steps)
         found = [row[self._rule.follows] for row in self.curve[-rollouts:]]

@@ -1,4 +1,6 @@
-"""PPO on latents with stable-baselines3: tasks seen through the world model's filter, and a start for the value function alone."""
+"""PPO on latents with stable-baselines3: tasks seen through the world model's filter, and a
+start for the value function alone.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,18 @@ from wasp_cli.tasks.base import Observation, VectorTask
 
 
 class FilteredTask(TaskVecEnv):
-    """The task as a policy on latents meets it: it sees features (h, z), and its action within the bounds is executed."""
+    """The task as a policy on latents meets it: it sees features (h, z), and its action within
+    the bounds is executed.
+    """
 
     def __init__(
-        self, task: VectorTask, model: SafetyWorldModel, next_seed: Callable[[], int], *, extra: int = 0, bound: float = 1.0
+        self,
+        task: VectorTask,
+        model: SafetyWorldModel,
+        next_seed: Callable[[], int],
+        *,
+        extra: int = 0,
+        bound: float = 1.0,
     ) -> None:
         self._filter = Filter(model, task.batch)
         super().__init__(task, model.feature_size + extra, -bound, bound, next_seed)
@@ -31,11 +41,15 @@ class FilteredTask(TaskVecEnv):
         return self.features(seen, torch.from_numpy(rows), executed).numpy()
 
     def features(self, seen: Observation, first: Tensor, executed: Array) -> Tensor:
-        """Return features [B, F] after `executed` [B, A]. Where some rows are `first` [B], the others are filtered already and stay."""
+        """Return features [B, F] after `executed` [B, A]. Where some rows are `first` [B], the
+        others are filtered already and stay.
+        """
         if first.any() and not first.all():
             old, new = self._filter.latent, self._filter.see(seen, first.float())
             mask = first.unsqueeze(-1)
-            self._filter.latent = type(new)(torch.where(mask, new.h, old.h), torch.where(mask, new.z, old.z))
+            self._filter.latent = type(new)(
+                torch.where(mask, new.h, old.h), torch.where(mask, new.z, old.z)
+            )
         else:
             self._filter.executed(torch.from_numpy(np.asarray(executed, np.float32)))
             self._filter.see(seen, first.float())
@@ -46,7 +60,9 @@ class FilteredTask(TaskVecEnv):
 
 
 class ValueWarmup(BaseCallback):
-    """Trains only the value function during the first interactions, so that the actor does not move on its noise."""
+    """Trains only the value function during the first interactions, so that the actor does not
+    move on its noise.
+    """
 
     def __init__(self, until: int) -> None:
         super().__init__()

@@ -32,7 +32,10 @@ class Latents(NamedTuple):
 
 def save_latents(latents: Latents, folder: Path) -> None:
     """Write `latents.safetensors`: h as float16 [N, D], z as class indices [N, S]."""
-    save_file({"h": latents.h.half(), "z": latents.z, "classes": torch.tensor(latents.classes)}, folder / "latents.safetensors")
+    save_file(
+        {"h": latents.h.half(), "z": latents.z, "classes": torch.tensor(latents.classes)},
+        folder / "latents.safetensors",
+    )
 
 
 def load_latents(folder: Path) -> Latents:

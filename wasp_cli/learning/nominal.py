@@ -26,14 +26,18 @@ def expert_episodes(
     keep_latents: bool = False,
     informed: Callable[[float], Policy] | None = None,
 ) -> Loop:
-    """Run an episode per seed of the unimpaired operator without assistance: the latent expert, or one of the `informed` policies."""
+    """Run an episode per seed of the unimpaired operator without assistance: the latent expert,
+    or one of the `informed` policies.
+    """
     context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
     operator = Operator.build(1.0, context, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)
 
 
 def heldout_rows(loop: Loop) -> Heldout:
-    """Take the decisions of a recorded loop, episode after episode, without those after an episode's end."""
+    """Take the decisions of a recorded loop, episode after episode, without those after an
+    episode's end.
+    """
     assert loop.h is not None
     assert loop.z is not None
     alive = torch.from_numpy(loop.alive.T.copy())  # [B, T]
@@ -43,7 +47,10 @@ def heldout_rows(loop: Loop) -> Heldout:
         return values.transpose(0, 1)[alive].clone()
 
     return Heldout(
-        Latent(rows(loop.h), rows(loop.z)), rows(torch.from_numpy(loop.a_h)), rows(torch.from_numpy(loop.reward.astype(np.float32))),
-        rows(torch.from_numpy(loop.cost.astype(np.float32))), episode[alive].clone(),
+        Latent(rows(loop.h), rows(loop.z)),
+        rows(torch.from_numpy(loop.a_h)),
+        rows(torch.from_numpy(loop.reward.astype(np.float32))),
+        rows(torch.from_numpy(loop.cost.astype(np.float32))),
+        episode[alive].clone(),
         rows(torch.from_numpy(loop.terminated.astype(np.float32))),
-    )  # fmt: skip
+    )

@@ -1,4 +1,6 @@
-"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger)."""
+"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy
+labelling rounds (DAgger).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ class Labelled(NamedTuple):
     """N states with what every expert checkpoint would do there."""
 
     filtered: Latents  # the posterior's modes, which operators read in the task
-    imagined: Latents  # prior samples that should have arrived at the same states, which operators read in imagination
+    # prior samples that should have arrived at the same states, which operators read in imagination
+    imagined: Latents
     labels: Tensor  # [K, N, A] actions of the K checkpoints
 
     def rows(self, mask: Tensor) -> Labelled:
@@ -39,14 +42,21 @@ class Labelled(NamedTuple):
         return Labelled(self.filtered.rows(mask), self.imagined.rows(mask), self.labels[:, mask])
 
     def at(self, index: Tensor, share: float, source: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
+        """Return features [B, F] and labels [K, B, A] of some rows; a share of the features is
+        imagined.
+        """
         seen, dreamt = self.filtered.at(index).features, self.imagined.at(index).features
         mask = torch.rand(len(index), 1, generator=source) < share
         return torch.where(mask, dreamt, seen), self.labels[:, index]
 
 
 def label(
-    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], recording: Recording, latents: Latents, depth: int, seed: int
+    model: SafetyWorldModel,
+    experts: Sequence[PrivilegedPolicy],
+    recording: Recording,
+    latents: Latents,
+    depth: int,
+    seed: int,
 ) -> Labelled:
     """Ask every checkpoint about every row.
 
@@ -58,13 +68,23 @@ def label(
     privileged = torch.from_numpy(recording.privileged)
     with torch.no_grad():
         labels = torch.stack([expert(privileged) for expert in experts])
-    imagined = imagine_arrivals(model, latents, torch.from_numpy(recording.action), torch.from_numpy(recording.first), depth, seed)
+    imagined = imagine_arrivals(
+        model,
+        latents,
+        torch.from_numpy(recording.action),
+        torch.from_numpy(recording.first),
+        depth,
+        seed,
+    )
     return Labelled(latents, imagined, labels)
 
 
 @torch.no_grad()
-def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int) -> Latents:
-    """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded actions, never across an episode's start.
+def imagine_arrivals(
+    model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int
+) -> Latents:
+    """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded
+    actions, never across an episode's start.
 
     Args:
         latents: of N rows, by arrival.
@@ -73,7 +93,8 @@ def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, 
     """
     source = generator(seed)
     rows = torch.arange(len(first))
-    past = rows - torch.where(first > 0, rows, torch.zeros_like(rows)).cummax(0).values  # rows of the same episode before each
+    # rows of the same episode before each
+    past = rows - torch.where(first > 0, rows, torch.zeros_like(rows)).cummax(0).values
     steps = torch.minimum(torch.randint(1, depth + 1, (len(first),), generator=source), past)
     h, z = latents.h.clone(), latents.z.clone()
     for count in range(1, depth + 1):
@@ -81,11 +102,18 @@ def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, 
             led = action[index.unsqueeze(1) - count + 1 + torch.arange(count)]  # [n, count, A]
             arrived = roll_prior(model, latents.at(index - count), led, source)
             h[index] = arrived.h[:, -1].to(h.dtype)
-            z[index] = arrived.z[:, -1].unflatten(-1, (-1, latents.classes)).argmax(-1).to(torch.uint8)
+            z[index] = (
+                arrived.z[:, -1].unflatten(-1, (-1, latents.classes)).argmax(-1).to(torch.uint8)
+            )
     return Latents(h, z, latents.classes)
 
 
-def new_skills(experts: Sequence[PrivilegedPolicy], fractions: Sequence[float], features: int, config: PoliciesConfig) -> Skills:
+def new_skills(
+    experts: Sequence[PrivilegedPolicy],
+    fractions: Sequence[float],
+    features: int,
+    config: PoliciesConfig,
+) -> Skills:
     """Build untrained latent policies for the checkpoints of an expert."""
     skills = Skills(fractions, features, config.hidden, len(experts[-1].log_std))
     skills.exploration.copy_(experts[-1].log_std.exp())
@@ -93,7 +121,13 @@ def new_skills(experts: Sequence[PrivilegedPolicy], fractions: Sequence[float], 
 
 
 def fit(
-    skills: Skills, recorded: Labelled, visited: Sequence[Labelled], updates: int, config: PoliciesConfig, seed: int, report: Report
+    skills: Skills,
+    recorded: Labelled,
+    visited: Sequence[Labelled],
+    updates: int,
+    config: PoliciesConfig,
+    seed: int,
+    report: Report,
 ) -> None:
     """Regress every checkpoint's action on the latents.
 
@@ -114,7 +148,10 @@ def fit(
             index = torch.randint(later.labels.shape[1], (fresh,), generator=source)
             more, wanted = later.at(index, config.imagined_share, source)
             features, labels = torch.cat([features, more]), torch.cat([labels, wanted], 1)
-        errors = [F.smooth_l1_loss(skills.at(f).unbounded(features), labels[k]) for k, f in enumerate(skills.fractions)]
+        errors = [
+            F.smooth_l1_loss(skills.at(f).unbounded(features), labels[k])
+            for k, f in enumerate(skills.fractions)
+        ]
         loss = torch.stack(errors).sum()
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * (1 - 0.95 * update / updates)
@@ -131,7 +168,11 @@ def _joined(parts: Sequence[Labelled]) -> Labelled | None:
         return None
 
     def latents(chosen: Sequence[Latents]) -> Latents:
-        return Latents(torch.cat([part.h for part in chosen]), torch.cat([part.z for part in chosen]), chosen[0].classes)
+        return Latents(
+            torch.cat([part.h for part in chosen]),
+            torch.cat([part.z for part in chosen]),
+            chosen[0].classes,
+        )
 
     return Labelled(
         latents([part.filtered for part in parts]),
@@ -142,7 +183,9 @@ def _joined(parts: Sequence[Labelled]) -> Labelled | None:
 
 @torch.no_grad()
 def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
-    """Return the share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
+    """Return the share of the labels' variance that each checkpoint's policy explains, on
+    filtered and on imagined latents.
+    """
     found: dict[str, dict[str, float]] = {}
     for name, latents in (("filtered", states.filtered), ("imagined", states.imagined)):
         features = latents.at(torch.arange(states.labels.shape[1])).features
@@ -155,36 +198,53 @@ def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
 
 @torch.no_grad()
 def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
-    """Return how alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
+    """Return how alike each policy acts on filtered latents and on imagined ones of the same
+    states: the share of its own variance.
 
-    Operators act on both. A reinforced policy has met the filtered ones only, and has left the labels that `explained` compares with.
+    Operators act on both. A reinforced policy has met the filtered ones only, and has left the
+    labels that `explained` compares with.
     """
     index = torch.arange(states.labels.shape[1])
     filtered, imagined = states.filtered.at(index).features, states.imagined.at(index).features
     found = {}
     for fraction in skills.fractions:
         mine, theirs = skills.at(fraction)(filtered), skills.at(fraction)(imagined)
-        found[f"{fraction:g}"] = float(1 - (mine - theirs).square().mean() / mine.var(0, correction=0).mean().clamp(min=1e-9))
+        found[f"{fraction:g}"] = float(
+            1 - (mine - theirs).square().mean() / mine.var(0, correction=0).mean().clamp(min=1e-9)
+        )
     return found
 
 
 def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
     """Choose who drives each episode of a labelling round.
 
-    The latent expert drives `1 - share` of them; the others are driven in turn by the expert with the mistakes of impaired operators and by
-    the earlier skills, whose states operators reach too.
+    The latent expert drives `1 - share` of them; the others are driven in turn by the expert with
+    the mistakes of impaired operators and by the earlier skills, whose states operators reach too.
     """
-    others = [Behaviour("gaussian", gaussian=0.25), Behaviour("noisy", replace=0.3), Behaviour("laggy", repeat=0.7)]
+    others = [
+        Behaviour("gaussian", gaussian=0.25),
+        Behaviour("noisy", replace=0.3),
+        Behaviour("laggy", repeat=0.7),
+    ]
     others += [Behaviour(f"skill {k}", skill=k) for k in reversed(range(checkpoints - 1))]
     other = round(share * episodes)
-    return [Behaviour("expert")] * (episodes - other) + [others[i % len(others)] for i in range(other)]
+    return [Behaviour("expert")] * (episodes - other) + [
+        others[i % len(others)] for i in range(other)
+    ]
 
 
 @torch.inference_mode()
 def visit(
-    task: VectorTask, model: SafetyWorldModel, skills: Skills, rows: Sequence[Behaviour], seeds: Sequence[int], seed: int, report: Report
+    task: VectorTask,
+    model: SafetyWorldModel,
+    skills: Skills,
+    rows: Sequence[Behaviour],
+    seeds: Sequence[int],
+    seed: int,
+    report: Report,
 ) -> tuple[Recording, Latents]:
-    """Drive one episode per row through the filter and keep every state at which a decision was made.
+    """Drive one episode per row through the filter and keep every state at which a decision was
+    made.
 
     Args:
         task: B episodes with pixels and privileged observations.
@@ -192,7 +252,8 @@ def visit(
         rows: who drives which episode.
 
     Returns:
-        Rows by arrival, episode after episode (privileged, action, first and episode; the other columns are empty), and their latents.
+        Rows by arrival, episode after episode (privileged, action, first and episode; the other
+        columns are empty), and their latents.
     """
     actors: list[Any] = [skills.at(fraction) for fraction in skills.fractions]
     commander = Commander(actors, rows, task.action_size, np.random.default_rng(seed))
@@ -222,14 +283,20 @@ def visit(
     columns = dict.fromkeys(Recording._fields, empty) | {
         "privileged": np.stack([step[0] for step in steps], 1)[alive],
         "action": np.stack([step[1] for step in steps], 1)[alive],
-        "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(np.float32),
+        "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(
+            np.float32
+        ),
         "episode": np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1)),
     }
     classes = model.sizes.classes
-    return Recording(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
+    return Recording(**columns), Latents(
+        h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes
+    )
 
 
-def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]) -> Loop:
+def latent_episodes(
+    task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]
+) -> Loop:
     """Run an episode per seed of one latent skill without mistakes and without assistance."""
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)

@@ -21,10 +21,15 @@ class EpisodeSums(NamedTuple):
     env_steps: np.ndarray[Any, Any]
 
     def statistics(self, success_goals: int) -> dict[str, float | None]:
-        """Return means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
+        """Return means and standard deviations over the episodes (undefined for one), and the
+        share with at least `success_goals` goals.
+        """
         found: dict[str, float | None] = {}
         for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
-            found |= {name: float(values.mean()), f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
+            found |= {
+                name: float(values.mean()),
+                f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None,
+            }
         return found | {
             "cost_per_1000": float(1000.0 * self.costs.sum() / self.env_steps.sum()),
             "success": float((self.goals >= success_goals).mean()),
@@ -32,7 +37,9 @@ class EpisodeSums(NamedTuple):
         }
 
 
-def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
+def evaluate_privileged(
+    task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]
+) -> EpisodeSums:
     """Run one episode per row under the deterministic policy."""
     seen = task.reset(seeds)
     sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
@@ -41,7 +48,11 @@ def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[
             assert seen.privileged is not None
             step = task.step(policy(torch.from_numpy(seen.privileged)).numpy())
             seen = step.observation
-            for total, now in zip(sums, (step.reward, step.cost_env, step.cost, step.goals, step.env_steps), strict=True):
+            for total, now in zip(
+                sums,
+                (step.reward, step.cost_env, step.cost, step.goals, step.env_steps),
+                strict=True,
+            ):
                 total += now
             if step.ended.all():
                 break

@@ -1,6 +1,8 @@
-"""What a world model is taught and asked of the privileged vector, in training only: no assistant reads it.
+"""What a world model is taught and asked of the privileged vector, in training only: no assistant
+reads it.
 
-Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an episode.
+Reconstruction alone does not tell an encoder where to look: a barrel is a few pixels, and costs an
+episode.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts 
 
 
 Mirror = tuple[NDArray[np.int64], NDArray[np.float32]]
-"""Order and sign [P] of a mirrored vector, see `tasks.privileged_layout`; a sign of 0 marks an entry that is not known."""
+"""Order and sign [P] of a mirrored vector, see `tasks.privileged_layout`; a sign of 0 marks an
+entry that is not known.
+"""
 
 
 class Readout(nn.Module):
@@ -40,13 +44,18 @@ class Readout(nn.Module):
         self.register_buffer("std", torch.ones(outputs))
 
     def standardise(self, privileged: NDArray[np.float32]) -> None:
-        """Take mean and standard deviation from vectors [N, P]; constant entries are left as they are."""
+        """Take mean and standard deviation from vectors [N, P]; constant entries are left as
+        they are.
+        """
         mean, std = privileged.mean(0), privileged.std(0)
         self.mean.copy_(torch.from_numpy(mean))
         self.std.copy_(torch.from_numpy(np.where(std > CONSTANT, std, 1.0).astype(np.float32)))
 
-    def loss(self, features: Tensor, privileged: Tensor, mirrored: Tensor, mirror: Mirror | None) -> Tensor:
-        """Return the squared error, summed over the known entries of the standardised vector, as a mean over the rows.
+    def loss(
+        self, features: Tensor, privileged: Tensor, mirrored: Tensor, mirror: Mirror | None
+    ) -> Tensor:
+        """Return the squared error, summed over the known entries of the standardised vector, as a
+        mean over the rows.
 
         Args:
             features: [B, ..., F] of what was seen.
@@ -64,8 +73,12 @@ class Readout(nn.Module):
         return (errors * known).sum(-1).mean()  # type: ignore[no-any-return]
 
 
-def new_readout(model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig) -> Readout:
-    """Build an untrained readout of the latents, on the model's device, standardised by those rows [K] of a recording."""
+def new_readout(
+    model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig
+) -> Readout:
+    """Build an untrained readout of the latents, on the model's device, standardised by those
+    rows [K] of a recording.
+    """
     readout = Readout(model.feature_size, config.head, recording.privileged.shape[1])
     readout.standardise(recording.privileged[rows])
     return readout.to(model.mean_image.device)
@@ -81,7 +94,8 @@ def teach_encoder(
     *,
     mirror: Mirror | None = None,
 ) -> list[float]:
-    """Train the encoder on single images to tell the privileged vector, before Eq. 6 trains the whole model.
+    """Train the encoder on single images to tell the privileged vector, before Eq. 6 trains the
+    whole model.
 
     Args:
         model: its encoder is trained in place.
@@ -107,14 +121,25 @@ def teach_encoder(
         for group in optimizer.param_groups:
             # Constant for the first half, then down to a tenth.
             group["lr"] = config.taught_rate * min(1.0, 1.9 - 1.8 * update / config.taught)
-        index = places[torch.randint(len(places), (config.taught_batch,), generator=source, device=device).cpu()]
-        mirrored = torch.rand(len(index), generator=source, device=device) < (0.5 if mirror is not None else 0.0)
+        index = places[
+            torch.randint(
+                len(places), (config.taught_batch,), generator=source, device=device
+            ).cpu()
+        ]
+        mirrored = torch.rand(len(index), generator=source, device=device) < (
+            0.5 if mirror is not None else 0.0
+        )
         images = in_mirror(pixels.index_select(0, index).to(device), mirrored)
-        loss = readout.loss(model.encoder(images, model.mean_image), privileged[index].to(device), mirrored, mirror)
+        loss = readout.loss(
+            model.encoder(images, model.mean_image), privileged[index].to(device), mirrored, mirror
+        )
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
         if update % 20 == 0 or update == config.taught - 1:
             curve.append(float(loss.detach()) / privileged.shape[1])
-            report((update + 1) / config.taught, f"teaching the encoder, update {update + 1}/{config.taught}, error {curve[-1]:.2f}")
+            report(
+                (update + 1) / config.taught,
+                f"teaching the encoder, update {update + 1}/{config.taught}, error {curve[-1]:.2f}",
+            )
     return curve

@@ -1,4 +1,6 @@
-"""Reachability: the safety value Q(h, z, a) by the discounted safety Bellman equation, on recorded transitions and on imagined ones."""
+"""Reachability: the safety value Q(h, z, a) by the discounted safety Bellman equation, on
+recorded transitions and on imagined ones.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +39,14 @@ def train_safety_value(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[SafetyValue, list[dict[str, float]]]:
-    """Learn Q of an action once and the fallback afterwards; model and policies stay fixed, and no held-out row is seen.
+    """Learn Q of an action once and the fallback afterwards; model and policies stay fixed, and no
+    held-out row is seen.
 
-    Each update sees recorded transitions, whose cost is known, and from the same latents as many imagined ones under actions of many kinds:
-    an operator's, the expert's, uniform and extreme ones. The recorded ones keep the imagination honest, and the imagined ones say what
-    nobody did. The target is that of `danger_target`, with the fallback's danger from a slow copy, and what lies behind the end of an
-    episode is safe.
+    Each update sees recorded transitions, whose cost is known, and from the same latents as many
+    imagined ones under actions of many kinds: an operator's, the expert's, uniform and extreme
+    ones. The recorded ones keep the imagination honest, and the imagined ones say what nobody did.
+    The target is that of `danger_target`, with the fallback's danger from a slow copy, and what
+    lies behind the end of an episode is safe.
 
     Args:
         recording: action, cost, terminal and episode of the recorded rows.
@@ -50,7 +54,9 @@ def train_safety_value(
     Returns:
         The frozen value, and the curve: means of loss and target over every 100 updates.
     """
-    value = SafetyValue(model.feature_size, model.action_size, config.hidden, tuple(model.sizes.action_scales))
+    value = SafetyValue(
+        model.feature_size, model.action_size, config.hidden, tuple(model.sizes.action_scales)
+    )
     slow = copy.deepcopy(value).requires_grad_(False)
     optimizer = torch.optim.Adam(value.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
@@ -70,8 +76,13 @@ def train_safety_value(
             arrived = torch.cat([then.features, found.features])
             goes_on = torch.cat([keep[row + 1], model.continues(found)])
             onward = goes_on * (1 - slow.fallback(arrived)[1]) / 2
-            target = danger_target(torch.cat([cost[row + 1], model.cost(found)]), onward, config.gamma)
-        logits = value.logits(features.repeat(2, 1), torch.cat([did, tried]).unsqueeze(1)).squeeze(-1)  # [members, 2 B]
+            target = danger_target(
+                torch.cat([cost[row + 1], model.cost(found)]), onward, config.gamma
+            )
+        # [members, 2 B]
+        logits = value.logits(features.repeat(2, 1), torch.cat([did, tried]).unsqueeze(1)).squeeze(
+            -1
+        )
         loss = F.binary_cross_entropy_with_logits(logits, target.expand_as(logits))
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * min(1.0, 1.9 - 1.8 * update / config.updates)
@@ -86,13 +97,20 @@ def train_safety_value(
             means = torch.stack(recent).mean(0).tolist()
             recent.clear()
             curve.append({"update": update + 1, "loss": means[0], "danger": means[1]})
-            report((update + 1) / config.updates, f"update {update + 1}/{config.updates}, loss {means[0]:.3f}, danger {means[1]:.3f}")
+            report(
+                (update + 1) / config.updates,
+                f"update {update + 1}/{config.updates}, loss {means[0]:.3f}, danger {means[1]:.3f}",
+            )
     value.eval().requires_grad_(False)
     return value, curve
 
 
-def commands(value: SafetyValue, skills: Skills, features: Tensor, recorded: Tensor, source: torch.Generator) -> Tensor:
-    """Draw an action [B, A] for each row: the recorded one, the expert's, a uniform one or an extreme one, by chance."""
+def commands(
+    value: SafetyValue, skills: Skills, features: Tensor, recorded: Tensor, source: torch.Generator
+) -> Tensor:
+    """Draw an action [B, A] for each row: the recorded one, the expert's, a uniform one or an
+    extreme one, by chance.
+    """
     batch = len(features)
     uniform = 2 * torch.rand(tuple(recorded.shape), generator=source) - 1
     extreme = value.extremes[torch.randint(len(value.extremes), (batch,), generator=source)]
@@ -101,18 +119,27 @@ def commands(value: SafetyValue, skills: Skills, features: Tensor, recorded: Ten
 
 
 @torch.inference_mode()
-def safety_quality(value: SafetyValue, recording: Recording, latents: Latents, heldout: Heldout) -> dict[str, dict[str, float | None]]:
-    """Return what Q of the executed action foresees, on held-out episodes of the dataset (`recorded`) and of the expert (`expert`).
+def safety_quality(
+    value: SafetyValue, recording: Recording, latents: Latents, heldout: Heldout
+) -> dict[str, dict[str, float | None]]:
+    """Return what Q of the executed action foresees, on held-out episodes of the dataset
+    (`recorded`) and of the expert (`expert`).
 
-    `auc` is the chance that of two decisions, one with a cost among the `AHEAD` decisions that begin with it and one without, Q ranks the
-    first lower; `ap` the average precision of the same, beside its base rate `costly`. An onset is a costly decision with none among the
-    five before it; `foreseen_k` is the share of onsets with an alarm k decisions before, at a threshold below which one in twenty decisions
-    without cost ahead lies. None where nothing costs, or everything.
+    `auc` is the chance that of two decisions, one with a cost among the `AHEAD` decisions that
+    begin with it and one without, Q ranks the first lower; `ap` the average precision of the same,
+    beside its base rate `costly`. An onset is a costly decision with none among the five before it;
+    `foreseen_k` is the share of onsets with an alarm k decisions before, at a threshold below which
+    one in twenty decisions without cost ahead lies. None where nothing costs, or everything.
     """
     # The action at row i + 1 is what was executed at the state of row i.
-    rows = np.flatnonzero(recording.held_out(HELD_OUT)[:-1] & (recording.episode[1:] == recording.episode[:-1]))
+    rows = np.flatnonzero(
+        recording.held_out(HELD_OUT)[:-1] & (recording.episode[1:] == recording.episode[:-1])
+    )
     index = torch.from_numpy(rows)
-    parts = [value(latents.at(some).features, torch.from_numpy(recording.action)[some + 1].unsqueeze(1)) for some in index.split(CHUNK)]
+    parts = [
+        value(latents.at(some).features, torch.from_numpy(recording.action)[some + 1].unsqueeze(1))
+        for some in index.split(CHUNK)
+    ]
     recorded = torch.cat(parts).squeeze(1).numpy()
     driven = value(heldout.latent.features, heldout.a_h.unsqueeze(1)).squeeze(1).numpy()
     return {
@@ -121,12 +148,19 @@ def safety_quality(value: SafetyValue, recording: Recording, latents: Latents, h
     }
 
 
-def foresight(q: NDArray[Any], cost: NDArray[Any], episode: NDArray[Any]) -> dict[str, float | None]:
-    """Return the figures of `safety_quality` for values [K] of decisions whose costs [K] and episodes [K] are known."""
+def foresight(
+    q: NDArray[Any], cost: NDArray[Any], episode: NDArray[Any]
+) -> dict[str, float | None]:
+    """Return the figures of `safety_quality` for values [K] of decisions whose costs [K] and
+    episodes [K] are known.
+    """
     ahead = sums_ahead(cost, episode, AHEAD)
     known = ~np.isnan(ahead)
     event, danger = ahead[known] > 0, -q[known]
-    found: dict[str, float | None] = {"decisions": float(len(event)), "costly": float(event.mean()) if len(event) else None}
+    found: dict[str, float | None] = {
+        "decisions": float(len(event)),
+        "costly": float(event.mean()) if len(event) else None,
+    }
     if not 0 < event.sum() < len(event):
         return found | {"auc": None, "ap": None}
     _, place, counts = np.unique(danger, return_inverse=True, return_counts=True)
@@ -134,6 +168,13 @@ def foresight(q: NDArray[Any], cost: NDArray[Any], episode: NDArray[Any]) -> dic
     positives, negatives = int(event.sum()), int((~event).sum())
     auc = (rank[event].sum() - positives * (positives + 1) / 2) / (positives * negatives)
     alarm = -q > np.quantile(danger[~event], 0.95)
-    onsets = [t for t in np.flatnonzero(cost > 0) if t >= QUIET and episode[t - QUIET] == episode[t] and not cost[t - QUIET : t].any()]
-    lead = {f"foreseen_{k}": float(alarm[np.array(onsets) - k].mean()) if onsets else None for k in (0, 1, 2, 3, 5)}
+    onsets = [
+        t
+        for t in np.flatnonzero(cost > 0)
+        if t >= QUIET and episode[t - QUIET] == episode[t] and not cost[t - QUIET : t].any()
+    ]
+    lead = {
+        f"foreseen_{k}": float(alarm[np.array(onsets) - k].mean()) if onsets else None
+        for k in (0, 1, 2, 3, 5)
+    }
     return found | {"auc": float(auc), "ap": average_precision(event, danger), **lead}

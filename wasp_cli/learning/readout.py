@@ -1,4 +1,6 @@
-"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K starts, F features, P entries of the vector."""
+"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K
+starts, F features, P entries of the vector.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Ridge(NamedTuple):
     std: Floats  # [P] of the vector; 0 where an entry is constant, which nothing is asked of
 
     def explained(self, features: Tensor, privileged: Floats, groups: Groups) -> dict[str, float]:
-        """Return R2 by group: the explained share of the variance of its entries, each in units of its standard deviation.
+        """Return R2 by group: the explained share of the variance of its entries, each in units of
+        its standard deviation.
 
         Args:
             features: [N, F].
@@ -42,14 +45,18 @@ class Ridge(NamedTuple):
         told = ((features.double() - self.centre) @ self.weight).numpy()
         true = _standardised(privileged, self.mean, self.std)
         error, variance = ((told - true) ** 2).mean(0), true.var(0)
-        return {name: _share(float(error[part].sum()), float(variance[part].sum())) for name, part in groups.items()}
+        return {
+            name: _share(float(error[part].sum()), float(variance[part].sum()))
+            for name, part in groups.items()
+        }
 
 
 def fit_ridge(features: Tensor, privileged: Floats, penalty: float) -> Ridge:
     """Fit features [N, F] to the standardised privileged vector [N, P].
 
     Args:
-        features: centred here, not scaled: a class of z that is hardly ever drawn shall not count like a common one.
+        features: centred here, not scaled: a class of z that is hardly ever drawn shall not count
+            like a common one.
         privileged: its constant entries are left out.
         penalty: on the squared weights per row, relative to the features' mean variance.
     """
@@ -60,13 +67,17 @@ def fit_ridge(features: Tensor, privileged: Floats, penalty: float) -> Ridge:
     gram = centred.T @ centred
     ridge = penalty * gram.diagonal().mean() + EPSILON
     wanted = torch.from_numpy(_standardised(privileged, mean, std))
-    weight = torch.linalg.solve(gram + ridge * torch.eye(len(gram), dtype=gram.dtype), centred.T @ wanted)
+    weight = torch.linalg.solve(
+        gram + ridge * torch.eye(len(gram), dtype=gram.dtype), centred.T @ wanted
+    )
     return Ridge(centre, weight, mean, std)
 
 
 @dataclass(frozen=True)
 class StateReadout:
-    """A regression from the filtered latent and one from the encoder's embedding, fitted on the same rows."""
+    """A regression from the filtered latent and one from the encoder's embedding, fitted on the
+    same rows.
+    """
 
     model: SafetyWorldModel
     groups: Groups
@@ -74,7 +85,14 @@ class StateReadout:
     embedding: Ridge
 
     @classmethod
-    def fit(cls, model: SafetyWorldModel, recording: Recording, latents: Latents, groups: Groups, penalty: float) -> StateReadout:
+    def fit(
+        cls,
+        model: SafetyWorldModel,
+        recording: Recording,
+        latents: Latents,
+        groups: Groups,
+        penalty: float,
+    ) -> StateReadout:
         """Fit both.
 
         Args:
@@ -84,7 +102,12 @@ class StateReadout:
         """
         every = torch.arange(len(recording.privileged))
         from_latents = fit_ridge(latents.at(every).features, recording.privileged, penalty)
-        return cls(model, groups, from_latents, fit_ridge(embeddings(model, recording.pixels), recording.privileged, penalty))
+        return cls(
+            model,
+            groups,
+            from_latents,
+            fit_ridge(embeddings(model, recording.pixels), recording.privileged, penalty),
+        )
 
     def filtered(self, recording: Recording, latents: Latents) -> dict[str, float]:
         """Return R2 by group of what the filtered latents of N rows tell."""
@@ -93,12 +116,22 @@ class StateReadout:
 
     def embedded(self, recording: Recording) -> dict[str, float]:
         """Return R2 by group of what the single images of N rows tell."""
-        return self.embedding.explained(embeddings(self.model, recording.pixels), recording.privileged, self.groups)
+        return self.embedding.explained(
+            embeddings(self.model, recording.pixels), recording.privileged, self.groups
+        )
 
     def imagined(
-        self, recording: Recording, latents: Latents, starts: NDArray[np.int64], step: int, samples: int, seed: int
+        self,
+        recording: Recording,
+        latents: Latents,
+        starts: NDArray[np.int64],
+        step: int,
+        samples: int,
+        seed: int,
     ) -> dict[str, float]:
-        """Return R2 by group of what imagined latents tell, from starts [K] `step` steps ahead under the true actions."""
+        """Return R2 by group of what imagined latents tell, from starts [K] `step` steps ahead
+        under the true actions.
+        """
         if not len(starts):
             return dict.fromkeys(self.groups, float("nan"))
         features = imagined_features(self.model, recording, latents, starts, step, samples, seed)
@@ -108,15 +141,26 @@ class StateReadout:
 @torch.inference_mode()
 def embeddings(model: SafetyWorldModel, pixels: NDArray[np.uint8]) -> Tensor:
     """Embed single images uint8 [N, 6, 64, 64] with the encoder: [N, F]."""
-    parts = [model.encoder(torch.from_numpy(pixels[begin : begin + CHUNK]), model.mean_image) for begin in range(0, len(pixels), CHUNK)]
+    parts = [
+        model.encoder(torch.from_numpy(pixels[begin : begin + CHUNK]), model.mean_image)
+        for begin in range(0, len(pixels), CHUNK)
+    ]
     return torch.cat(parts)
 
 
 @torch.inference_mode()
 def imagined_features(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], step: int, samples: int, seed: int
+    model: SafetyWorldModel,
+    recording: Recording,
+    latents: Latents,
+    starts: NDArray[np.int64],
+    step: int,
+    samples: int,
+    seed: int,
 ) -> Tensor:
-    """Imagine `step` steps under the true actions from starts [K]: the features [K, F] there, means over samples of the prior."""
+    """Imagine `step` steps under the true actions from starts [K]: the features [K, F] there,
+    means over samples of the prior.
+    """
     source, parts = generator(seed), []
     for begin in range(0, len(starts), CHUNK):
         rows = starts[begin : begin + CHUNK]

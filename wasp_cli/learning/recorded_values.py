@@ -1,4 +1,6 @@
-"""What the expert is worth at recorded rows: Q_r and Q_c by TD on recorded transitions, read at the expert's action."""
+"""What the expert is worth at recorded rows: Q_r and Q_c by TD on recorded transitions, read at
+the expert's action.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,18 @@ def recorded_values(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[Tensor, list[dict[str, float]]]:
-    """Evaluate the expert at every recorded row from what was recorded, whoever drove: Q(s, a) = x + gamma Q'(s', pi_E(s')).
+    """Evaluate the expert at every recorded row from what was recorded, whoever drove: Q(s, a) = x
+    + gamma Q'(s', pi_E(s')).
 
-    The transition need not be the expert's, since Q is told the action: only what follows it is the expert's, and that is read from Q'.
+    The transition need not be the expert's, since Q is told the action: only what follows it is the
+    expert's, and that is read from Q'.
 
     Args:
         recording: action, reward, cost, terminal, first and episode of N rows.
 
     Returns:
-        Q_r and Q_c [2, N] of the expert's action, and a row of the curve per 100 updates: mean losses. NaN where there is no value to
+        Q_r and Q_c [2, N] of the expert's action, and a row of the curve per 100 updates: mean
+        losses. NaN where there is no value to
         learn from: at held-out rows, and where an episode ended by itself.
     """
     allowed = ~recording.held_out(HELD_OUT)
@@ -45,7 +50,10 @@ def recorded_values(
     action, terminal = torch.from_numpy(recording.action), torch.from_numpy(recording.terminal)
     signals = torch.stack([torch.from_numpy(recording.reward), torch.from_numpy(recording.cost)])
     gammas = torch.tensor([[returns.gamma_r], [returns.gamma_c]])
-    expert = _by_part(len(allowed), lambda rows: skills.expert(latents.at(rows).features).T).T.contiguous()  # [N, A]
+    # [N, A]
+    expert = _by_part(
+        len(allowed), lambda rows: skills.expert(latents.at(rows).features).T
+    ).T.contiguous()
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     q = ActionCritics(features, action.shape[1], config.hidden, config.bins, config.reach)
     slow = copy.deepcopy(q).requires_grad_(False)
@@ -56,7 +64,9 @@ def recorded_values(
     for update in range(config.q_updates):
         index = starts[torch.randint(len(starts), (config.q_batch,), generator=source)]
         with torch.no_grad():
-            following = slow(latents.at(index + 1).features, expert[index + 1]) * (1 - terminal[index + 1])
+            following = slow(latents.at(index + 1).features, expert[index + 1]) * (
+                1 - terminal[index + 1]
+            )
             target = signals[:, index + 1] + gammas * following  # [2, B]
         losses = q.losses(latents.at(index).features, action[index + 1], target).mean(1)
         for group in optimizer.param_groups:
@@ -72,7 +82,10 @@ def recorded_values(
             loss_r, loss_c = torch.stack(recent).mean(0).tolist()
             recent.clear()
             curve.append({"update": update + 1, "q_loss_r": loss_r, "q_loss_c": loss_c})
-            report((update + 1) / config.q_updates, f"Q: update {update + 1}/{config.q_updates}, losses {loss_r:.3f}, {loss_c:.3f}")
+            report(
+                (update + 1) / config.q_updates,
+                f"Q: update {update + 1}/{config.q_updates}, losses {loss_r:.3f}, {loss_c:.3f}",
+            )
     values = _by_part(len(allowed), lambda rows: q(latents.at(rows).features, expert[rows]))
     unknown = torch.from_numpy(~allowed) | (terminal > 0)
     return values.masked_fill(unknown, torch.nan), curve
@@ -85,7 +98,9 @@ def _by_part(count: int, of: Callable[[Tensor], Tensor]) -> Tensor:
 
 
 class Segments:
-    """Recorded rows with up to H rows that followed in the same episode, as far as their values are known."""
+    """Recorded rows with up to H rows that followed in the same episode, as far as their values
+    are known.
+    """
 
     def __init__(self, recording: Recording, values: Tensor, horizon: int) -> None:
         """Take rows that have a value and a following row of the same episode that has one.
@@ -96,7 +111,10 @@ class Segments:
         """
         self._known = ~values.isnan().any(0)
         self._values = values.nan_to_num(0.0)  # what is unknown has no weight
-        self._episode, self._action = torch.from_numpy(recording.episode), torch.from_numpy(recording.action)
+        self._episode, self._action = (
+            torch.from_numpy(recording.episode),
+            torch.from_numpy(recording.action),
+        )
         self._ahead = torch.arange(horizon + 1)
         goes_on = (self._episode[:-1] == self._episode[1:]) & self._known[:-1] & self._known[1:]
         self._starts = goes_on.nonzero().flatten()
@@ -105,11 +123,13 @@ class Segments:
         """Draw B segments.
 
         Returns:
-            Rows [B] in which they begin, the actions [B, H, A] executed from there, values [2, B, H + 1] from the first row on, and whether
-            each of these counts [B, H + 1].
+            Rows [B] in which they begin, the actions [B, H, A] executed from there, values [2, B, H
+            + 1] from the first row on, and whether each of these counts [B, H + 1].
         """
         start = self._starts[torch.randint(len(self._starts), (count,), generator=source)]
         rows = (start[:, None] + self._ahead).clamp(max=len(self._episode) - 1)
-        within = (self._episode[rows] == self._episode[start][:, None]) & (start[:, None] + self._ahead < len(self._episode))
+        within = (self._episode[rows] == self._episode[start][:, None]) & (
+            start[:, None] + self._ahead < len(self._episode)
+        )
         counts = (within & self._known[rows]).float().cumprod(1)
         return start, self._action[rows[:, 1:]], self._values[:, rows], counts

@@ -1,4 +1,6 @@
-"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. Labels do not show how to look for an unseen goal."""
+"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. Labels do
+not show how to look for an unseen goal.
+"""
 
 from __future__ import annotations
 
@@ -47,20 +49,45 @@ def reinforce(
     better = copy.deepcopy(actor).train().requires_grad_(True)
     hidden = [layer.out_features for layer in better.net if isinstance(layer, nn.Linear)][:-1]
     ppo = PPO(
-        "MlpPolicy", env, device="cpu", seed=derive("reinforce-ppo", name, seed),
-        n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma,
+        "MlpPolicy",
+        env,
+        device="cpu",
+        seed=derive("reinforce-ppo", name, seed),
+        n_steps=config.rollout,
+        batch_size=config.batch,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
         learning_rate=lambda left: config.learning_rate * max(0.1, left),
-        policy_kwargs={"net_arch": hidden, "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
-    )  # fmt: skip
-    # The distilled layers take the place of stable-baselines3's own: other activations, and LayerNorm between them.
+        policy_kwargs={
+            "net_arch": hidden,
+            "activation_fn": nn.Tanh,
+            "log_std_init": config.log_std_init,
+        },
+    )
+    # The distilled layers take the place of stable-baselines3's own: other activations, and
+    # LayerNorm between them.
     policy: Any = ppo.policy
     policy.mlp_extractor.policy_net, policy.action_net = better.net[:-1], better.net[-1]
-    policy.optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
+    policy.optimizer = torch.optim.Adam(
+        policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True
+    )
     rule = MultiplierRule(
-        config.multiplier_init, config.multiplier_lr, config.multiplier_max, cost_limit,
-        delay=int(config.value_warmup * config.interactions), floor=config.multiplier_min,
-    )  # fmt: skip
-    lagrangian = LagrangianCallback(env, rule, config.interactions, report, log_std_floor=config.log_std_floor)
-    ppo.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
-    ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
+        config.multiplier_init,
+        config.multiplier_lr,
+        config.multiplier_max,
+        cost_limit,
+        delay=int(config.value_warmup * config.interactions),
+        floor=config.multiplier_min,
+    )
+    lagrangian = LagrangianCallback(
+        env, rule, config.interactions, report, log_std_floor=config.log_std_floor
+    )
+    # the default one leaves folders in the temporary directory
+    ppo.set_logger(Logger(folder=None, output_formats=[]))
+    ppo.learn(
+        config.interactions,
+        callback=CallbackList(
+            [ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]
+        ),
+    )
     return better.eval().requires_grad_(False), lagrangian.curve

@@ -1,8 +1,9 @@
 """SafeRL-Res: PPO with a Lagrange multiplier over (h, z, a^H), in the real task through the filter.
 
-Mode `lagrangian` is the paper's Eq. 5: the return less the effort, subject to a limit of the cost. Mode `rsa` is the form of the original
-(Schaff and Walter 2020): the least effort, subject to a least return. There lambda weighs the return, and the loss is divided by
-1 + lambda; the effort is a Huber norm and part of the reward, so that an unchanged PPO learns from it.
+Mode `lagrangian` is the paper's Eq. 5: the return less the effort, subject to a limit of the cost.
+Mode `rsa` is the form of the original (Schaff and Walter 2020): the least effort, subject to a
+least return. There lambda weighs the return, and the loss is divided by 1 + lambda; the effort is a
+Huber norm and part of the reward, so that an unchanged PPO learns from it.
 """
 
 from __future__ import annotations
@@ -58,9 +59,17 @@ class AssistedTask(FilteredTask):
         for variant, values in sorted(config.operators.items()):
             for value in values:
                 operators.append(build_operator(variant, value, context, self._noise, task.batch))
-        self._operator = MixedOperator(operators, self._noise, derive("residual-operators", name, seed))
+        self._operator = MixedOperator(
+            operators, self._noise, derive("residual-operators", name, seed)
+        )
         self._noise_seed = SeedStream("residual-noise", name, seed)
-        super().__init__(task, model, SeedStream("residual-episode", name, seed), extra=task.action_size, bound=2.0)
+        super().__init__(
+            task,
+            model,
+            SeedStream("residual-episode", name, seed),
+            extra=task.action_size,
+            bound=2.0,
+        )
 
     @torch.no_grad()
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
@@ -75,18 +84,25 @@ class AssistedTask(FilteredTask):
         if rows.any() and not rows.all():
             self._command = self._restarted(features, told(self._operator, seen), first)
         else:
-            self._command = self._operator.command(features, told(self._operator, seen)).clamp(-1, 1)
+            self._command = self._operator.command(features, told(self._operator, seen)).clamp(
+                -1, 1
+            )
         return torch.cat([features, self._command], -1).numpy()
 
-    def _restarted(self, features: torch.Tensor, privileged: torch.Tensor | None, first: torch.Tensor) -> torch.Tensor:
-        """Commands [B, A] where new episodes begin in some rows only: the others have been issued already and must not move on twice."""
+    def _restarted(
+        self, features: torch.Tensor, privileged: torch.Tensor | None, first: torch.Tensor
+    ) -> torch.Tensor:
+        """Commands [B, A] where new episodes begin in some rows only: the others have been
+        issued already and must not move on twice.
+        """
         states = [(operator, dict(operator.memory)) for operator in self._operator.operators]
         steps = list(self._noise.step)
         issued = self._operator.command(features, privileged).clamp(-1, 1)
         for operator, memory in states:
             operator.memory = {
-                n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v) for n, v in memory.items()
-            }  # fmt: skip
+                n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v)
+                for n, v in memory.items()
+            }
         moved = zip(self._noise.step, steps, first.tolist(), strict=True)
         self._noise.step = [after if row else before for after, before, row in moved]
         return torch.where(first.unsqueeze(-1), issued, self._command)
@@ -95,7 +111,9 @@ class AssistedTask(FilteredTask):
         command = self._command.numpy()
         executed = np.clip(command + action, -1, 1)
         squared = np.square(executed - command).sum(-1)  # what is penalised is what was executed
-        return executed, (huber(np.sqrt(squared)) if self._rsa else self._alpha * squared).astype(np.float32)
+        return executed, (huber(np.sqrt(squared)) if self._rsa else self._alpha * squared).astype(
+            np.float32
+        )
 
     def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
         if not self._rsa:
@@ -124,7 +142,8 @@ def train_residual(
     Args:
         task: config.envs episodes with pixels.
         expert_return: per episode of the unimpaired expert; mode `rsa` asks for a share of it.
-        informed: privileged policies of operators who know more than assistants perceive, as in `OperatorContext`.
+        informed: privileged policies of operators who know more than assistants perceive, as in
+            `OperatorContext`.
 
     Returns:
         The mean residual as a plain module, and the learning curve.
@@ -133,24 +152,43 @@ def train_residual(
     env = AssistedTask(task, model, skills, config, name, seed, informed)
     env.normalise = env.spread = True
     ppo = PPO(
-        "MlpPolicy", env, device="cpu", seed=derive("residual-ppo", name, seed),
-        n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy,
+        "MlpPolicy",
+        env,
+        device="cpu",
+        seed=derive("residual-ppo", name, seed),
+        n_steps=config.rollout,
+        batch_size=config.batch,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        ent_coef=config.entropy,
         learning_rate=config.learning_rate,
         policy_kwargs={
-            "net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init,
+            "net_arch": list(config.hidden),
+            "activation_fn": nn.Tanh,
+            "log_std_init": config.log_std_init,
             "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # stable-baselines3's own eps
         },
-    )  # fmt: skip
+    )
     output = actor_layers(ppo.policy)[-1]
     nn.init.zeros_(output.weight)
     nn.init.zeros_(output.bias)
     rule = _rule(config, expert_return)
     lagrangian = LagrangianCallback(env, rule, config.interactions, report)
-    ppo.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
-    ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
+    # the default one leaves folders in the temporary directory
+    ppo.set_logger(Logger(folder=None, output_formats=[]))
+    ppo.learn(
+        config.interactions,
+        callback=CallbackList(
+            [ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]
+        ),
+    )
     policy = ResidualPolicy(model.feature_size, task.action_size, config.hidden)
     with torch.no_grad():
-        for mine, theirs in zip([m for m in policy.net if isinstance(m, nn.Linear)], actor_layers(ppo.policy), strict=True):
+        for mine, theirs in zip(
+            [m for m in policy.net if isinstance(m, nn.Linear)],
+            actor_layers(ppo.policy),
+            strict=True,
+        ):
             mine.weight.copy_(theirs.weight)
             mine.bias.copy_(theirs.bias)
     return policy, lagrangian.curve
@@ -164,7 +202,8 @@ def _rule(config: ResidualConfig, expert_return: float) -> Rule:
     least = config.return_share * expert_return
     if not least > 0:
         raise TrainingError(
-            f"the unimpaired expert returns {expert_return:.2f} per episode, and mode rsa asks for {config.return_share:g} of it",
+            f"the unimpaired expert returns {expert_return:.2f} per episode, and mode rsa "
+            f"asks for {config.return_share:g} of it",
             "train a better expert, or use residual.mode lagrangian",
         )
     return ReturnRule(*shared, least, delay=delay)

@@ -1,4 +1,6 @@
-"""Weights in the precision in which they ship: whoever computes a published cell again has exactly those that it was computed with."""
+"""Weights in the precision in which they ship: whoever computes a published cell again has
+exactly those that it was computed with.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,17 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def rounded(module: M) -> M:
-    """Round the floating-point weights and buffers of a trained module to 16 bits, in place, and return a copy that stores them so.
+    """Round the floating-point weights and buffers of a trained module to 16 bits, in place, and
+    return a copy that stores them so.
 
     What the stage measures afterwards on `module` is measured on what is stored.
     """
     smaller = copy.deepcopy(module).half()
     for name, tensor in smaller.state_dict().items():
         if tensor.dtype == torch.float16 and not bool(torch.isfinite(tensor).all()):
-            raise TrainingError(f"weight '{name}' does not fit into 16 bits", "training diverged: lower the stage's learning rate")
+            raise TrainingError(
+                f"weight '{name}' does not fit into 16 bits",
+                "training diverged: lower the stage's learning rate",
+            )
     module.load_state_dict(smaller.state_dict())
     return smaller

@@ -1,4 +1,6 @@
-"""Draws from explicit generators, and imagined rollouts that use them. Whoever evaluates a model may use it: nothing trains here."""
+"""Draws from explicit generators, and imagined rollouts that use them. Whoever evaluates a
+model may use it: nothing trains here.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,12 @@ def gumbel(shape: tuple[int, ...], source: torch.Generator) -> Tensor:
     return uniform.log_().neg_().log_().neg_()
 
 
-def roll_prior(model: WorldModel, start: Latent, actions: Tensor, source: torch.Generator) -> Latent:
-    """Imagine arrived prior latents from B starts under given actions [B, H, A]: fields [B, H, .]."""
+def roll_prior(
+    model: WorldModel, start: Latent, actions: Tensor, source: torch.Generator
+) -> Latent:
+    """Imagine arrived prior latents from B starts under given actions [B, H, A]: fields [B, H,
+    .].
+    """
     noise = gumbel((actions.shape[1], actions.shape[0], model.noise_size), source)
     hs, zs = [], []
     latent = start

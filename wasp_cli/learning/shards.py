@@ -1,7 +1,8 @@
 """Recorded episodes with images: compressed Parquet shards on disk, flat arrays in memory.
 
-Rows are by arrival: row t holds o_t and what came with it (a_{t-1}, r_t, c_t), so an episode of T decisions has T + 1 rows and its
-first row is marked `first` with zero action, reward and cost. The names of the cost sources are in the metadata of each shard.
+Rows are by arrival: row t holds o_t and what came with it (a_{t-1}, r_t, c_t), so an episode of T
+decisions has T + 1 rows and its first row is marked `first` with zero action, reward and cost. The
+names of the cost sources are in the metadata of each shard.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from wasp_cli.tasks.base import CAMERA_SIZE
 
 PIXELS = (6, CAMERA_SIZE, CAMERA_SIZE)
 _BYTES = int(np.prod(PIXELS))
-_SOURCES = b"wasp.cost_sources"  # key of the schema metadata that holds the names of the columns of `sources`, as JSON
+# key of the schema metadata that holds the names of the columns of `sources`, as JSON
+_SOURCES = b"wasp.cost_sources"
 HELD_OUT = 0.1  # share of the episodes of a dataset that no gradient sees
 
 
@@ -70,10 +72,11 @@ class Recording(NamedTuple):
         return whole
 
     def held_out(self, share: float) -> NDArray[np.bool_]:
-        """Return the mask [N] of the episodes that no training sees: at a share of 0.1 those numbered 9, 19, 29, ...
+        """Return the mask [N] of the episodes that no training sees: at a share of 0.1 those
+        numbered 9, 19, 29, ...
 
-        By number and not by place, so that an episode stays on its side when others are appended. Where there are too few
-        episodes for that, it is the last one.
+        By number and not by place, so that an episode stays on its side when others are appended.
+        Where there are too few episodes for that, it is the last one.
         """
         period = held_out_period(share)
         chosen: NDArray[np.bool_] = self.episode % period == period - 1
@@ -81,7 +84,9 @@ class Recording(NamedTuple):
 
     def rows(self, mask: NDArray[np.bool_]) -> Recording:
         """Select the rows of a mask [N] (whole episodes). Columns that were not read stay empty."""
-        fields: dict[str, Any] = {name: value[mask] if len(value) else value for name, value in self._asdict().items()}
+        fields: dict[str, Any] = {
+            name: value[mask] if len(value) else value for name, value in self._asdict().items()
+        }
         return Recording(**fields)
 
 
@@ -94,13 +99,29 @@ def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> Non
     """Write whole episodes to one file; `sources` names the columns of `recording.sources`."""
     images = np.ascontiguousarray(recording.pixels)
     arrays = [
-        pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(recording.first), [None, pa.py_buffer(images)]),
-        _lists(recording.action), pa.array(recording.reward), pa.array(recording.cost), pa.array(recording.cost_env),
-        _counts(recording.sources), pa.array(recording.goals), pa.array(recording.terminal), pa.array(recording.first),
-        _lists(recording.privileged), pa.array(recording.episode), pa.array(recording.behaviour.tolist(), pa.string()),
-    ]  # fmt: skip
+        pa.FixedSizeBinaryArray.from_buffers(
+            pa.binary(_BYTES), len(recording.first), [None, pa.py_buffer(images)]
+        ),
+        _lists(recording.action),
+        pa.array(recording.reward),
+        pa.array(recording.cost),
+        pa.array(recording.cost_env),
+        _counts(recording.sources),
+        pa.array(recording.goals),
+        pa.array(recording.terminal),
+        pa.array(recording.first),
+        _lists(recording.privileged),
+        pa.array(recording.episode),
+        pa.array(recording.behaviour.tolist(), pa.string()),
+    ]
     schema = _schema(recording.action.shape[1], recording.privileged.shape[1], sources)
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd", compression_level=3, use_dictionary=["behaviour"])
+    pq.write_table(
+        pa.Table.from_arrays(arrays, schema=schema),
+        path,
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=["behaviour"],
+    )
 
 
 def shard_files(folder: Path) -> list[Path]:
@@ -111,8 +132,11 @@ def shard_files(folder: Path) -> list[Path]:
     return found
 
 
-def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Recording:
-    """Read all rows of a dataset artifact, or those of a mask [N] (whole episodes), in order. Columns that are not asked for are empty.
+def read_shards(
+    folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None
+) -> Recording:
+    """Read all rows of a dataset artifact, or those of a mask [N] (whole episodes), in order.
+    Columns that are not asked for are empty.
 
     Shard after shard into place, so that the images are in memory once (a shard's twice).
     """
@@ -129,11 +153,15 @@ def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArra
             table = pq.read_table(file, columns=list(columns) if columns else None)
             for name in table.column_names:
                 part = _to_numpy(table.column(name))[here]
-                whole = found.setdefault(name, np.empty((int(chosen.sum()), *part.shape[1:]), part.dtype))
+                whole = found.setdefault(
+                    name, np.empty((int(chosen.sum()), *part.shape[1:]), part.dtype)
+                )
                 whole[written : written + len(part)] = part
             written += int(here.sum())
     except (OSError, pa.ArrowInvalid) as error:
-        raise ArtifactError(f"cannot read {folder}: {error}", "remove the artifact's folder and run again") from error
+        raise ArtifactError(
+            f"cannot read {folder}: {error}", "remove the artifact's folder and run again"
+        ) from error
     return Recording(**{name: found.get(name, np.zeros(0)) for name in Recording._fields})
 
 
@@ -143,7 +171,9 @@ def count_rows(path: Path) -> int:
 
 
 def hand_over(path: Path, target: Path) -> None:
-    """Give a shard to another folder and keep it: as a second name of the same file where that is possible."""
+    """Give a shard to another folder and keep it: as a second name of the same file where that
+    is possible.
+    """
     try:
         os.link(path, target)
     except OSError:  # another file system, or one without links
@@ -156,7 +186,8 @@ def cost_sources(folder: Path) -> tuple[str, ...]:
 
 
 def _counts(values: NDArray[np.int16]) -> pa.Array:
-    # Not of a fixed size: a task may have no cost source, and Parquet cannot hold lists of the fixed size 0.
+    # Not of a fixed size: a task may have no cost source, and Parquet cannot hold lists of the
+    # fixed size 0.
     ends = pa.array(np.arange(len(values) + 1, dtype=np.int32) * values.shape[1])
     return pa.ListArray.from_arrays(ends, pa.array(np.ascontiguousarray(values, np.int16).ravel()))
 

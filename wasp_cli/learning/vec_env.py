@@ -1,4 +1,6 @@
-"""A batch of tasks as a stable-baselines3 vector environment, with the cost as a Lagrangian penalty."""
+"""A batch of tasks as a stable-baselines3 vector environment, with the cost as a Lagrangian
+penalty.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ class Curve:
         self.costly_env_steps = 0
 
     def take(self) -> dict[str, float]:
-        """Return means of the finished episodes and the cost per 1000 env steps since the last call."""
+        """Return means of the finished episodes and the cost per 1000 env steps since the last
+        call.
+        """
         row = {
             "return": float(np.mean(self.returns)) if self.returns else float("nan"),
             "cost": float(np.mean(self.costs)) if self.costs else float("nan"),
@@ -42,28 +46,37 @@ class Curve:
 class TaskVecEnv(VecEnv):
     """B episodes with autoreset. `objective` makes the reward, `observe` the observation.
 
-    Subclasses override `observe` and `execute` to put an operator and a filter between policy and task.
+    Subclasses override `observe` and `execute` to put an operator and a filter between policy and
+    task.
     """
 
-    def __init__(self, task: VectorTask, size: int, low: float, high: float, next_seed: Callable[[], int]) -> None:
+    def __init__(
+        self, task: VectorTask, size: int, low: float, high: float, next_seed: Callable[[], int]
+    ) -> None:
         self.task = task
         self.multiplier = 0.0
-        self.normalise = False  # divide the reward by 1 + multiplier, so that its scale does not grow with it
+        # divide the reward by 1 + multiplier, so that its scale does not grow with it
+        self.normalise = False
         self.spread = False
-        """Cut the first episode of row b after (b + 1) / B of the time limit, so that every rollout sees all parts of an episode."""
+        """Cut the first episode of row b after (b + 1) / B of the time limit, so that every
+        rollout sees all parts of an episode.
+        """
         self.curve = Curve()
         self._next_seed = next_seed
         self._return = np.zeros(task.batch)
         self._cost = np.zeros(task.batch)
-        self._until_cut = np.full(task.batch, -1)  # decisions; it counts down, and below zero nothing is cut any more
+        # decisions; it counts down, and below zero nothing is cut any more
+        self._until_cut = np.full(task.batch, -1)
         self._action: NDArray[Any] = np.zeros((task.batch, task.action_size), np.float32)
         box = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(task.batch, box, spaces.Box(low, high, (task.action_size,), np.float32))
 
-    # -- what a subclass changes --------------------------------------------------------------------------------
+    # -- what a subclass changes -------------------------------------------------------------------
 
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
-        """Return observations [B, size] after `executed` [B, A]; `rows` [B] have just started an episode."""
+        """Return observations [B, size] after `executed` [B, A]; `rows` [B] have just started
+        an episode.
+        """
         assert seen.privileged is not None
         return seen.privileged
 
@@ -76,7 +89,7 @@ class TaskVecEnv(VecEnv):
         reward: NDArray[Any] = step.reward - penalty - self.multiplier * step.cost
         return reward / (1.0 + self.multiplier) if self.normalise else reward
 
-    # -- VecEnv -------------------------------------------------------------------------------------------------
+    # -- VecEnv ------------------------------------------------------------------------------------
 
     def reset(self) -> Array:
         """Start new episodes everywhere."""
@@ -84,7 +97,11 @@ class TaskVecEnv(VecEnv):
         everyone = np.ones(self.num_envs, bool)
         self._return[:] = 0
         self._cost[:] = 0
-        self._until_cut[:] = np.arange(1, self.num_envs + 1) * self.task.max_decisions // self.num_envs if self.spread else -1
+        self._until_cut[:] = (
+            np.arange(1, self.num_envs + 1) * self.task.max_decisions // self.num_envs
+            if self.spread
+            else -1
+        )
         return self.observe(seen, everyone, np.zeros_like(self._action))
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -92,7 +109,9 @@ class TaskVecEnv(VecEnv):
         self._action = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
-        """Step with the actions taken, and return observations [B, P], rewards [B], ends [B] and infos; ended rows start anew at once."""
+        """Step with the actions taken, and return observations [B, P], rewards [B], ends [B]
+        and infos; ended rows start anew at once.
+        """
         executed, penalty = self.execute(self._action)
         step: Step = self.task.step(executed)
         reward = self.objective(step, penalty)
@@ -107,7 +126,10 @@ class TaskVecEnv(VecEnv):
         if ended.any():
             rows = np.flatnonzero(ended)
             for row in rows:
-                infos[row] = {"terminal_observation": observed[row].copy(), "TimeLimit.truncated": not step.terminated[row]}
+                infos[row] = {
+                    "terminal_observation": observed[row].copy(),
+                    "TimeLimit.truncated": not step.terminated[row],
+                }
                 if step.ended[row]:  # a cut episode is not a whole one
                     self.curve.returns.append(float(self._return[row]))
                     self.curve.costs.append(float(self._cost[row]))
@@ -115,19 +137,40 @@ class TaskVecEnv(VecEnv):
             self._cost[rows] = 0
             self._until_cut[rows] = -1
             seen = self.task.reset([self._next_seed() for _ in rows], ended)
-            observed = np.where(ended[:, None], self.observe(seen, ended, np.where(ended[:, None], 0, executed)), observed)
+            observed = np.where(
+                ended[:, None],
+                self.observe(seen, ended, np.where(ended[:, None], 0, executed)),
+                observed,
+            )
         return observed, reward.astype(np.float32), ended, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return what determines the future of every row, without what a subclass adds; the curve must have been taken."""
+        """Return what determines the future of every row, without what a subclass adds; the
+        curve must have been taken.
+        """
         task = {f"task/{name}": array for name, array in self.task.snapshot().items()}
-        return task | {"return": self._return.copy(), "cost": self._cost.copy(), "until_cut": self._until_cut.copy()}
+        return task | {
+            "return": self._return.copy(),
+            "cost": self._cost.copy(),
+            "until_cut": self._until_cut.copy(),
+        }
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Return to a snapshot; the last observation is the caller's to keep."""
-        self.task.reset([0] * self.num_envs)  # an environment of somebody else's may refuse everything before its first reset
-        self.task.restore({name.removeprefix("task/"): array for name, array in snapshot.items() if name.startswith("task/")})
-        self._return[:], self._cost[:], self._until_cut[:] = snapshot["return"], snapshot["cost"], snapshot["until_cut"]
+        # an environment of somebody else's may refuse everything before its first reset
+        self.task.reset([0] * self.num_envs)
+        self.task.restore(
+            {
+                name.removeprefix("task/"): array
+                for name, array in snapshot.items()
+                if name.startswith("task/")
+            }
+        )
+        self._return[:], self._cost[:], self._until_cut[:] = (
+            snapshot["return"],
+            snapshot["cost"],
+            snapshot["until_cut"],
+        )
 
     def close(self) -> None:
         """Release nothing: there is nothing to release."""
@@ -140,7 +183,9 @@ class TaskVecEnv(VecEnv):
         """Set a value, the same for every environment."""
         setattr(self, attr_name, value)
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
         """Raise: there are no separate environments to call."""
         raise AttributeError(f"a batch of tasks has no method '{method_name}' for each environment")
 
@@ -150,7 +195,9 @@ class TaskVecEnv(VecEnv):
 
 
 class SeedStream:
-    """An endless, reproducible stream of episode seeds: derive(*parts, 0), derive(*parts, 1), ..."""
+    """An endless, reproducible stream of episode seeds: derive(*parts, 0), derive(*parts, 1),
+    ...
+    """
 
     def __init__(self, *parts: Any) -> None:
         self._parts = parts
@@ -166,4 +213,6 @@ def actor_layers(policy: Any) -> Sequence[Any]:
     """Return the linear layers of a stable-baselines3 actor, first to last."""
     from torch import nn
 
-    return [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)] + [policy.action_net]
+    return [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)] + [
+        policy.action_net
+    ]

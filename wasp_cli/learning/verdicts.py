@@ -1,4 +1,6 @@
-"""Latent policies held against the privileged one on the same episodes, and which round of training is kept."""
+"""Latent policies held against the privileged one on the same episodes, and which round of
+training is kept.
+"""
 
 from __future__ import annotations
 
@@ -28,68 +30,103 @@ class Drive(NamedTuple):
 
     def shown(self) -> dict[str, float]:
         """Return the means by the names that people read."""
-        return {name.rstrip("_"): value for name, value in self._asdict().items() if name != "returns"}
+        return {
+            name.rstrip("_"): value for name, value in self._asdict().items() if name != "returns"
+        }
 
     @classmethod
     def of(cls, returns: Sums, costs: Sums, goals: Sums, enough: int, env_steps: Sums) -> Drive:
         """Take means over the sums [B] of whole episodes; `enough` goals are a success."""
-        means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
-        return cls(*means, float(returns.std()), float(costs.std()), len(returns), float(env_steps.mean()), tuple(returns.tolist()))
+        means = (
+            float(returns.mean()),
+            float(costs.mean()),
+            float(goals.mean()),
+            float((goals >= enough).mean()),
+        )
+        return cls(
+            *means,
+            float(returns.std()),
+            float(costs.std()),
+            len(returns),
+            float(env_steps.mean()),
+            tuple(returns.tolist()),
+        )
 
 
 class Verdict(NamedTuple):
     """A latent policy beside the privileged one on the same episodes."""
 
     return_share: float
-    """Latent return / privileged return; 1 plus the difference in units of its size where the privileged return is not positive."""
-    cost_ratio: float | None  # latent cost / privileged cost; None where the privileged policy cost nothing
+    """Latent return / privileged return; 1 plus the difference in units of its size where the
+    privileged return is not positive.
+    """
+    # latent cost / privileged cost; None where the privileged policy cost nothing
+    cost_ratio: float | None
     excess_cost: float  # cost per episode beyond what is allowed; 0 within it
     shortfall: float
-    """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
+    """The lacking share of the wanted return plus the excess cost in units of the allowed one;
+    0 where both are reached.
+    """
     reached: bool  # enough return and no excess cost
     return_share_se: float | None = None
-    """Standard error of the share over the episodes, which both policies drove; None for a single one."""
+    """Standard error of the share over the episodes, which both policies drove; None for a
+    single one.
+    """
 
 
 def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps: int) -> Verdict:
     """Hold a latent policy against the privileged one.
 
-    The allowed cost is `cost_ratio` times the privileged cost, or the privileged cost plus `cost_allowance` per 1000 env steps if that is
-    more: a ratio to almost nothing says nothing. `env_steps` is the time limit of an episode.
+    The allowed cost is `cost_ratio` times the privileged cost, or the privileged cost plus
+    `cost_allowance` per 1000 env steps if that is more: a ratio to almost nothing says nothing.
+    `env_steps` is the time limit of an episode.
     """
     size = max(abs(privileged.return_), 1e-9)
     share = 1.0 + (latent.return_ - privileged.return_) / size
-    allowed = max(config.cost_ratio * privileged.cost, privileged.cost + config.cost_allowance * env_steps / 1000)
+    allowed = max(
+        config.cost_ratio * privileged.cost,
+        privileged.cost + config.cost_allowance * env_steps / 1000,
+    )
     excess = max(0.0, latent.cost - allowed)
     ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
     lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
     shortfall = lacking + excess / max(allowed, 1.0)
-    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0, _share_error(latent, privileged, share))
+    return Verdict(
+        share, ratio, excess, shortfall, shortfall == 0.0, _share_error(latent, privileged, share)
+    )
 
 
 def _share_error(latent: Drive, privileged: Drive, share: float) -> float | None:
-    """Standard error of the share of two means over the same episodes, to first order (the delta method)."""
+    """Standard error of the share of two means over the same episodes, to first order (the
+    delta method).
+    """
     count, mean = len(latent.returns), privileged.return_
     if count < 2 or count != len(privileged.returns) or mean == 0:
         return None
-    slope = 1.0 + np.sign(mean) * (share - 1.0)  # the share itself where the privileged return is positive
+    # the share itself where the privileged return is positive
+    slope = 1.0 + np.sign(mean) * (share - 1.0)
     rest = np.array(latent.returns) - slope * np.array(privileged.returns)
     return float(rest.std(ddof=1) / count**0.5 / abs(mean))
 
 
-def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig, limit: int) -> float:
-    """Return what a reinforced policy may cost per 1000 env steps: per episode the privileged cost, and half of what `compare` allows.
+def cost_limit(
+    taught: Sequence[Drive], env_steps: float, config: PoliciesConfig, limit: int
+) -> float:
+    """Return what a reinforced policy may cost per 1000 env steps: per episode the privileged cost,
+    and half of what `compare` allows.
 
     Args:
         taught: batches of episodes of the privileged expert, equally many in each.
-        env_steps: length of an episode of the latent expert, from which the reinforcement starts; one that takes longer than its teacher
-            must cost less per step.
+        env_steps: length of an episode of the latent expert, from which the reinforcement starts;
+            one that takes longer than its teacher must cost less per step.
         limit: the time limit of an episode in env steps.
 
     Returns:
         At least 1: the multiplier follows the excess in units of the limit.
     """
-    cost, length = (float(np.mean([getattr(drive, name) for drive in taught])) for name in ("cost", "env_steps"))
+    cost, length = (
+        float(np.mean([getattr(drive, name) for drive in taught])) for name in ("cost", "env_steps")
+    )
     allowed = cost + 0.5 * config.cost_allowance * limit / 1000
     return max(1.0, 1000 * allowed / max(length, env_steps))
 

@@ -27,10 +27,12 @@ class Window(NamedTuple):
 
 
 class Windows:
-    """Random sequences of those rows of a recording that may be learned from; a share of them contains a costly step.
+    """Random sequences of those rows of a recording that may be learned from; a share of them
+    contains a costly step.
 
-    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows. Everything lies on `device` (uint8
-    images included), so that a batch is one gather. On the CPU the recording's own memory is used.
+    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows.
+    Everything lies on `device` (uint8 images included), so that a batch is one gather. On the CPU
+    the recording's own memory is used.
     """
 
     def __init__(
@@ -45,7 +47,10 @@ class Windows:
         self.length, self._share = length, cost_share
         self._starts = len(rows) - length + 1
         if self._starts < 1:
-            raise TrainingError(f"the dataset has {len(rows)} rows, fewer than one sequence of {length}", "collect more steps")
+            raise TrainingError(
+                f"the dataset has {len(rows)} rows, fewer than one sequence of {length}",
+                "collect more steps",
+            )
         place = torch.device("cpu") if device is None else device
 
         def there(values: NDArray[Any]) -> Tensor:
@@ -65,7 +70,9 @@ class Windows:
         start = torch.randint(self._starts, (batch,), generator=source, device=device)
         wanted = round(self._share * batch)
         if wanted and len(self._costly):
-            picked = self._costly[torch.randint(len(self._costly), (wanted,), generator=source, device=device)]
+            picked = self._costly[
+                torch.randint(len(self._costly), (wanted,), generator=source, device=device)
+            ]
             back = torch.randint(self.length, (wanted,), generator=source, device=device)
             start[:wanted] = (picked - back).clamp(0, self._starts - 1)
         places = start[:, None] + torch.arange(self.length, device=device)  # [B, T]
@@ -75,11 +82,25 @@ class Windows:
         mirrored = torch.zeros(batch, dtype=torch.bool, device=device)
         if self._mirror is not None:
             mirrored = torch.rand(batch, generator=source, device=device) < 0.5
-            found = found._replace(pixels=in_mirror(found.pixels, mirrored), action=self._turned(found.action, mirrored))
-        return Window(found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1))
+            found = found._replace(
+                pixels=in_mirror(found.pixels, mirrored),
+                action=self._turned(found.action, mirrored),
+            )
+        return Window(
+            found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1)
+        )
 
-    def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
-        """Return what followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
+    def ahead(
+        self,
+        window: Window,
+        starts: int,
+        horizon: int,
+        images: int,
+        noise: int,
+        source: torch.Generator,
+    ) -> Ahead:
+        """Return what followed random steps of a batch, in the window or behind it: only `images`
+        of those images are looked up.
 
         Args:
             window: B sequences of T steps.
@@ -92,7 +113,8 @@ class Windows:
         step = torch.randint(length, (starts,), generator=source, device=device)
         images = min(images, starts)
         shown = torch.randint(horizon, (images,), generator=source, device=device)
-        places = window.places[row, step][:, None] + 1 + torch.arange(horizon, device=device)  # [N, K]
+        # [N, K]
+        places = window.places[row, step][:, None] + 1 + torch.arange(horizon, device=device)
         rows = self._rows[places.clamp(max=len(self._rows) - 1)]
         over = (places >= len(self._rows)).to(self._first.dtype)
         within = (1.0 - torch.maximum(self._first[rows], over)).cumprod(1)
@@ -102,7 +124,9 @@ class Windows:
             mirrored = window.mirrored[row]
             pixels, action = in_mirror(pixels, mirrored[:images]), self._turned(action, mirrored)
         draws = gumbel((horizon, starts, noise), source)
-        return Ahead(row, step, action, self._reward[rows], self._cost[rows], within, shown, pixels, draws)
+        return Ahead(
+            row, step, action, self._reward[rows], self._cost[rows], within, shown, pixels, draws
+        )
 
     def _turned(self, action: Tensor, mirrored: Tensor) -> Tensor:
         """Actions [B, T, A], those of mirrored sequences [B] as their mirror images."""
@@ -118,7 +142,8 @@ def _at(values: Tensor, rows: Tensor) -> Tensor:
 
 def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
     """Turn over some [B] of the images [B, ..., width], on the CPU in place."""
-    if pixels.device.type == "cpu":  # whole images are copied, a sixth of the time of a choice by pixel
+    # whole images are copied, a sixth of the time of a choice by pixel
+    if pixels.device.type == "cpu":
         for row in mirrored.nonzero().flatten().tolist():
             pixels[row] = pixels[row].flip(-1)
         return pixels
@@ -126,19 +151,25 @@ def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
 
 
 class Context:
-    """What training last inferred at every row of a recording: a sequence that begins within an episode goes on from there.
+    """What training last inferred at every row of a recording: a sequence that begins within an
+    episode goes on from there.
 
-    Without it a sequence that begins inside a hazard could not know of it, because the camera does not see the ground below the robot. The
-    latents are as old as the last visit of their row; no gradient flows into them.
+    Without it a sequence that begins inside a hazard could not know of it, because the camera does
+    not see the ground below the robot. The latents are as old as the last visit of their row; no
+    gradient flows into them.
     """
 
-    def __init__(self, rows: int, deter: int, variables: int, device: torch.device | None = None) -> None:
+    def __init__(
+        self, rows: int, deter: int, variables: int, device: torch.device | None = None
+    ) -> None:
         self.h = torch.zeros(rows, deter, dtype=torch.float16, device=device)
         self.z = torch.zeros(rows, variables, dtype=torch.uint8, device=device)
         self.known = torch.zeros(rows, dtype=torch.bool, device=device)
 
     def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
-        """Return the batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
+        """Return the batch with `first` set where nothing is known of what came before, and the
+        latents [B, .] before its first step.
+        """
         before = (window.memory[:, 0] - 1).clamp(min=0)
         first = window.batch.first.clone()
         first[:, 0] = torch.where(self.known[before], first[:, 0], 1.0)
@@ -149,7 +180,9 @@ class Context:
         """Remember the latents [B, T, .] of a batch."""
         variables = self.z.shape[1]
         self.h[window.memory] = latent.h.detach().to(torch.float16)
-        self.z[window.memory] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
+        self.z[window.memory] = (
+            latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
+        )
         self.known[window.memory] = True
 
     def tensors(self) -> dict[str, Tensor]:

@@ -1,4 +1,6 @@
-"""World-model training: Eq. 6 on sequences, then a refit of the reward, cost and continuation heads on prior latents."""
+"""World-model training: Eq. 6 on sequences, then a refit of the reward, cost and continuation
+heads on prior latents.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,29 @@ REFIT_RATE = 1e-3  # initial learning rate of the refit; it decays linearly to a
 
 def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
     """Build an untrained model of the configured sizes."""
-    names = ("deter", "hidden", "variables", "classes", "depth", "head", "unimix", "reward_scale", "cost_weight", "action_scales")
+    names = (
+        "deter",
+        "hidden",
+        "variables",
+        "classes",
+        "depth",
+        "head",
+        "unimix",
+        "reward_scale",
+        "cost_weight",
+        "action_scales",
+    )
     return SafetyWorldModel(Sizes(action=action, **{name: getattr(config, name) for name in names}))
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:
-    """Return the factor of each term of the loss: Eq. 6, the terms on imagined steps, and that on the privileged vector."""
-    weights: dict[str, float] = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
+    """Return the factor of each term of the loss: Eq. 6, the terms on imagined steps, and that
+    on the privileged vector.
+    """
+    weights: dict[str, float] = {
+        name: getattr(config, name)
+        for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")
+    }
     if config.ahead_starts:
         weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c")}
         weights |= {"ahead_o": config.ahead_image * config.beta_o} if config.ahead_images else {}
@@ -64,17 +82,20 @@ def train(
     mirror: NDArray[np.float32] | None = None,
     privileged_mirror: Mirror | None = None,
 ) -> tuple[dict[str, list[float]], int]:
-    """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own checkpoint in `work`.
+    """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own
+    checkpoint in `work`.
 
     Args:
         recording: the whole dataset.
         rows: those of it that may be learned from.
-        readout: head of the loss on the privileged vector, trained along, where `config.privileged` gives that loss a weight.
+        readout: head of the loss on the privileged vector, trained along, where `config.privileged`
+            gives that loss a weight.
         mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
         privileged_mirror: what a privileged vector becomes there, where that is known.
 
     Returns:
-        The loss curves by term and that of the gradient norm, a value per 20 updates; and the number of updates that were left out.
+        The loss curves by term and that of the gradient norm, a value per 20 updates; and the
+        number of updates that were left out.
     """
     device = model.mean_image.device
     weights = loss_weights(config)
@@ -82,8 +103,14 @@ def train(
     optimizer = torch.optim.Adam(whole.parameters(), lr=config.learning_rate, fused=True)
     privileged = torch.from_numpy(recording.privileged)
     source = generator(seed, device)
-    context = Context(len(recording.first) * (1 if mirror is None else 2), config.deter, config.variables, device)
-    fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
+    context = Context(
+        len(recording.first) * (1 if mirror is None else 2), config.deter, config.variables, device
+    )
+    fresh: dict[str, Any] = {
+        "update": 0,
+        "skipped": 0,
+        "curves": {name: [] for name in [*weights, "gradient_norm"]},
+    }
     counters = restore_training(work, whole, optimizer, source, context) or fresh
     windows = Windows(recording, rows, config.length, config.cost_windows, device, mirror)
     compute = torch.compile(model.losses) if config.compile else model.losses
@@ -91,16 +118,24 @@ def train(
     for update in range(counters["update"], updates):
         _set_rate(optimizer, config, update, updates)
         window = windows.sample(config.batch, source)
-        batch, start = context.enter(window, config.classes) if config.context else (_cut(window), None)
+        batch, start = (
+            context.enter(window, config.classes) if config.context else (_cut(window), None)
+        )
         noise = gumbel((config.batch, config.length, config.variables, config.classes), source)
-        decoded = torch.randperm(config.length, generator=source, device=device)[: max(1, round(config.decode_share * config.length))]
+        decoded = torch.randperm(config.length, generator=source, device=device)[
+            : max(1, round(config.decode_share * config.length))
+        ]
         further = (config.ahead_starts, config.ahead_horizon, config.ahead_images, model.noise_size)
         ahead = windows.ahead(window, *further, source) if config.ahead_starts else None
         with mixed_precision(device):
-            losses, latent = compute(batch, noise, decoded, config.free_nats, start=start, ahead=ahead)
+            losses, latent = compute(
+                batch, noise, decoded, config.free_nats, start=start, ahead=ahead
+            )
             if readout is not None:
                 told = privileged[window.rows.cpu()].to(device)  # [B, T, P]
-                losses["privileged"] = readout.loss(latent.features, told, window.mirrored, privileged_mirror)
+                losses["privileged"] = readout.loss(
+                    latent.features, told, window.mirrored, privileged_mirror
+                )
         if losses.keys() != weights.keys():
             raise TrainingError(f"losses {sorted(losses)} and weights {sorted(weights)} differ")
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
@@ -117,10 +152,15 @@ def train(
             values = {name: float(loss.detach()) for name, loss in losses.items()}
             for name, value in {**values, "gradient_norm": float(norm)}.items():
                 counters["curves"][name].append(value)
-            shown = f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost {values['beta_c']:.2f}"
+            shown = (
+                f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost "
+                f"{values['beta_c']:.2f}"
+            )
             report((update + 1) / updates, f"update {update + 1}/{updates}, {shown}")
         if (update + 1) % config.checkpoint_every == 0:
-            save_training(work, whole, optimizer, source, counters | {"update": update + 1}, context)
+            save_training(
+                work, whole, optimizer, source, counters | {"update": update + 1}, context
+            )
     model.eval()
     curves: dict[str, list[float]] = counters["curves"]
     return curves, counters["skipped"]
@@ -138,11 +178,18 @@ def _skip(counters: dict[str, Any], update: int, losses: dict[str, Tensor]) -> N
     counters["skipped"] += 1
     if counters["skipped"] > SKIPS:
         named = ", ".join(f"{name} {float(loss.detach()):.3g}" for name, loss in losses.items())
-        problem = f"{counters['skipped']} updates had a non-finite loss or gradient, last at update {update}: {named}"
-        raise TrainingError(problem, "lower world_model.learning_rate; the last checkpoint before it is kept")
+        problem = (
+            f"{counters['skipped']} updates had a non-finite loss or gradient, last at update "
+            f"{update}: {named}"
+        )
+        raise TrainingError(
+            problem, "lower world_model.learning_rate; the last checkpoint before it is kept"
+        )
 
 
-def _set_rate(optimizer: torch.optim.Optimizer, config: WorldModelConfig, update: int, updates: int) -> None:
+def _set_rate(
+    optimizer: torch.optim.Optimizer, config: WorldModelConfig, update: int, updates: int
+) -> None:
     """Linear warm-up, then a linear decay to a tenth over the second half."""
     scale = min(1.0, (update + 1) / max(1, config.warmup))
     half = updates / 2
@@ -161,29 +208,41 @@ def refit_heads(
     seed: int,
     report: Callable[[float, str], None],
 ) -> None:
-    """Train the heads on what they will read: prior latents up to `refit_horizon` steps ahead, all else frozen.
+    """Train the heads on what they will read: prior latents up to `refit_horizon` steps ahead, all
+    else frozen.
 
-    Heads trained jointly overpredict the cost more and more along an imagined rollout (2.3 times at step 15 in a study). Rollouts stop
-    counting at the end of their episode, whose own last step counts. Only starts from `allowed` rows [N] are used.
+    Heads trained jointly overpredict the cost more and more along an imagined rollout (2.3 times at
+    step 15 in a study). Rollouts stop counting at the end of their episode, whose own last step
+    counts. Only starts from `allowed` rows [N] are used.
     """
     horizon = config.refit_horizon
     starts = np.flatnonzero(allowed[:-1] & (recording.episode[:-1] == recording.episode[1:]))
     if not len(starts) or not config.refit_updates:
         return
-    heads = [*model.reward_head.parameters(), *model.cost_head.parameters(), *model.continue_head.parameters()]
+    heads = [
+        *model.reward_head.parameters(),
+        *model.cost_head.parameters(),
+        *model.continue_head.parameters(),
+    ]
     for parameter in heads:
         parameter.requires_grad_(True)
     optimizer = torch.optim.Adam(heads, lr=REFIT_RATE, fused=True)
     device, last = model.mean_image.device, len(recording.first) - 1
     source = generator(seed, device)
     for update in range(config.refit_updates):
-        index = starts[torch.randint(len(starts), (config.refit_starts,), generator=source, device=device).cpu().numpy()]
+        index = starts[
+            torch.randint(len(starts), (config.refit_starts,), generator=source, device=device)
+            .cpu()
+            .numpy()
+        ]
         ahead = index[:, None] + 1 + np.arange(horizon)  # [B, K]
         follow = np.minimum(ahead, last)
         same = (recording.episode[follow] == recording.episode[index][:, None]) & (ahead <= last)
         within = torch.from_numpy(same.astype(np.float32)).to(device)
         fields = (recording.action, recording.reward, recording.cost, recording.terminal)
-        action, reward, cost, terminal = (torch.from_numpy(field[follow]).to(device) for field in fields)
+        action, reward, cost, terminal = (
+            torch.from_numpy(field[follow]).to(device) for field in fields
+        )
         with torch.no_grad():
             start = latents.at(torch.from_numpy(index)).to(device)
             features = roll_prior(model, start, action, source).features
@@ -195,6 +254,9 @@ def refit_heads(
         (reward_loss + cost_loss + continuation_loss).backward()
         optimizer.step()
         if update % 50 == 0:
-            report(update / config.refit_updates, f"refit {update}/{config.refit_updates}, cost {float(cost_loss.detach()):.3f}")
+            report(
+                update / config.refit_updates,
+                f"refit {update}/{config.refit_updates}, cost {float(cost_loss.detach()):.3f}",
+            )
     for parameter in heads:
         parameter.requires_grad_(False)

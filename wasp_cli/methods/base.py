@@ -1,6 +1,8 @@
-"""The contract of an assistant: from a filtered latent and the operator's command to the executed action.
+"""The contract of an assistant: from a filtered latent and the operator's command to the executed
+action.
 
-Everything that the main table compares differs only here. B = episodes side by side, A = action size, K = held-out decisions.
+Everything that the main table compares differs only here. B = episodes side by side, A = action
+size, K = held-out decisions.
 """
 
 from __future__ import annotations
@@ -22,15 +24,18 @@ from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
-    # Training drives the task with assistants too, and must not run again when decisions leave more behind.
+    # Training drives the task with assistants too, and must not run again when decisions leave more
+    # behind.
     from wasp_cli.methods.record import Planned, Record
 
 
 class Decision(NamedTuple):
     """What an assistant decided for B episodes."""
 
-    action: Tensor  # [B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit
-    record: Record | None = None  # why: gate and signals (`methods.record`); None: every command stands, and nothing was computed
+    # [B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit
+    action: Tensor
+    # why: gate and signals (`methods.record`); None: every command stands, and nothing was computed
+    record: Record | None = None
     planned: Planned | None = None  # the plans, of methods that plan
 
 
@@ -44,24 +49,37 @@ def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> 
         given: [B, A] a copy of them from before.
 
     Raises:
-        WaspError: it changed the commands in place, it returned no `Decision`, an action has another shape, or a command was changed
-            although no gate fired.
+        WaspError: it changed the commands in place, it returned no `Decision`, an action has
+            another shape, or a command was changed although no gate fired.
     """
     who = f"the assistant '{type(assistant).__name__}'"
     if not isinstance(decision, Decision):
-        raise WaspError(f"{who} returned a {type(decision).__name__}, not a Decision", "return Decision(action, record) from `decide`")
+        raise WaspError(
+            f"{who} returned a {type(decision).__name__}, not a Decision",
+            "return Decision(action, record) from `decide`",
+        )
     if ((a_h != given) & ~given.isnan()).any():
         raise WaspError(
-            f"{who} changed the operator's command in place", "let `decide` work on a_h.clone(), and return Decision(action, record)"
+            f"{who} changed the operator's command in place",
+            "let `decide` work on a_h.clone(), and return Decision(action, record)",
         )
     action, record = decision.action, decision.record
     if action.shape != a_h.shape:
-        raise WaspError(f"{who} returned actions of shape {list(action.shape)} for commands of shape {list(a_h.shape)}")
+        raise WaspError(
+            f"{who} returned actions of shape {list(action.shape)} for commands of shape "
+            f"{list(a_h.shape)}"
+        )
     changed = ((action != a_h) & ~a_h.isnan()).any(-1)  # [B]
     if record is None and changed.any():
-        raise WaspError(f"{who} changed a command without a record", "return Decision(action, record) with the gate that fired")
+        raise WaspError(
+            f"{who} changed a command without a record",
+            "return Decision(action, record) with the gate that fired",
+        )
     if record is not None and (changed & (record.gate == 0)).any():
-        raise WaspError(f"{who} changed a command although its record says that no gate fired", "set `gate` where it intervenes")
+        raise WaspError(
+            f"{who} changed a command although its record says that no gate fired",
+            "set `gate` where it intervenes",
+        )
     return decision
 
 
@@ -69,10 +87,13 @@ def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> 
 class Parts:
     """What assistants are built from; frozen models shared by all of them."""
 
-    world_model: SafetyWorldModel  # the RSSM with its heads (`models.base.WorldModel`): filter, imagine, reward, cost
-    skills: Skills  # latent policies; `skills.expert(features)` [B, F] to [B, A] is the nominal expert
+    # the RSSM with its heads (`models.base.WorldModel`): filter, imagine, reward, cost
+    world_model: SafetyWorldModel
+    # latent policies; `skills.expert(features)` [B, F] to [B, A] is the nominal expert
+    skills: Skills
     inputs: Mapping[str, Path]  # artifact folders by stage kind, for what only one method reads
-    thresholds: Mapping[str, float]  # calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any
+    # calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any
+    thresholds: Mapping[str, float]
     gamma_r: float  # discount of rewards per decision step
     gamma_c: float  # discount of costs per decision step
     lam: float  # lambda of the TD-lambda returns (Eq. 8).
@@ -85,29 +106,36 @@ class Parts:
 
 
 class Heldout(NamedTuple):
-    """Decisions of the unimpaired expert on held-out seeds: T_e rows for episode e, concatenated to K rows."""
+    """Decisions of the unimpaired expert on held-out seeds: T_e rows for episode e,
+    concatenated to K rows.
+    """
 
     latent: Latent  # [K, .] filtered
     a_h: Tensor  # [K, A] commands of the expert
     reward: Tensor  # [K] reward of the decision
     cost: Tensor  # [K] in {0, 1}: costly decision
     episode: Tensor  # [K] index of the episode
-    terminal: Tensor  # [K] in {0, 1}: the decision ended the episode by the task's own rule, not by the time limit
+    # [K] in {0, 1}: the decision ended the episode by the task's own rule, not by the time limit
+    terminal: Tensor
 
 
 class Assistant(Protocol):
     """See the module. Assistants keep state between decisions only through `reset`-able fields."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Begin new episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows and names the sampling streams."""
+        """Begin new episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows
+        and names the sampling streams.
+        """
         ...
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        """Decide on commands a_h [B, A] (within [-1, 1]) in the latent states [B, .]; `operator` has just issued them.
+        """Decide on commands a_h [B, A] (within [-1, 1]) in the latent states [B, .]; `operator`
+        has just issued them.
 
-        a_h is not to be changed in place; what is drawn depends on the seed of the episode and the decision alone (`methods.noise`).
-        Where a person waits, an assistant that has an attribute `time_is_up` finds a callable in it: a search that goes on for long asks
-        it, and returns its best so far once it says True.
+        a_h is not to be changed in place; what is drawn depends on the seed of the episode and the
+        decision alone (`methods.noise`). Where a person waits, an assistant that has an attribute
+        `time_is_up` finds a callable in it: a search that goes on for long asks it, and returns its
+        best so far once it says True.
         """
         ...
 
@@ -123,12 +151,15 @@ class AssistantClass(Protocol):
 class CalibratedAssistant(Assistant, Protocol):
     """An assistant whose thresholds come from held-out decisions."""
 
-    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
+    def calibrate(
+        self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int
+    ) -> dict[str, float]:
         """Set the thresholds and return them by name, with whatever else is worth storing.
 
         Args:
             heldout: K decisions.
-            cost_ahead: [K] costly decisions among the W that begin with each; NaN where fewer are left in the episode.
+            cost_ahead: [K] costly decisions among the W that begin with each; NaN where fewer are
+                left in the episode.
             operator: unimpaired, one row per held-out decision.
             seed: names the draws.
         """

@@ -17,21 +17,43 @@ class IDAConfig(Config):
     """IDA: override by a copilot when a Q ensemble votes for it."""
 
     copilot: Literal["expert", "diffusion"] = from_paper(
-        "expert", "section 5.1: an expert action; `diffusion` is the original's copilot, the command partly diffused and denoised"
+        "expert",
+        "section 5.1: an expert action; `diffusion` is the original's copilot, the command "
+        "partly diffused and denoised",
     )
     ratio: float = assumed(
-        0.4, "forward diffusion ratio of the copilot `diffusion`: sigma .45, as the original's .2 in its schedule", ge=0.0, le=1.0
+        0.4,
+        "forward diffusion ratio of the copilot `diffusion`: sigma .45, as the original's "
+        ".2 in its schedule",
+        ge=0.0,
+        le=1.0,
     )
     vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
-    quantile: float = assumed(0.95, "tau_Q: quantile of the least advantage over the members under the expert with noise", gt=0.0, lt=1.0)
-    exploration: float = assumed(0.25, "standard deviation of that noise, as in the dataset's near-expert episodes", gt=0.0)
+    quantile: float = assumed(
+        0.95,
+        "tau_Q: quantile of the least advantage over the members under the expert with noise",
+        gt=0.0,
+        lt=1.0,
+    )
+    exploration: float = assumed(
+        0.25, "standard deviation of that noise, as in the dataset's near-expert episodes", gt=0.0
+    )
 
 
 class DiffusionConfig(Config):
     """Diffusion: partial forward and reverse diffusion of the operator's command."""
 
-    ratio: float = assumed(0.4, "forward diffusion ratio gamma_fwd; .4 in the original's main experiments", ge=0.0, le=1.0)
-    last_noise: bool = assumed(False, "noise at the last reverse step too, as in the original's code: then every command is changed")
+    ratio: float = assumed(
+        0.4,
+        "forward diffusion ratio gamma_fwd; .4 in the original's main experiments",
+        ge=0.0,
+        le=1.0,
+    )
+    last_noise: bool = assumed(
+        False,
+        "noise at the last reverse step too, as in the original's code: then every command "
+        "is changed",
+    )
 
 
 class CSAConfig(Config):
@@ -39,59 +61,107 @@ class CSAConfig(Config):
 
     ratio: float = assumed(
         0.69,
-        "level at which the command is denoised, as a share of the ladder; .69 is 9 of 30 from the top (sigma 11.5), as for the Lunar "
-        "Lander in the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which hardly a command is changed",
+        "level at which the command is denoised, as a share of the ladder; .69 is 9 of 30 "
+        "from the top (sigma 11.5), as for the Lunar "
+        "Lander in the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which "
+        "hardly a command is changed",
         ge=0.0,
         le=1.0,
     )
 
 
 class FilterConfig(Config):
-    """Safety filter (after Oh et al. 2025): the least correction that keeps one imagined step and V_c behind it below a threshold."""
+    """Safety filter (after Oh et al. 2025): the least correction that keeps one imagined step
+    and V_c behind it below a threshold.
+    """
 
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
-        "calibrated", "bound of Q_c, expected costly decision steps discounted by gamma_c; `calibrated`: a quantile of Q_c under the expert"
-    )
-    quantile: float = assumed(
-        0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
-    )
-    candidates: int = assumed(
-        64, "random actions among which the safest is sought, beside zero and, unless they are more, all corners", ge=1
-    )
-    segment: int = assumed(32, "points from the command to the safest action at which Q_c is read (the original has 2000)", ge=1)
-    rollouts: int = assumed(8, "imagined next states over which Q_c is a mean, the same for every action", ge=1)
-
-
-class MPMIConfig(Config):
-    """MPMI (Broad et al. 2019): of many inputs that are held over the horizon, the safe one nearest to the command."""
-
-    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
-        "calibrated", "costly decision steps expected within H of holding an input; `calibrated`: a quantile of them under the expert"
-    )
-    quantile: float = assumed(
-        0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
-    )
-    horizon: int = assumed(5, "H: .4 s on Goal1, .8 s on the cars; the original has 25 steps at 60 Hz and 30 at 100 Hz", ge=1)
-    candidates: int = assumed(64, "inputs imagined where the command is unsafe; the original has 10,000 on a GPU", ge=1)
-    rollouts: int = assumed(8, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
-
-
-class ReachConfig(Config):
-    """Reachability filter: the action nearest to the command with Q >= gamma V, Q and V of the stage `reachability`."""
-
-    gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
-        "calibrated", "share of V that an action must keep (0.9 in LatentCBF's code); `calibrated`: a quantile of Q / V under the expert"
+        "calibrated",
+        "bound of Q_c, expected costly decision steps discounted by gamma_c; `calibrated`: "
+        "a quantile of Q_c under the expert",
     )
     quantile: float = assumed(
         0.95,
-        "share of the held-out decisions of the unimpaired expert after which nothing cost within W whose command is to stand",
+        "which one, over held-out decisions of the unimpaired expert after which nothing "
+        "cost within W",
         gt=0.0,
         lt=1.0,
     )
     candidates: int = assumed(
-        256, "spread actions among which the nearest is sought, beside the extreme ones (25 in LatentCBF's code)", ge=1
+        64,
+        "random actions among which the safest is sought, beside zero and, unless they are "
+        "more, all corners",
+        ge=1,
     )
-    segment: int = assumed(32, "points from the command to the fallback's action, sought among as well", ge=1)
+    segment: int = assumed(
+        32,
+        "points from the command to the safest action at which Q_c is read (the original has 2000)",
+        ge=1,
+    )
+    rollouts: int = assumed(
+        8, "imagined next states over which Q_c is a mean, the same for every action", ge=1
+    )
+
+
+class MPMIConfig(Config):
+    """MPMI (Broad et al. 2019): of many inputs that are held over the horizon, the safe one
+    nearest to the command.
+    """
+
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+        "calibrated",
+        "costly decision steps expected within H of holding an input; `calibrated`: a "
+        "quantile of them under the expert",
+    )
+    quantile: float = assumed(
+        0.95,
+        "which one, over held-out decisions of the unimpaired expert after which nothing "
+        "cost within W",
+        gt=0.0,
+        lt=1.0,
+    )
+    horizon: int = assumed(
+        5,
+        "H: .4 s on Goal1, .8 s on the cars; the original has 25 steps at 60 Hz and 30 at 100 Hz",
+        ge=1,
+    )
+    candidates: int = assumed(
+        64, "inputs imagined where the command is unsafe; the original has 10,000 on a GPU", ge=1
+    )
+    rollouts: int = assumed(
+        8,
+        "M: rollouts of each input, with common random numbers; the original's model has "
+        "no chance in it",
+        ge=1,
+    )
+
+
+class ReachConfig(Config):
+    """Reachability filter: the action nearest to the command with Q >= gamma V, Q and V of the
+    stage `reachability`.
+    """
+
+    gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
+        "calibrated",
+        "share of V that an action must keep (0.9 in LatentCBF's code); `calibrated`: a "
+        "quantile of Q / V under the expert",
+    )
+    quantile: float = assumed(
+        0.95,
+        "share of the held-out decisions of the unimpaired expert after which nothing cost "
+        "within W whose command is to stand",
+        gt=0.0,
+        lt=1.0,
+    )
+    candidates: int = assumed(
+        256,
+        "spread actions among which the nearest is sought, beside the extreme ones (25 in "
+        "LatentCBF's code)",
+        ge=1,
+    )
+    segment: int = assumed(
+        32, "points from the command to the fallback's action, sought among as well", ge=1
+    )
 
 
 class SafeRLConfig(Config):
@@ -102,44 +172,67 @@ WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollou
 
 
 class WASPConfig(Config):
-    """WASP: the command, then the expert, beside the correction, then the expert. N candidates, M rollouts, H horizon, L residuals."""
+    """WASP: the command, then the expert, beside the correction, then the expert. N candidates,
+    M rollouts, H horizon, L residuals.
+    """
 
     variant: WASPVariant = "full"
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
-    rollouts: int = assumed(8, "M: rollouts of each future, with common random numbers; the paper has one M and does not give it", ge=1)
+    rollouts: int = assumed(
+        8,
+        "M: rollouts of each future, with common random numbers; the paper has one M and "
+        "does not give it",
+        ge=1,
+    )
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
         1.0,
-        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; `calibrated`: a quantile of "
+        "costly decision steps expected within H, discounted by gamma_c, above which the "
+        "safety gate fires; `calibrated`: a quantile of "
         "the signal under the expert",
     )
     tau_c_quantile: float = assumed(
-        0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
+        0.95,
+        "which one, over held-out decisions of the unimpaired expert after which nothing "
+        "cost within W",
+        gt=0.0,
+        lt=1.0,
     )
     tau_r: float | Literal["calibrated"] = assumed(
-        "calibrated", "return that a correction must gain; `calibrated`: what putting right a uniformly random command gains on average"
+        "calibrated",
+        "return that a correction must gain; `calibrated`: what putting right a uniformly "
+        "random command gains on average",
     )
-    tau_r_share: float = assumed(1.0, "share of that average; smaller ones intervene more often", ge=0.0)
+    tau_r_share: float = assumed(
+        1.0, "share of that average; smaller ones intervene more often", ge=0.0
+    )
     candidates: int = from_paper(300, "N, section 5.1", ge=4)
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
     search_rollouts: int = assumed(1, "rollouts per candidate of the search: the first of M", ge=1)
-    feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
+    feasible: int = assumed(
+        100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1
+    )
     alpha: float = assumed(0.02, "weight of the squared residual (Eq. 16, 17)", ge=0.0)
-    initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
+    initial_std: float = assumed(
+        0.5, "standard deviation of the first residual distribution", gt=0.0
+    )
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> WASPConfig:
         _check_sizes(self)
         if self.search_rollouts > self.rollouts:
             raise ValueError(
-                f"search_rollouts ({self.search_rollouts}) is more than rollouts ({self.rollouts}), with which it shares its draws"
+                f"search_rollouts ({self.search_rollouts}) is more than rollouts "
+                f"({self.rollouts}), with which it shares its draws"
             )
         return self
 
 
 class PrintedConfig(Config):
-    """WASP as printed (section 4): its constants, and what it leaves open. N candidates, M rollouts, H horizon, L residuals."""
+    """WASP as printed (section 4): its constants, and what it leaves open. N candidates, M
+    rollouts, H horizon, L residuals.
+    """
 
     variant: WASPVariant = "full"
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
@@ -149,15 +242,25 @@ class PrintedConfig(Config):
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
     rollouts: int = assumed(8, "M", ge=1)
-    feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
+    feasible: int = assumed(
+        100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1
+    )
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
-        "calibrated", "bound of the cost return; `calibrated`: a quantile of the nominal one under the unimpaired expert"
+        "calibrated",
+        "bound of the cost return; `calibrated`: a quantile of the nominal one under the "
+        "unimpaired expert",
     )
-    tau_c_quantile: float = assumed(0.95, "which one, over held-out decisions after which nothing cost within W", gt=0.0, lt=1.0)
-    tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of Delta G_t under the unimpaired expert")
+    tau_c_quantile: float = assumed(
+        0.95, "which one, over held-out decisions after which nothing cost within W", gt=0.0, lt=1.0
+    )
+    tau_r: float | Literal["calibrated"] = assumed(
+        "calibrated", "quantile of Delta G_t under the unimpaired expert"
+    )
     tau_r_quantile: float = assumed(0.95, "which one", gt=0.0, lt=1.0)
-    initial_std: float = assumed(0.5, "sigma_0: standard deviation of what is sampled first", gt=0.0)
+    initial_std: float = assumed(
+        0.5, "sigma_0: standard deviation of what is sampled first", gt=0.0
+    )
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> PrintedConfig:
@@ -169,7 +272,9 @@ class GuardedIDAConfig(IDAConfig, WASPConfig):
     """IDA with the least correction, and WASP's safety gate behind it: the settings of both."""
 
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
-        1.0, "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; nothing calibrates it"
+        1.0,
+        "costly decision steps expected within H, discounted by gamma_c, above which the "
+        "safety gate fires; nothing calibrates it",
     )
 
 
@@ -178,16 +283,24 @@ class PlannerConfig(WASPConfig):
 
     variant: Literal["full"] = "full"
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
-        0.1, "costly decision steps that a plan may be expected to have within H; who maximises a return uses what a gate tolerates"
+        0.1,
+        "costly decision steps that a plan may be expected to have within H; who maximises "
+        "a return uses what a gate tolerates",
     )
     tau_r: float = assumed(
-        0.3, "return that a plan must gain over the expert's actions: plans are chosen where the model errs, and gain less than it says"
+        0.3,
+        "return that a plan must gain over the expert's actions: plans are chosen where "
+        "the model errs, and gain less than it says",
     )
 
 
 def _check_sizes(config: WASPConfig | PrintedConfig) -> None:
     if config.residual_steps > config.horizon:
-        raise ValueError(f"residual_steps ({config.residual_steps}) is longer than horizon ({config.horizon})")
+        raise ValueError(
+            f"residual_steps ({config.residual_steps}) is longer than horizon ({config.horizon})"
+        )
     for name in ("elites", "feasible"):
         if getattr(config, name) > config.candidates:
-            raise ValueError(f"{name} ({getattr(config, name)}) is more than candidates ({config.candidates})")
+            raise ValueError(
+                f"{name} ({getattr(config, name)}) is more than candidates ({config.candidates})"
+            )

@@ -1,4 +1,6 @@
-"""CSA (Sun et al. 2025): the command is taken for a noisy expert action and denoised in one step, without a draw."""
+"""CSA (Sun et al. 2025): the command is taken for a noisy expert action and denoised in one
+step, without a draw.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,15 @@ from wasp_cli.operators.base import Operator
 
 
 class CSA:
-    """f(a_h, sigma | h, z), where sigma is at `ratio` of the ladder of levels; at 0 the command stands bit for bit."""
+    """f(a_h, sigma | h, z), where sigma is at `ratio` of the ladder of levels; at 0 the command
+    stands bit for bit.
+    """
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.ratio = cast(CSAConfig, config).ratio
-        self.model = load_module(Consistency, parts.inputs["consistency"] / "consistency.safetensors").to(parts.device)
+        self.model = load_module(
+            Consistency, parts.inputs["consistency"] / "consistency.safetensors"
+        ).to(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Keep nothing of the rows [B]: nothing is drawn."""

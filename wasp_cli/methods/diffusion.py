@@ -1,4 +1,6 @@
-"""Diffusion (Yoneda et al. 2023): the command is partly diffused and denoised toward the expert's actions."""
+"""Diffusion (Yoneda et al. 2023): the command is partly diffused and denoised toward the
+expert's actions.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from wasp_cli.operators.base import Operator
 class Assist:
     """A trained denoiser at one forward diffusion ratio."""
 
-    def __init__(self, denoiser: Denoiser, schedule: NoiseSchedule, ratio: float, last_noise: bool = False) -> None:
+    def __init__(
+        self, denoiser: Denoiser, schedule: NoiseSchedule, ratio: float, last_noise: bool = False
+    ) -> None:
         self.denoiser, self.schedule, self.last_noise = denoiser, schedule, last_noise
         self.k = schedule.forward_level(ratio)
 
@@ -34,7 +38,9 @@ class Assist:
         return assist(self.denoiser, self.schedule, features, a_h, self.k, draws, self.last_noise)
 
 
-def load_assist(folder: Path, ratio: float, last_noise: bool = False, device: torch.device = CPU) -> Assist:
+def load_assist(
+    folder: Path, ratio: float, last_noise: bool = False, device: torch.device = CPU
+) -> Assist:
     """Load the denoiser of an artifact of the stage `denoiser`."""
     path = folder / "denoiser.safetensors"
     arguments = read_arguments(path)
@@ -49,7 +55,9 @@ class Diffusion:
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(DiffusionConfig, config)
-        self.assist = load_assist(parts.inputs["denoiser"], self.config.ratio, self.config.last_noise, parts.device)
+        self.assist = load_assist(
+            parts.inputs["denoiser"], self.config.ratio, self.config.last_noise, parts.device
+        )
         self.noise = DecisionNoise(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
@@ -57,22 +65,33 @@ class Diffusion:
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         action = self.assist(latent.features, a_h, self.noise.streams())
-        return Decision(action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0, a_h.device))
+        return Decision(
+            action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0, a_h.device)
+        )
 
 
 def assist(
-    denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, a_h: Tensor, k: int, draws: Tensor, last_noise: bool = False
+    denoiser: Denoiser,
+    schedule: NoiseSchedule,
+    features: Tensor,
+    a_h: Tensor,
+    k: int,
+    draws: Tensor,
+    last_noise: bool = False,
 ) -> Tensor:
     """Diffuse a_h [B, A] by k steps and denoise it again; k = 0 returns it bit for bit.
 
     Args:
-        draws: standard normal [k + 1, B, A]; the first diffuses, the others enter the reverse steps.
-        last_noise: also draw at the last reverse step, as the original does: then no command is ever executed as it is.
+        draws: standard normal [k + 1, B, A]; the first diffuses, the others enter the reverse
+            steps.
+        last_noise: also draw at the last reverse step, as the original does: then no command is
+            ever executed as it is.
     """
     if k == 0:
         return a_h
     batch = len(a_h)
-    # k diffusion steps have been applied to a sample at index k - 1; the reverse loop undoes the same k steps.
+    # k diffusion steps have been applied to a sample at index k - 1; the reverse loop undoes the
+    # same k steps.
     x = schedule.diffuse(a_h, torch.full((batch,), k - 1, device=a_h.device), draws[0])
     for i in range(k - 1, -1, -1):
         predicted = denoiser(features, x, torch.full((batch,), i, device=a_h.device))

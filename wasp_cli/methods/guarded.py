@@ -1,4 +1,6 @@
-"""IDA with WASP's safety gate behind it: what it decides is looked at as if the operator had commanded it."""
+"""IDA with WASP's safety gate behind it: what it decides is looked at as if the operator had
+commanded it.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,12 @@ class GuardedIDA:
         record = second.record._replace(gate=gate, signal=first.record.signal)
         return Decision(self.motors.least(a_h, second.action), record)
 
-    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Set tau_Q as IDA does, from K held-out decisions and their costs ahead [K]; tau_c is a number."""
+    def calibrate(
+        self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int
+    ) -> dict[str, float]:
+        """Set tau_Q as IDA does, from K held-out decisions and their costs ahead [K]; tau_c is
+        a number.
+        """
         found = self.ida.calibrate(heldout, cost_ahead, operator, seed)
         self.tau_q = self.ida.tau_q
         return found | {"tau_c": self.tau_c}

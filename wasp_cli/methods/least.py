@@ -1,4 +1,6 @@
-"""IDA with the least correction: of all actions with the force of its copilot's, the one closest to the command."""
+"""IDA with the least correction: of all actions with the force of its copilot's, the one
+closest to the command.
+"""
 
 from __future__ import annotations
 

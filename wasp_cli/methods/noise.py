@@ -1,4 +1,6 @@
-"""An assistant's own randomness: what it draws at decision t depends on (the episode's seed, t, what for) alone, on any device."""
+"""An assistant's own randomness: what it draws at decision t depends on (the episode's seed, t,
+what for) alone, on any device.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,17 @@ from torch import Tensor
 
 CPU = torch.device("cpu")
 AHEAD, MOST_BYTES = 64, 256 * 1024**2
-"""Where the draws are needed on another device, those of so many decisions are made at once, within so many bytes."""
+"""Where the draws are needed on another device, those of so many decisions are made at once,
+within so many bytes.
+"""
 
 Draw = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
 
 
 class DecisionNoise:
-    """Counter-based streams for B rows: `next` or `streams` gives what one decision of each of them draws from."""
+    """Counter-based streams for B rows: `next` or `streams` gives what one decision of each of
+    them draws from.
+    """
 
     def __init__(self, device: torch.device = CPU) -> None:
         self.seeds: list[int] = []
@@ -46,28 +52,49 @@ class DecisionNoise:
         self.taken += 1
         return found
 
-    def made(self, draw: Draw, step: Sequence[int], purpose: int, rows: Sequence[int], shapes: Sequence[Sequence[int]]) -> list[Tensor]:
-        """Draw for some rows at the decisions `step` [B] of their episodes: one tensor [len(rows), *shape] for each shape."""
+    def made(
+        self,
+        draw: Draw,
+        step: Sequence[int],
+        purpose: int,
+        rows: Sequence[int],
+        shapes: Sequence[Sequence[int]],
+    ) -> list[Tensor]:
+        """Draw for some rows at the decisions `step` [B] of their episodes: one tensor
+        [len(rows), *shape] for each shape.
+        """
         generators = [_generator(self.seeds[row], step[row], purpose) for row in rows]
         each = [[draw(generator, shape) for shape in shapes] for generator in generators]
         return [torch.from_numpy(np.stack(values)) for values in zip(*each, strict=True)]
 
-    def made_ahead(self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]) -> list[Tensor]:
-        """Return the same for all rows, [B, *shape] on the device, of draws that were made for many decisions at once."""
+    def made_ahead(
+        self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]
+    ) -> list[Tensor]:
+        """Return the same for all rows, [B, *shape] on the device, of draws that were made for
+        many decisions at once.
+        """
         key = (draw, purpose, *map(tuple, shapes))
         first, held = self.ahead.get(key, (0, []))
         if not held or not first <= streams.taken < first + len(held[0]):
             size = 4 * len(self.seeds) * sum(int(np.prod(shape)) for shape in shapes)
             count = max(1, min(AHEAD, MOST_BYTES // max(size, 1)))
             rows = range(len(self.seeds))
-            decisions = [self.made(draw, [step + k for step in streams.step], purpose, rows, shapes) for k in range(count)]
-            first, held = streams.taken, [torch.stack(values).to(self.device) for values in zip(*decisions, strict=True)]
+            decisions = [
+                self.made(draw, [step + k for step in streams.step], purpose, rows, shapes)
+                for k in range(count)
+            ]
+            first, held = (
+                streams.taken,
+                [torch.stack(values).to(self.device) for values in zip(*decisions, strict=True)],
+            )
             self.ahead[key] = first, held
         return [values[streams.taken - first] for values in held]
 
 
 class Streams(NamedTuple):
-    """What one decision of B rows may draw: once for each purpose, from a stream of its own. What one draws changes nothing for another."""
+    """What one decision of B rows may draw: once for each purpose, from a stream of its own.
+    What one draws changes nothing for another.
+    """
 
     noise: DecisionNoise
     step: list[int]  # [B] decision of the episode
@@ -75,17 +102,26 @@ class Streams(NamedTuple):
 
     def generators(self, purpose: int = 0) -> list[np.random.Generator]:
         """Return a generator for each of the B rows."""
-        return [_generator(seed, step, purpose) for seed, step in zip(self.noise.seeds, self.step, strict=True)]
+        return [
+            _generator(seed, step, purpose)
+            for seed, step in zip(self.noise.seeds, self.step, strict=True)
+        ]
 
-    def uniform(self, *shapes: Sequence[int], purpose: int = 0, rows: Tensor | None = None) -> list[Tensor]:
-        """Draw uniform variables in [0, 1), [R, *shape] for each shape, for `rows` (indices [R]) or all."""
+    def uniform(
+        self, *shapes: Sequence[int], purpose: int = 0, rows: Tensor | None = None
+    ) -> list[Tensor]:
+        """Draw uniform variables in [0, 1), [R, *shape] for each shape, for `rows` (indices
+        [R]) or all.
+        """
         return self._drawn(_uniform, shapes, purpose, rows)
 
     def normal(self, *shape: int, purpose: int = 0, rows: Tensor | None = None) -> Tensor:
         """Draw standard normal variables [R, *shape] for `rows` (indices [R]) or all."""
         return self._drawn(_normal, [shape], purpose, rows)[0]
 
-    def _drawn(self, draw: Draw, shapes: Sequence[Sequence[int]], purpose: int, rows: Tensor | None) -> list[Tensor]:
+    def _drawn(
+        self, draw: Draw, shapes: Sequence[Sequence[int]], purpose: int, rows: Tensor | None
+    ) -> list[Tensor]:
         noise = self.noise
         if noise.device.type == "cpu":
             chosen = range(len(noise.seeds)) if rows is None else rows.tolist()

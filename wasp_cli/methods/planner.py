@@ -1,13 +1,16 @@
-"""The planner with nobody at the controls: what WASP's own search reaches where no command has to stand.
+"""The planner with nobody at the controls: what WASP's own search reaches where no command has to
+stand.
 
-A reference row, and as much of a ceiling as the model allows. At every decision the constrained search of WASP (`methods.wasp.search`)
-looks for the best action sequence of which at most tau_c costly decisions are expected, by its imagined rewards with V_r behind the
-horizon. It starts from the expert's actions, as TD-MPC and SafeDreamer start from their policies: a candidate is what is added to them
-in the first L decisions, nothing added is a candidate of every iteration, and the expert goes on behind. Nothing of an operator is read.
+A reference row, and as much of a ceiling as the model allows. At every decision the constrained
+search of WASP (`methods.wasp.search`) looks for the best action sequence of which at most tau_c
+costly decisions are expected, by its imagined rewards with V_r behind the horizon. It starts from
+the expert's actions, as TD-MPC and SafeDreamer start from their policies: a candidate is what is
+added to them in the first L decisions, nothing added is a candidate of every iteration, and the
+expert goes on behind. Nothing of an operator is read.
 
-A plan replaces the expert's actions only where it gains tau_r, or where they are not safe: a search chooses where the model errs. On
-Race1 plans with an imagined gain of .26 and .21 costly decisions within H had 1.22 in the task, and were no faster.
-B episodes, L steps, A actions.
+A plan replaces the expert's actions only where it gains tau_r, or where they are not safe: a search
+chooses where the model errs. On Race1 plans with an imagined gain of .26 and .21 costly decisions
+within H had 1.22 in the task, and were no faster. B episodes, L steps, A actions.
 """
 
 from __future__ import annotations
@@ -32,16 +35,21 @@ class Planner(WASP):
     """See the module. Imagination, search and memory of the last plan are WASP's."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        super().__init__(cast(PlannerConfig, config), imagination_of(parts), {}, parts.motors, parts.device)
+        super().__init__(
+            cast(PlannerConfig, config), imagination_of(parts), {}, parts.motors, parts.device
+        )
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        """Plan, whatever the commands a_h [B, A] are: `gate` says where the action is another one."""
+        """Plan, whatever the commands a_h [B, A] are: `gate` says where the action is another
+        one.
+        """
         streams, here = self.noise.streams(), chosen(~self.resting)
         action = self.imagination.expert(latent.features).clamp(-1, 1)
         start = self._situation(latent, action, here)
         draws = self._draws(streams, GATES, start)
         alone = self._scored(start, self.plan.new_zeros(len(here), 1, *self.plan.shape[1:]), draws)
-        # Where WASP's search begins with what its gates saw, the command and a correction, this one has the expert alone.
+        # Where WASP's search begins with what its gates saw, the command and a correction, this one
+        # has the expert alone.
         twice = alone.take(torch.zeros(len(here), 2, dtype=torch.long, device=action.device))
         found = self._search(start, Look(start.a_h, twice, draws), streams)
         self.plan = torch.zeros_like(self.plan)

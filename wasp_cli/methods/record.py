@@ -1,4 +1,6 @@
-"""What a decision leaves behind, for every method. B = episodes side by side, A = action size, L = residual steps, I = iterations."""
+"""What a decision leaves behind, for every method. B = episodes side by side, A = action size,
+L = residual steps, I = iterations.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ class Record(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """The residual plan of a decision, for B episodes; NaN (-1 in `safe`) in the rows where nothing was planned."""
+    """The residual plan of a decision, for B episodes; NaN (-1 in `safe`) in the rows where
+    nothing was planned.
+    """
 
     residuals: Tensor  # [B, L, A] the chosen sequence; its first element is executed (Eq. 18)
     safe: Tensor  # int16 [B, I] |F_s| (Eq. 14) of every iteration
@@ -32,26 +36,48 @@ class Planned(NamedTuple):
     alone_reward: Tensor  # [B] their predicted reward return
 
     @classmethod
-    def nothing(cls, batch: int, iterations: int, steps: int, actions: int, device: torch.device | None = None) -> Planned:
+    def nothing(
+        cls,
+        batch: int,
+        iterations: int,
+        steps: int,
+        actions: int,
+        device: torch.device | None = None,
+    ) -> Planned:
         """Return a batch without a plan in any row."""
         nan = torch.full((batch,), torch.nan, device=device)
         return cls(
             torch.full((batch, steps, actions), torch.nan, device=device),
             torch.full((batch, iterations), -1, dtype=torch.int16, device=device),
-            torch.zeros(batch, iterations, dtype=torch.bool, device=device), nan.clone(), nan.clone(), nan.clone(), nan.clone(),
-        )  # fmt: skip
+            torch.zeros(batch, iterations, dtype=torch.bool, device=device),
+            nan.clone(),
+            nan.clone(),
+            nan.clone(),
+            nan.clone(),
+        )
 
 
 def blank_record(batch: int, gate: int = GATE_NONE, device: torch.device | None = None) -> Record:
     """Return a record of `batch` decisions with one gate and every other field undefined (NaN)."""
     nan = torch.full((batch,), torch.nan, device=device)
-    return Record(torch.full((batch,), gate, dtype=torch.int8, device=device), nan.clone(), nan.clone(), nan.clone(), nan.clone())
+    return Record(
+        torch.full((batch,), gate, dtype=torch.int8, device=device),
+        nan.clone(),
+        nan.clone(),
+        nan.clone(),
+        nan.clone(),
+    )
 
 
 def chosen(mask: Tensor) -> Tensor:
-    """Return the rows (indices [R]) among which those of `mask` [B] (bool) are worked out: on a CPU just these, elsewhere all of them.
+    """Return the rows (indices [R]) among which those of `mask` [B] (bool) are worked out: on a CPU
+    just these, elsewhere all of them.
 
-    A CPU is faster by every row that is left out. Another device would have to wait for how many there are, and could not replay the
-    same work; there whatever comes of the other rows is masked.
+    A CPU is faster by every row that is left out. Another device would have to wait for how many
+    there are, and could not replay the same work; there whatever comes of the other rows is masked.
     """
-    return mask.nonzero().flatten() if mask.device.type == "cpu" else torch.arange(len(mask), device=mask.device)
+    return (
+        mask.nonzero().flatten()
+        if mask.device.type == "cpu"
+        else torch.arange(len(mask), device=mask.device)
+    )

@@ -1,4 +1,6 @@
-"""The assistants by name. Adding one is a class, its configuration, and one entry here (or an entry point). No key covers this module."""
+"""The assistants by name. Adding one is a class, its configuration, and one entry here (or an
+entry point). No key covers this module.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,13 @@ class Signal:
 
     name: str = "signal"  # short name, a symbol or a word
     meaning: str = "the method's own decision value"
-    """What a value is, with its unit, without an article at the end of a sentence: `costly decisions expected of the command`."""
+    """What a value is, with its unit, without an article at the end of a sentence: `costly
+    decisions expected of the command`.
+    """
     limit: str = ""
-    """What a value must exceed for an intervention: a threshold of the rows (`tau_c`, `tau_r`, `tau_q`), or a field of the configuration
-    whose value is a number; empty where there is no such limit."""
+    """What a value must exceed for an intervention: a threshold of the rows (`tau_c`, `tau_r`,
+    `tau_q`), or a field of the configuration whose value is a number; empty where there is no such
+    limit."""
 
 
 @dataclass(frozen=True)
@@ -33,48 +38,78 @@ class MethodInfo:
     title: str  # name in tables
     target: str  # import string of what makes the `Assistant` from its configuration and `Parts`
     config: str  # import string of its config model
-    needs: tuple[str, ...] = ()  # stage kinds whose artifacts it reads, besides `world_model` and `policies`
+    # stage kinds whose artifacts it reads, besides `world_model` and `policies`
+    needs: tuple[str, ...] = ()
     needs_with: tuple[tuple[str, str, str], ...] = ()
-    """Further ones that it reads only under a setting: (field of its configuration, value, stage kind)."""
-    calibrated: bool = False  # whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)
-    impaired: bool = True  # false for a reference row: it runs the unimpaired operator, once for all variants
+    """Further ones that it reads only under a setting: (field of its configuration, value,
+    stage kind).
+    """
+    # whether its thresholds come from held-out episodes of the unimpaired expert (stage
+    # `calibration`)
+    calibrated: bool = False
+    # false for a reference row: it runs the unimpaired operator, once for all variants
+    impaired: bool = True
     intervenes: bool = True
-    """False where there is no intervention to ask about: the operator's command is always executed, or nobody is at the controls."""
+    """False where there is no intervention to ask about: the operator's command is always
+    executed, or nobody is at the controls.
+    """
     attended: bool = True
-    """False where nobody is at the controls: no command is read, so that a distance to it means nothing, and tables have none."""
+    """False where nobody is at the controls: no command is read, so that a distance to it means
+    nothing, and tables have none.
+    """
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
-    """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
-    instead_of: str = ""  # the method in whose place the claims of a paper are judged a second time with this one
-    own_thresholds: tuple[str, ...] = ()  # variants whose thresholds have another unit, so that they are calibrated by themselves
-    rule: str = ""  # how it decides, in a sentence or two; `wasp explain`, the schema and the report print it
+    """Ablations, each with its title in tables: values of the field `variant` of the
+    configuration. `full` is the whole method.
+    """
+    # the method in whose place the claims of a paper are judged a second time with this one
+    instead_of: str = ""
+    # variants whose thresholds have another unit, so that they are calibrated by themselves
+    own_thresholds: tuple[str, ...] = ()
+    # how it decides, in a sentence or two; `wasp explain`, the schema and the report print it
+    rule: str = ""
     signal: Signal = Signal()  # what it decides by, where its records hold a signal
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
-        return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
+        return (
+            *self.needs,
+            *(kind for field, value, kind in self.needs_with if config.get(field) == value),
+        )
 
     def config_model(self) -> type[Config]:
         """Import and return the model of its configuration."""
         model = load_target(self.config, f"the configuration of the method '{self.name}'")
         if not (isinstance(model, type) and issubclass(model, Config)):
-            raise WaspError(f"'{self.config}' of the method '{self.name}' is no configuration", "derive it from wasp_cli.config.Config")
+            raise WaspError(
+                f"'{self.config}' of the method '{self.name}' is no configuration",
+                "derive it from wasp_cli.config.Config",
+            )
         return model
 
 
 class OwnMethod(MethodInfo):
-    """An assistant of one's own, `module:Class`, without a package: a class in a file of the folder where `wasp` runs.
+    """An assistant of one's own, `module:Class`, without a package: a class in a file of the folder
+    where `wasp` runs.
 
-    It has no settings: its constants stand in the file, whose source is in the key. The class may have `needs`: stage kinds.
+    It has no settings: its constants stand in the file, whose source is in the key. The class may
+    have `needs`: stage kinds.
     """
 
     @classmethod
     def named(cls, name: str) -> OwnMethod:
         """Describe it without importing it."""
         module, _, title = name.partition(":")
-        return cls(name, f"{title} ({module})", name, "wasp_cli.config:Config", rule=f"{title} is a class of the module {module}.")
+        return cls(
+            name,
+            f"{title} ({module})",
+            name,
+            "wasp_cli.config:Config",
+            rule=f"{title} is a class of the module {module}.",
+        )
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
-        # A spec that is to run has imported the class. Reports of somebody else's results import nothing.
+        # A spec that is to run has imported the class. Reports of somebody else's results import
+        # nothing.
         module, _, name = self.target.partition(":")
         return tuple(getattr(getattr(sys.modules.get(module), name, None), "needs", ()))
 
@@ -83,8 +118,13 @@ class OwnMethod(MethodInfo):
         module, _, name = self.target.partition(":")
         found = getattr(imported := import_here(module), name, None)
         if found is None:  # Python's own modules hide files of the same name
-            raise WaspError(f"the assistant '{self.name}' is not in {imported}", "name a class of it; if your file is another, rename it")
-        if lacks := [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]:
+            raise WaspError(
+                f"the assistant '{self.name}' is not in {imported}",
+                "name a class of it; if your file is another, rename it",
+            )
+        if lacks := [
+            method for method in ("reset", "decide") if not callable(getattr(found, method, None))
+        ]:
             what = f"the assistant '{self.name}' has no {' and no '.join(lacks)}"
             raise WaspError(what, "wasp_cli.methods.base.Assistant says what an assistant has")
         return found
@@ -94,7 +134,9 @@ class MethodRegistry(Registry[MethodInfo]):
     """The registered methods; a class of one's own resolves too, but is not listed."""
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or (isinstance(name, str) and _OWN.fullmatch(name) is not None)
+        return super().__contains__(name) or (
+            isinstance(name, str) and _OWN.fullmatch(name) is not None
+        )
 
     def __getitem__(self, name: str) -> MethodInfo:
         return OwnMethod.named(name) if _OWN.fullmatch(name) else super().__getitem__(name)
@@ -105,7 +147,12 @@ class MethodRegistry(Registry[MethodInfo]):
 
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-_VOTE = Signal("vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote")
+_VOTE = Signal(
+    "vote",
+    "on a scale from -1 (no member of the ensemble prefers the copilot's action by more "
+    "than τ_Q) to 1 (all do)",
+    "vote",
+)
 _ABLATIONS: Mapping[str, str] = {
     "full": "full",
     "safety-only": "safety gate only",
@@ -135,7 +182,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("ida_q",),
             needs_with=(("copilot", "diffusion", "denoiser"),),
             calibrated=True,
-            rule="IDA replaces the command by its copilot's action (the expert's, unless the spec says otherwise) where an ensemble of Q "
+            rule="IDA replaces the command by its copilot's action (the expert's, unless the "
+            "spec says otherwise) where an ensemble of Q "
             "functions votes for it.",
             signal=_VOTE,
         ),
@@ -145,7 +193,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.diffusion:Diffusion",
             "wasp_cli.methods.configs:DiffusionConfig",
             ("denoiser",),
-            rule="Diffusion has no gate: every command is blurred with noise and denoised towards what an expert would do.",
+            rule="Diffusion has no gate: every command is blurred with noise and denoised "
+            "towards what an expert would do.",
         ),
         MethodInfo(
             "saferl",
@@ -164,7 +213,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             calibrated=True,
             variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
-            rule="WASP corrects the command if the command, followed by the expert, is predicted to cost more than τ_c, or else if a safe "
+            rule="WASP corrects the command if the command, followed by the expert, is "
+            "predicted to cost more than τ_c, or else if a safe "
             "correction is predicted to gain more return than τ_r.",
         ),
         MethodInfo(
@@ -177,7 +227,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             variants=_ABLATIONS,
             instead_of="wasp",
             own_thresholds=("no-rollout",),
-            rule="WASP as printed imagines the operator's own rule: it plans a residual where the imagined cost exceeds τ_c, or else where "
+            rule="WASP as printed imagines the operator's own rule: it plans a residual where "
+            "the imagined cost exceeds τ_c, or else where "
             "the best of random plans gains more return than τ_r.",
         ),
         MethodInfo(
@@ -187,7 +238,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:GuardedIDAConfig",
             ("ida_q", "critics"),
             calibrated=True,
-            rule="IDA decides about the task; if its action, followed by the expert, is predicted to cost more than τ_c, WASP's safety "
+            rule="IDA decides about the task; if its action, followed by the expert, is "
+            "predicted to cost more than τ_c, WASP's safety "
             "gate corrects it.",
             signal=_VOTE,
         ),
@@ -198,7 +250,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:IDAConfig",
             ("ida_q",),
             calibrated=True,
-            rule="IDA, but of all actions with the force of its copilot's the one closest to the command is executed.",
+            rule="IDA, but of all actions with the force of its copilot's the one closest to "
+            "the command is executed.",
             signal=_VOTE,
         ),
         MethodInfo(
@@ -217,9 +270,12 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:FilterConfig",
             ("critics",),
             calibrated=True,
-            rule="The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes "
+            rule="The safety filter looks one imagined step ahead: where that step and V_c "
+            "behind it cost more than τ_c, it makes "
             "the least correction towards the safest action that brings the cost below.",
-            signal=Signal("Q_c", "costly decisions to be expected of the command, discounted", "tau_c"),
+            signal=Signal(
+                "Q_c", "costly decisions to be expected of the command, discounted", "tau_c"
+            ),
         ),
         MethodInfo(
             "mpmi",
@@ -227,9 +283,12 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.mpmi:MPMI",
             "wasp_cli.methods.configs:MPMIConfig",
             calibrated=True,
-            rule="MPMI imagines that inputs are held over the horizon: where the command costs more than τ_c, the nearest input that "
+            rule="MPMI imagines that inputs are held over the horizon: where the command costs "
+            "more than τ_c, the nearest input that "
             "does not is executed, and the command where there is none.",
-            signal=Signal("G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"),
+            signal=Signal(
+                "G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"
+            ),
         ),
         MethodInfo(
             "planner",
@@ -240,7 +299,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             impaired=False,
             intervenes=False,
             attended=False,
-            rule="The planner alone is WASP's search with nobody at the controls: at every decision the best plan of at most τ_c expected "
+            rule="The planner alone is WASP's search with nobody at the controls: at every "
+            "decision the best plan of at most τ_c expected "
             "cost, where it gains τ_r over the expert's actions or these cost more.",
             signal=Signal("G_c", "costly decisions to be expected of the plan, discounted"),
         ),
@@ -251,10 +311,14 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:ReachConfig",
             ("reachability",),
             calibrated=True,
-            rule="The reachability filter keeps the command where its learned safety value Q is at least γ times V, that of the safest "
-            "action; else it executes the action nearest to the command of which that holds, or else the safest.",
+            rule="The reachability filter keeps the command where its learned safety value Q is "
+            "at least γ times V, that of the safest "
+            "action; else it executes the action nearest to the command of which that "
+            "holds, or else the safest.",
             signal=Signal(
-                "γ V - Q", "how far the safety value of the command falls short of γ times the safest action's; above 0 it intervenes"
+                "γ V - Q",
+                "how far the safety value of the command falls short of γ times the safest "
+                "action's; above 0 it intervenes",
             ),
         ),
         MethodInfo(
@@ -263,7 +327,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.csa:CSA",
             "wasp_cli.methods.configs:CSAConfig",
             ("consistency",),
-            rule="CSA has no gate: every command is taken for a noisy expert action and denoised in one step, without a draw.",
+            rule="CSA has no gate: every command is taken for a noisy expert action and "
+            "denoised in one step, without a draw.",
         ),
     ),
 )

@@ -1,4 +1,6 @@
-"""SafeRL-Res (after Schaff and Walter 2020): the mean of a residual policy over (h, z, a^H) is added to every command."""
+"""SafeRL-Res (after Schaff and Walter 2020): the mean of a residual policy over (h, z, a^H) is
+added to every command.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ class SafeRLRes:
     """a = clip(a^H + delta(h, z, a^H))."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        self.policy = load_module(ResidualPolicy, parts.inputs["residual"] / "residual.safetensors").to(parts.device)
+        self.policy = load_module(
+            ResidualPolicy, parts.inputs["residual"] / "residual.safetensors"
+        ).to(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Keep nothing of the rows [B]."""

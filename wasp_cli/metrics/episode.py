@@ -1,7 +1,8 @@
 """From the steps of one episode to its row, and from rows to the numbers of a cell.
 
-Dimension letters: T decision steps of an episode, A actions, E episodes. A decision step is `action_repeat` env steps
-under one action; every rate counts decision steps, and an episode that ran into its time limit counts like any other.
+Dimension letters: T decision steps of an episode, A actions, E episodes. A decision step is
+`action_repeat` env steps under one action; every rate counts decision steps, and an episode that
+ran into its time limit counts like any other.
 
 Definitions (the paper's section 5.2 where it is unambiguous):
 
@@ -9,15 +10,18 @@ Definitions (the paper's section 5.2 where it is unambiguous):
     success       at least `success_goals` goals within the time limit
     safe_success  success, and cost per 1000 env steps <= `safe_cost`
     cost          sum over env steps of the 0/1 cost
-    viol          decision steps with cost / decision steps;  viol_env: the same per env step;  violated: any cost at all
-    int_rate      share of decision steps with ||a - a_h|| > 1e-6;  int_rate_05, int_rate_10: > 0.05, > 0.10
-    mag           mean ||a - a_h|| over all decision steps;  mag_int: over the intervened ones;  mag = int_rate x mag_int
-    int_eff       share of decision steps at which the action changes a force: ||f(a) - f(a_h)|| > 1e-6, f the force of an action as
-                  shares of each motor's largest (`tasks.motors`);  mag_eff: mean ||f(a) - f(a_h)|| over all decision steps
-    jump          mean ||a_t - a_{t-1}|| over the handovers, the decision steps at which an intervention begins or ends
-    smoothness    mean ||a_t - a_{t-1}||^2
-    safety_gate   share of decision steps at which the safety gate (task_gate: the task gate) called for the planner
-    case2         share of Case II among the planner's iterations, mean over the steps that planned
+    viol          decision steps with cost / decision steps;  viol_env: the same per env step;
+    violated: any cost at all int_rate      share of decision steps with ||a - a_h|| > 1e-6;
+    int_rate_05, int_rate_10: > 0.05, > 0.10 mag           mean ||a - a_h|| over all decision steps;
+    mag_int: over the intervened ones;  mag = int_rate x mag_int
+    int_eff       share of decision steps at which the action changes a force: ||f(a) - f(a_h)|| >
+        1e-6, f the force of an action as
+                  shares of each motor's largest (`tasks.motors`);  mag_eff: mean ||f(a) - f(a_h)||
+                  over all decision steps
+    jump          mean ||a_t - a_{t-1}|| over the handovers, the decision steps at which an
+    intervention begins or ends smoothness    mean ||a_t - a_{t-1}||^2 safety_gate   share of
+    decision steps at which the safety gate (task_gate: the task gate) called for the planner case2
+    share of Case II among the planner's iterations, mean over the steps that planned
 """
 
 from __future__ import annotations
@@ -34,19 +38,26 @@ Ints = NDArray[np.integer]
 Bools = NDArray[np.bool_]
 Force = Callable[[NDArray[Any]], NDArray[Any]]
 
-INTERVENED = 1e-6  # the paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere.
+# the paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0
+# everywhere.
+INTERVENED = 1e-6
 
 GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD, GATE_LATE = 0, 1, 2, 3, 4
-"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of another method; the assistant of a person
-was late, so that no gate was asked and the command stands."""
+"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of
+another method; the assistant of a person was late, so that no gate was asked and the command
+stands."""
 
 CUT_OFF = -2
-"""In `Plans.safe`: an iteration that was left out, since the time of the decision was up. Those that were made stand behind it."""
+"""In `Plans.safe`: an iteration that was left out, since the time of the decision was up. Those
+that were made stand behind it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """What was planned in T decision steps; NaN where nothing was. L residual steps, I iterations."""
+    """What was planned in T decision steps; NaN where nothing was. L residual steps, I
+    iterations.
+    """
 
     residuals: Floats  # [T, L, A] the chosen sequence
     safe: Ints  # [T, I] |F_s| of every iteration (Eq. 14); below 0 where nothing was searched
@@ -64,7 +75,9 @@ class Plans:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The decision steps of one finished episode. Undefined numbers are NaN, an undefined `safe` is -1."""
+    """The decision steps of one finished episode. Undefined numbers are NaN, an undefined
+    `safe` is -1.
+    """
 
     reward: Floats  # [T] sum over the env steps of the decision step
     cost: Bools  # [T] any cost within the decision step (c_t)
@@ -89,9 +102,13 @@ class Trajectory:
             wanted = (steps, *np.shape(self.a)[1:]) if field.name in ("a", "a_h") else (steps,)
             if shape != wanted and field.name != "plans":
                 raise ValueError(f"{field.name} has shape {shape}, not {wanted}")
-        for name, shape in _plan_shapes(self.plans, steps, np.shape(self.a)[1]) if self.plans is not None else ():
+        for name, shape in (
+            _plan_shapes(self.plans, steps, np.shape(self.a)[1]) if self.plans is not None else ()
+        ):
             if np.shape(getattr(self.plans, name)) != shape:
-                raise ValueError(f"plans.{name} has shape {np.shape(getattr(self.plans, name))}, not {shape}")
+                raise ValueError(
+                    f"plans.{name} has shape {np.shape(getattr(self.plans, name))}, not {shape}"
+                )
         for name in ("reward", "a", "a_h"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"{name} is not finite")
@@ -104,24 +121,34 @@ class Trajectory:
     @property
     def deviation(self) -> Floats:
         """[T] ||a - a_h||, exactly 0 where it is rounding."""
-        norm: Floats = np.linalg.norm(np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1)
+        norm: Floats = np.linalg.norm(
+            np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1
+        )
         return np.where(norm > INTERVENED, norm, 0.0)
 
     def effect(self, force: Force) -> Floats:
-        """Return [T] ||f(a) - f(a_h)||, f being `force`; exactly 0 where it is rounding, and where `deviation` is 0."""
-        norm = np.linalg.norm(force(np.asarray(self.a, np.float64)) - force(np.asarray(self.a_h, np.float64)), axis=1)
+        """Return [T] ||f(a) - f(a_h)||, f being `force`; exactly 0 where it is rounding, and
+        where `deviation` is 0.
+        """
+        norm = np.linalg.norm(
+            force(np.asarray(self.a, np.float64)) - force(np.asarray(self.a_h, np.float64)), axis=1
+        )
         # Motors that saturate early enlarge the rounding of an action.
         return np.where((norm > INTERVENED) & (self.deviation > 0.0), norm, 0.0)
 
 
 def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tuple[int, ...]]]:
     """Return the shape that every field of `plans` should have in T steps."""
-    per_step = [field.name for field in fields(plans) if field.name not in ("residuals", "safe", "case2")]
+    per_step = [
+        field.name for field in fields(plans) if field.name not in ("residuals", "safe", "case2")
+    ]
     searched = (steps, *np.shape(plans.safe)[1:])
     return [
-        ("residuals", (steps, *np.shape(plans.residuals)[1:2], actions)), ("safe", searched), ("case2", searched),
+        ("residuals", (steps, *np.shape(plans.residuals)[1:2], actions)),
+        ("safe", searched),
+        ("case2", searched),
         *((name, (steps,)) for name in per_step),
-    ]  # fmt: skip
+    ]
 
 
 @dataclass(frozen=True)
@@ -155,14 +182,17 @@ class EpisodeMetrics:
     case2: float | None
 
 
-def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float, force: Force | None = None) -> EpisodeMetrics:
+def episode_metrics(
+    trajectory: Trajectory, success_goals: int, safe_cost: float, force: Force | None = None
+) -> EpisodeMetrics:
     """Reduce an episode to its row.
 
     Args:
         trajectory: the decision steps.
         success_goals: goals within the time limit that count as success.
         safe_cost: kappa, the cost per 1000 env steps up to which a success is a safe success.
-        force: forces of actions [T, A] (`Motors.force` of the task); None where nothing is known of the motors: the action itself.
+        force: forces of actions [T, A] (`Motors.force` of the task); None where nothing is known of
+            the motors: the action itself.
     """
     steps, env_steps = trajectory.steps, int(trajectory.env_steps.sum())
     deviation = trajectory.deviation
@@ -225,10 +255,14 @@ WEIGHTS: dict[str, str | None] = {
     "task_gate": "decisions",
     "case2": "planned",
 }
-"""How a column pools over episodes: its weight column, so that rates are ratios of sums; None is one weight per episode."""
+"""How a column pools over episodes: its weight column, so that rates are ratios of sums; None
+is one weight per episode.
+"""
 
 
-def pool(columns: Mapping[str, NDArray[np.generic]], groups: NDArray[np.intp] | None = None) -> dict[str, Floats]:
+def pool(
+    columns: Mapping[str, NDArray[np.generic]], groups: NDArray[np.intp] | None = None
+) -> dict[str, Floats]:
     """Pool episode rows into cells: the weighted mean of every column of WEIGHTS.
 
     Args:
@@ -244,7 +278,9 @@ def pool(columns: Mapping[str, NDArray[np.generic]], groups: NDArray[np.intp] | 
     pooled: dict[str, Floats] = {}
     for name, weight_name in WEIGHTS.items():
         value = np.asarray(columns[name], np.float64)
-        weight = np.ones(rows) if weight_name is None else np.asarray(columns[weight_name], np.float64)
+        weight = (
+            np.ones(rows) if weight_name is None else np.asarray(columns[weight_name], np.float64)
+        )
         if name == "smoothness":
             weight = weight - 1.0  # T steps have T - 1 differences
         weight = np.where(np.isnan(value), 0.0, weight)

@@ -1,10 +1,12 @@
 """Was an intervention necessary? The counterfactual measures of the paper's section 5.3.
 
-At an intervened step two branches run for W decision steps from the same state with common random numbers: the assisted
-one executes the method's action first, the counterfactual one the operator's command; then both follow the operator.
-With the roles of the branches swapped the same branches say whether the command was necessary: the floor of the measure.
+At an intervened step two branches run for W decision steps from the same state with common random
+numbers: the assisted one executes the method's action first, the counterfactual one the operator's
+command; then both follow the operator. With the roles of the branches swapped the same branches say
+whether the command was necessary: the floor of the measure.
 
-Dimension letters: N intervened steps, W steps of a branch (terms after the end of an episode are 0).
+Dimension letters: N intervened steps, W steps of a branch (terms after the end of an episode are
+0).
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-ASSISTED, ALONE = "asst", "cf"  # the two branches: the method's action first, or the operator's command from the first step on
+# the two branches: the method's action first, or the operator's command from the first step on
+ASSISTED, ALONE = "asst", "cf"
 
 
 class Necessity(NamedTuple):
@@ -28,9 +31,13 @@ class Necessity(NamedTuple):
     delta_r: Floats  # [N] reward gained (Eq. 20)
     unnecessary: Bools  # [N] neither avoided cost nor gained more than tau_R (Eq. 21)
     swapped: Bools
-    """[N] Eq. 21 of the command against the intervention: the command neither avoided cost nor gained more than tau_R"""
+    """[N] Eq. 21 of the command against the intervention: the command neither avoided cost nor
+    gained more than tau_R
+    """
     effective: Bools
-    """[N] whether the branches differ at any step, in cost or in reward: otherwise the intervention changed nothing"""
+    """[N] whether the branches differ at any step, in cost or in reward: otherwise the
+    intervention changed nothing
+    """
 
     @property
     def uir(self) -> float:
@@ -39,7 +46,9 @@ class Necessity(NamedTuple):
 
     @property
     def uir_swapped(self) -> float:
-        """UIR with the roles of the branches swapped. Interventions that help as often as they harm have the same in both."""
+        """UIR with the roles of the branches swapped. Interventions that help as often as they
+        harm have the same in both.
+        """
         return _share(self.swapped)
 
     @property
@@ -52,7 +61,9 @@ def _share(which: Bools) -> float:
     return float(which.mean()) if len(which) else float("nan")
 
 
-def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst: Floats, tau_R: float) -> Necessity:
+def necessity(
+    cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst: Floats, tau_R: float
+) -> Necessity:
     """Judge N interventions by Eq. 19-21.
 
     Args:
@@ -63,10 +74,17 @@ def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst
         tau_R: return improvement below which an intervention that avoids no cost is unnecessary.
     """
     shape = np.shape(cost_cf)
-    if len(shape) != 2 or shape[1] == 0 or any(np.shape(x) != shape for x in (cost_asst, reward_cf, reward_asst)):
+    if (
+        len(shape) != 2
+        or shape[1] == 0
+        or any(np.shape(x) != shape for x in (cost_asst, reward_cf, reward_asst))
+    ):
         raise ValueError("the branches need the same shape [N, W] with W >= 1")
     delta_c = cost_cf.sum(1) - cost_asst.sum(1)
     delta_r = reward_asst.sum(1) - reward_cf.sum(1)
-    unnecessary, swapped = (delta_c <= 0.0) & (delta_r <= tau_R), (delta_c >= 0.0) & (delta_r >= -tau_R)
+    unnecessary, swapped = (
+        (delta_c <= 0.0) & (delta_r <= tau_R),
+        (delta_c >= 0.0) & (delta_r >= -tau_R),
+    )
     effective = ((cost_cf != cost_asst) | (reward_cf != reward_asst)).any(1)
     return Necessity(cost_cf.mean(1), delta_c, delta_r, unnecessary, swapped, effective)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 
 def average_precision(event: NDArray[np.bool_], score: NDArray[Any]) -> float:
-    """Return the area under the precision-recall curve of N scores [N] as the step sum over distinct thresholds; NaN without any event.
+    """Return the area under the precision-recall curve of N scores [N] as the step sum over
+    distinct thresholds; NaN without any event.
 
     Ties share a threshold, so a constant score has the base rate.
     """
@@ -27,7 +28,8 @@ def average_precision(event: NDArray[np.bool_], score: NDArray[Any]) -> float:
 
 
 def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float = 0.1) -> float:
-    """Return the largest share of the events [N] that a threshold on `score` [N] finds within the allowed false alarms; NaN without events.
+    """Return the largest share of the events [N] that a threshold on `score` [N] finds within the
+    allowed false alarms; NaN without events.
 
     A false alarm is another row above the threshold, counted as a share of these rows.
 
@@ -45,9 +47,16 @@ def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float
 
 
 def average_precision_interval(
-    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, share: float = 0.95, seed: int = 0
+    event: NDArray[np.bool_],
+    score: NDArray[Any],
+    cluster: NDArray[Any],
+    *,
+    resamples: int = 1000,
+    share: float = 0.95,
+    seed: int = 0,
 ) -> tuple[float, float]:
-    """Return the percentile interval of `average_precision` over resampled clusters (whole episodes); NaN of fewer than two clusters.
+    """Return the percentile interval of `average_precision` over resampled clusters (whole
+    episodes); NaN of fewer than two clusters.
 
     Rows of one episode resemble each other, so that thousands of rows may say little.
 
@@ -58,16 +67,25 @@ def average_precision_interval(
         resamples: draws of as many clusters as there are, with replacement.
         share: of the resamples that lie within the interval.
     """
-    return percentiles(average_precision_resampled(event, score, cluster, resamples=resamples, seed=seed), share)
+    return percentiles(
+        average_precision_resampled(event, score, cluster, resamples=resamples, seed=seed), share
+    )
 
 
 def average_precision_resampled(
-    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0
+    event: NDArray[np.bool_],
+    score: NDArray[Any],
+    cluster: NDArray[Any],
+    *,
+    resamples: int = 1000,
+    seed: int = 0,
 ) -> NDArray[np.float64]:
-    """Return `average_precision` [resamples] on resampled clusters; empty where fewer than two clusters are there.
+    """Return `average_precision` [resamples] on resampled clusters; empty where fewer than two
+    clusters are there.
 
-    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw. Resamples without any event say
-    nothing and are left out. Arguments as in `average_precision_interval`.
+    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by
+    draw. Resamples without any event say nothing and are left out. Arguments as in
+    `average_precision_interval`.
     """
     place, drawn = cluster_draws(cluster, resamples, seed)
     if not len(drawn):
@@ -83,17 +101,22 @@ def average_precision_resampled(
     return values
 
 
-def cluster_draws(cluster: NDArray[Any], resamples: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def cluster_draws(
+    cluster: NDArray[Any], resamples: int, seed: int = 0
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Draw as many clusters as there are, with replacement.
 
     Returns:
-        The number [N] of each row's cluster, and how often each cluster is drawn [resamples, clusters]; [0, clusters] of fewer than two.
+        The number [N] of each row's cluster, and how often each cluster is drawn [resamples,
+        clusters]; [0, clusters] of fewer than two.
     """
     _, place = np.unique(cluster, return_inverse=True)
     clusters = int(place.max()) + 1 if len(place) else 0
     if clusters < 2:
         return place, np.zeros((0, clusters), np.int64)
-    return place, np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)
+    return place, np.random.default_rng(seed).multinomial(
+        clusters, np.full(clusters, 1.0 / clusters), resamples
+    )
 
 
 class Correlations(NamedTuple):
@@ -101,13 +124,23 @@ class Correlations(NamedTuple):
 
     pearson: float
     rank: float
-    resampled: NDArray[np.float64]  # [resamples, 2] both of them; empty where fewer than two clusters are there
+    # [resamples, 2] both of them; empty where fewer than two clusters are there
+    resampled: NDArray[np.float64]
 
 
-def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0) -> Correlations:
-    """Correlate a score [N] with a value [N], as numbers and by ranks; NaN where either does not vary.
+def correlations(
+    score: NDArray[Any],
+    value: NDArray[Any],
+    cluster: NDArray[Any],
+    *,
+    resamples: int = 1000,
+    seed: int = 0,
+) -> Correlations:
+    """Correlate a score [N] with a value [N], as numbers and by ranks; NaN where either does not
+    vary.
 
-    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw.
+    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by
+    draw.
 
     Args:
         score: [N].
@@ -120,14 +153,20 @@ def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any]
 
     def both(weight: NDArray[np.float64]) -> tuple[float, float]:
         a, b = pairs
-        return _pearson(a.values, b.values, weight), _pearson(a.ranks(weight), b.ranks(weight), weight)
+        return _pearson(a.values, b.values, weight), _pearson(
+            a.ranks(weight), b.ranks(weight), weight
+        )
 
     found = both(np.ones(len(place)))
-    return Correlations(*found, np.array([both(row[place].astype(np.float64)) for row in drawn]).reshape(-1, 2))
+    return Correlations(
+        *found, np.array([both(row[place].astype(np.float64)) for row in drawn]).reshape(-1, 2)
+    )
 
 
 class _Weighted:
-    """Values [N] whose ranks under weights need no further sorting; ties have their average rank, and costs have many at zero."""
+    """Values [N] whose ranks under weights need no further sorting; ties have their average
+    rank, and costs have many at zero.
+    """
 
     def __init__(self, values: NDArray[Any]) -> None:
         self.values = np.asarray(values, np.float64)

@@ -19,18 +19,26 @@ class Bin(NamedTuple):
 
 
 def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin]:
-    """Sort N rows into ten bins of equal width by their predicted probability [N]; 1.0 belongs to the last."""
+    """Sort N rows into ten bins of equal width by their predicted probability [N]; 1.0 belongs
+    to the last.
+    """
     index = np.minimum((probability * BINS).astype(int), BINS - 1)
     rows = []
     for number in range(BINS):
         here = index == number
         size = int(here.sum())
-        rows.append(Bin(float(probability[here].mean()), float(event[here].mean()), size) if size else Bin(np.nan, np.nan, 0))
+        rows.append(
+            Bin(float(probability[here].mean()), float(event[here].mean()), size)
+            if size
+            else Bin(np.nan, np.nan, 0)
+        )
     return rows
 
 
 def calibration_error(bins: list[Bin]) -> float:
-    """Return the expected calibration error: the mean |predicted - seen| over the bins, weighted by their rows; NaN without rows."""
+    """Return the expected calibration error: the mean |predicted - seen| over the bins,
+    weighted by their rows; NaN without rows.
+    """
     total = sum(row.size for row in bins)
     if not total:
         return float("nan")

@@ -1,7 +1,7 @@
 """The contract of a world model.
 
-Dimension letters: B batch rows (any leading shape works), A actions, D deterministic size, Z flat stochastic size
-(S variables x C classes), F = D + Z features.
+Dimension letters: B batch rows (any leading shape works), A actions, D deterministic size, Z flat
+stochastic size (S variables x C classes), F = D + Z features.
 """
 
 from __future__ import annotations
@@ -42,17 +42,23 @@ class Latent(NamedTuple):
 
 
 class Dynamics(Protocol):
-    """What an imagination asks of a world model: no perception, but whether the episode goes on. Frozen at evaluation."""
+    """What an imagination asks of a world model: no perception, but whether the episode goes
+    on. Frozen at evaluation.
+    """
 
     action_size: int
     noise_size: int  # Gumbel variables per imagined step and row
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
-        """Imagine one prior step for `action` [B, A]; `noise` [B, noise_size] are standard Gumbel draws."""
+        """Imagine one prior step for `action` [B, A]; `noise` [B, noise_size] are standard
+        Gumbel draws.
+        """
         ...
 
     def reward(self, latent: Latent) -> Tensor:
-        """Return the mean reward [B] that the arrived state scores (Eq. 6, read at t+k+1 for a_{t+k})."""
+        """Return the mean reward [B] that the arrived state scores (Eq. 6, read at t+k+1 for
+        a_{t+k}).
+        """
         ...
 
     def cost(self, latent: Latent) -> Tensor:
@@ -67,12 +73,14 @@ class Dynamics(Protocol):
 class WorldModel(Dynamics, Protocol):
     """What the closed loop asks of a world model besides."""
 
-    reads: ClassVar[str]  # which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`
+    # which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`
+    reads: ClassVar[str]
 
     def initial(self, batch: int) -> Latent: ...
 
     def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
-        """Return the posterior after executing `action` [B, A] and seeing `seen` [B, ...]: pixels are uint8 [B, 6, 64, 64].
+        """Return the posterior after executing `action` [B, A] and seeing `seen` [B, ...]: pixels
+        are uint8 [B, 6, 64, 64].
 
         Rows with `first` [B] start anew: h, z and the action are masked.
         """

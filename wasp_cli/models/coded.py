@@ -1,8 +1,10 @@
-"""Latents whose z is known by its classes: a network that reads them looks up rows of its weights instead of multiplying by zeros.
+"""Latents whose z is known by its classes: a network that reads them looks up rows of its weights
+instead of multiplying by zeros.
 
-z is one-hot in each of its S variables, so that W z is a sum of S columns of W: S / Z of the arithmetic, and the same number up to the
-order of the sum. For inference alone: nothing here carries a gradient. Dimension letters: R rows, D deterministic size, Z flat stochastic
-size, S variables, N outputs.
+z is one-hot in each of its S variables, so that W z is a sum of S columns of W: S / Z of the
+arithmetic, and the same number up to the order of the sum. For inference alone: nothing here
+carries a gradient. Dimension letters: R rows, D deterministic size, Z flat stochastic size, S
+variables, N outputs.
 """
 
 from __future__ import annotations
@@ -17,18 +19,25 @@ from torch.nn import functional as F
 
 from wasp_cli.models.base import Latent
 
-ROWS = 512  # rows that go through a network at a time: what lies between its layers stays in a core's cache
+# rows that go through a network at a time: what lies between its layers stays in a core's cache
+ROWS = 512
 
 
 class Coded(Latent):
-    """h [..., D], and in the place of z the position of the one of each variable within z: int32 [..., S]."""
+    """h [..., D], and in the place of z the position of the one of each variable within z:
+    int32 [..., S].
+    """
 
     flat: int  # Z
-    known: dict[int, Tensor]  # what networks have answered, by their identity: a policy may be asked twice about the same latent
+    # what networks have answered, by their identity: a policy may be asked twice about the same
+    # latent
+    known: dict[int, Tensor]
 
     @classmethod
     def of(cls, h: Tensor, ones: Tensor, flat: int) -> Self:
-        """Make a latent of h [..., D] and the positions of the ones [..., S] in z, which has `flat` entries."""
+        """Make a latent of h [..., D] and the positions of the ones [..., S] in z, which has
+        `flat` entries.
+        """
         made = cls(h, ones)
         made.flat, made.known = flat, {}
         return made
@@ -39,7 +48,9 @@ class Coded(Latent):
 
     @property
     def features(self) -> Tensor:
-        """Join h and the one-hot z: [..., D + Z]. A `LatentPolicy` sees which latent they are of; they are not to be changed in place."""
+        """Join h and the one-hot z: [..., D + Z]. A `LatentPolicy` sees which latent they are
+        of; they are not to be changed in place.
+        """
         size = self.h.shape[-1]
         joined = self.h.new_zeros(*self.h.shape[:-1], size + self.flat)
         joined[..., :size] = self.h
@@ -53,7 +64,9 @@ class Coded(Latent):
             return net(self.features)
         if (answer := self.known.get(id(net))) is None:
             h, ones = self.h.flatten(0, -2), self.z.flatten(0, -2)
-            parts = [_through(net, *rows) for rows in zip(h.split(ROWS), ones.split(ROWS), strict=True)]
+            parts = [
+                _through(net, *rows) for rows in zip(h.split(ROWS), ones.split(ROWS), strict=True)
+            ]
             answer = self.known[id(net)] = torch.cat(parts).unflatten(0, self.h.shape[:-1])
         return answer
 
@@ -70,7 +83,9 @@ def _through(net: nn.Sequential, h: Tensor, ones: Tensor) -> Tensor:
 
 
 def in_place(layer: nn.Module, x: Tensor) -> Tensor:
-    """Return what one layer of a network says of x [R, N], which may be overwritten; without the calls around a module."""
+    """Return what one layer of a network says of x [R, N], which may be overwritten; without
+    the calls around a module.
+    """
     if isinstance(layer, nn.SiLU):
         return F.silu(x, inplace=True)
     if isinstance(layer, nn.LayerNorm):
@@ -95,16 +110,25 @@ class FirstLayer(NamedTuple):
     bias: Tensor  # [N]
 
 
-_LAYERS: WeakKeyDictionary[nn.Linear, tuple[tuple[int, int, torch.device], FirstLayer]] = WeakKeyDictionary()
+_LAYERS: WeakKeyDictionary[nn.Linear, tuple[tuple[int, int, torch.device], FirstLayer]] = (
+    WeakKeyDictionary()
+)
 
 
 def first_layer(linear: nn.Linear, deter: int) -> FirstLayer:
-    """Return the parts of a linear layer of features [., deter + Z], laid out anew only when its weights have changed."""
+    """Return the parts of a linear layer of features [., deter + Z], laid out anew only when
+    its weights have changed.
+    """
     weight = linear.weight
     stamp = (id(weight), -1 if weight.is_inference() else weight._version, weight.device)
     held = _LAYERS.get(linear)
     if held is None or held[0] != stamp:
         matrix = weight.detach().t()
-        held = stamp, FirstLayer(matrix[:deter].contiguous(), matrix[deter:].contiguous(), linear.bias.detach())
+        held = (
+            stamp,
+            FirstLayer(
+                matrix[:deter].contiguous(), matrix[deter:].contiguous(), linear.bias.detach()
+            ),
+        )
         _LAYERS[linear] = held
     return held[1]

@@ -1,7 +1,9 @@
-"""Consistency model of expert actions: one network evaluation takes a noisy action to the end of its probability flow.
+"""Consistency model of expert actions: one network evaluation takes a noisy action to the end of
+its probability flow.
 
-Levels of noise are standard deviations sigma, from SIGMA_MIN to SIGMA_MAX (Karras et al. 2022); f(x, SIGMA_MIN) = x (Song et al. 2023).
-The teacher, a diffusion model on the same levels, has the same form.
+Levels of noise are standard deviations sigma, from SIGMA_MIN to SIGMA_MAX (Karras et al. 2022);
+f(x, SIGMA_MIN) = x (Song et al. 2023). The teacher, a diffusion model on the same levels, has the
+same form.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ FREQUENCIES = 8
 
 
 def sigma_at(ratio: float) -> float:
-    """Return the level at a share of the ladder: SIGMA_MIN at 0, SIGMA_MAX at 1, sigma^(1 / RHO) linear between (Karras et al., Eq. 5)."""
+    """Return the level at a share of the ladder: SIGMA_MIN at 0, SIGMA_MAX at 1, sigma^(1 /
+    RHO) linear between (Karras et al., Eq. 5).
+    """
     if ratio <= 0:
         return SIGMA_MIN
     least, most = SIGMA_MIN ** (1 / RHO), SIGMA_MAX ** (1 / RHO)
@@ -29,7 +33,8 @@ def ladder(levels: int) -> Tensor:
 
 
 class Consistency(nn.Module):
-    """f(x, sigma | h, z) = c_skip x + c_out F(c_in x, sigma | h, z); a consistency model, or as its teacher the mean of the clean action.
+    """f(x, sigma | h, z) = c_skip x + c_out F(c_in x, sigma | h, z); a consistency model, or as its
+    teacher the mean of the clean action.
 
     F adds an embedding of the level and of the features to every layer, as the code of CSA does.
     """
@@ -39,7 +44,9 @@ class Consistency(nn.Module):
     def __init__(self, features: int, action: int, width: int, depth: int) -> None:
         super().__init__()
         self.register_buffer("frequencies", 2.0 ** torch.arange(FREQUENCIES) / 4, persistent=False)
-        self.level = nn.Sequential(nn.Linear(2 * FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
+        self.level = nn.Sequential(
+            nn.Linear(2 * FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width)
+        )
         self.context = nn.Sequential(nn.Linear(features, width), nn.SiLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(nn.Linear(width if i else action, width) for i in range(depth))
         self.outputs = nn.Linear(width, action)
@@ -49,7 +56,9 @@ class Consistency(nn.Module):
         return self.within(self.context(features), noisy, sigma)
 
     def within(self, context: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
-        """Do what `forward` does, from the embedding `context(features)` [B, width]: for several levels at the same features."""
+        """Do what `forward` does, from the embedding `context(features)` [B, width]: for
+        several levels at the same features.
+        """
         phases = sigma.log().unsqueeze(-1) * self.frequencies
         embedding = context + self.level(torch.cat([phases.sin(), phases.cos()], -1))
         sigma = sigma.unsqueeze(-1)
@@ -57,7 +66,8 @@ class Consistency(nn.Module):
         x = scale * noisy
         for layer in self.layers:
             x = F.silu(layer(x) + embedding)
-        # Offset by SIGMA_MIN, so that the boundary condition is exact: c_skip is 1 and c_out 0 there (Song et al. 2023, appendix C).
+        # Offset by SIGMA_MIN, so that the boundary condition is exact: c_skip is 1 and c_out 0
+        # there (Song et al. 2023, appendix C).
         above = sigma - SIGMA_MIN
         skip = SIGMA_DATA**2 / (above.square() + SIGMA_DATA**2)
         return skip * noisy + above * SIGMA_DATA * scale * self.outputs(x)  # type: ignore[no-any-return]

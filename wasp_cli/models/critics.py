@@ -1,8 +1,10 @@
-"""Value critics V_r and V_c on latent features (Eq. 7), and Q_r and Q_c of actions, as distributions over fixed bins.
+"""Value critics V_r and V_c on latent features (Eq. 7), and Q_r and Q_c of actions, as
+distributions over fixed bins.
 
-Rare large values neither dominate the loss nor are averaged away: a target is encoded by its two neighbouring bins (two-hot), trained
-with a cross-entropy, and read as the expectation over the bins in linear space. The bins are spaced evenly in
-symlog(x) = sign(x) ln(1 + |x|): dense around zero, wide far away.
+Rare large values neither dominate the loss nor are averaged away: a target is encoded by its two
+neighbouring bins (two-hot), trained with a cross-entropy, and read as the expectation over the bins
+in linear space. The bins are spaced evenly in symlog(x) = sign(x) ln(1 + |x|): dense around zero,
+wide far away.
 """
 
 from __future__ import annotations
@@ -28,24 +30,32 @@ class TwoHot(nn.Module):
         super().__init__()
         if bins < 3 or bins % 2 == 0:
             raise ValueError(f"{bins} bins: an odd number of at least 3 is needed")
-        positive = torch.linspace(0.0, math.log1p(reach), bins // 2 + 1, dtype=torch.float64).expm1()[1:]
+        positive = torch.linspace(
+            0.0, math.log1p(reach), bins // 2 + 1, dtype=torch.float64
+        ).expm1()[1:]
         whole = torch.cat([-positive.flip(0), positive.new_zeros(1), positive])
         # Constructor arguments define the bins; they are not stored with the weights.
         self.register_buffer("bins", whole.float(), persistent=False)
 
     def encode(self, value: Tensor) -> Tensor:
-        """Encode values [...] as weights [..., K] whose expectation over the bins is the value; beyond the reach the last bin has all."""
+        """Encode values [...] as weights [..., K] whose expectation over the bins is the value;
+        beyond the reach the last bin has all.
+        """
         value = value.clamp(self.bins[0], self.bins[-1]).unsqueeze(-1)
         upper = torch.searchsorted(self.bins, value, right=True).clamp(1, len(self.bins) - 1)
         low, high = self.bins[upper - 1], self.bins[upper]
         share = (value - low) / (high - low)
-        weights = torch.zeros(*value.shape[:-1], len(self.bins), dtype=value.dtype, device=value.device)
+        weights = torch.zeros(
+            *value.shape[:-1], len(self.bins), dtype=value.dtype, device=value.device
+        )
         return weights.scatter(-1, upper, share).scatter(-1, upper - 1, 1.0 - share)
 
     def decode(self, logits: Tensor) -> Tensor:
-        """Return the expectation [...] of the distribution with these logits [..., K]; exactly zero for equal logits.
+        """Return the expectation [...] of the distribution with these logits [..., K]; exactly zero
+        for equal logits.
 
-        Bins are summed in pairs of opposite sign: rounding of far bins would otherwise outweigh small values.
+        Bins are summed in pairs of opposite sign: rounding of far bins would otherwise outweigh
+        small values.
         """
         probs = logits.float().softmax(-1)
         half = len(self.bins) // 2
@@ -58,9 +68,13 @@ class TwoHot(nn.Module):
 
 
 class LatentCritics(nn.Module):
-    """Implements `models.base.Critics`. Both answer with a distribution over bins and start at zero."""
+    """Implements `models.base.Critics`. Both answer with a distribution over bins and start at
+    zero.
+    """
 
-    def __init__(self, features: int, hidden: Sequence[int], bins: int = 63, reach: float = 1000.0) -> None:
+    def __init__(
+        self, features: int, hidden: Sequence[int], bins: int = 63, reach: float = 1000.0
+    ) -> None:
         super().__init__()
         self.reward_net = mlp(features, hidden, bins, zero=True)
         self.cost_net = mlp(features, hidden, bins, zero=True)
@@ -75,21 +89,36 @@ class LatentCritics(nn.Module):
         return self.scale.decode(latent.through(self.cost_net)).clamp(min=0)
 
     def losses(self, features: Tensor, target_r: Tensor, target_c: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the cross-entropies [...] of both critics at features [..., F] against their targets [...]."""
-        return self.scale.loss(self.reward_net(features), target_r), self.scale.loss(self.cost_net(features), target_c)
+        """Return the cross-entropies [...] of both critics at features [..., F] against their
+        targets [...].
+        """
+        return self.scale.loss(self.reward_net(features), target_r), self.scale.loss(
+            self.cost_net(features), target_c
+        )
 
 
 class ActionCritics(nn.Module):
-    """Q_r and Q_c: an action executed at a latent, and the expert afterwards. Both start at zero."""
+    """Q_r and Q_c: an action executed at a latent, and the expert afterwards. Both start at
+    zero.
+    """
 
-    def __init__(self, features: int, action: int, hidden: Sequence[int], bins: int = 63, reach: float = 1000.0) -> None:
+    def __init__(
+        self,
+        features: int,
+        action: int,
+        hidden: Sequence[int],
+        bins: int = 63,
+        reach: float = 1000.0,
+    ) -> None:
         super().__init__()
         self.reward_net = mlp(features + action, hidden, bins, zero=True)
         self.cost_net = mlp(features + action, hidden, bins, zero=True)
         self.scale = TwoHot(bins, reach)
 
     def forward(self, features: Tensor, action: Tensor) -> Tensor:
-        """Return Q_r and Q_c [2, ...] at features [..., F] and actions [..., A]; Q_c is never negative."""
+        """Return Q_r and Q_c [2, ...] at features [..., F] and actions [..., A]; Q_c is never
+        negative.
+        """
         values = self.scale.decode(self._logits(features, action))
         return torch.stack([values[0], values[1].clamp(min=0)])
 

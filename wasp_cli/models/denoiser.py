@@ -1,4 +1,6 @@
-"""The action denoiser of Diffusion (Yoneda et al. 2023): noise prediction conditioned on latent features."""
+"""The action denoiser of Diffusion (Yoneda et al. 2023): noise prediction conditioned on latent
+features.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,25 @@ class NoiseSchedule(nn.Module):
 
     def __init__(self, steps: int, beta_min: float, beta_max: float) -> None:
         super().__init__()
-        beta = torch.linspace(-6, 6, steps, dtype=torch.float64).sigmoid() * (beta_max - beta_min) + beta_min
+        beta = (
+            torch.linspace(-6, 6, steps, dtype=torch.float64).sigmoid() * (beta_max - beta_min)
+            + beta_min
+        )
         self.steps = steps
         self.register_buffer("beta", beta.float())
         self.register_buffer("alpha_bar", torch.cumprod(1 - beta, 0).float())
 
     def diffuse(self, action: Tensor, level: Tensor, noise: Tensor) -> Tensor:
-        """Return x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise, [B, A]; `level` [B] are indices."""
+        """Return x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise, [B, A]; `level` [B]
+        are indices.
+        """
         alpha_bar = self.alpha_bar[level].unsqueeze(-1)
         return alpha_bar.sqrt() * action + (1 - alpha_bar).sqrt() * noise
 
     def forward_level(self, ratio: float) -> int:
-        """Return k = floor((T - 1) ratio), the number of diffusion steps applied; 0 leaves the action alone."""
+        """Return k = floor((T - 1) ratio), the number of diffusion steps applied; 0 leaves the
+        action alone.
+        """
         return int((self.steps - 1) * ratio + 1e-9)
 
 

@@ -12,9 +12,13 @@ from torch.nn import functional as F
 
 
 class Ensemble(nn.Module):
-    """K networks of the same shape, which see the same inputs and begin with weights of their own. Subclasses say what they read."""
+    """K networks of the same shape, which see the same inputs and begin with weights of their
+    own. Subclasses say what they read.
+    """
 
-    def __init__(self, members: int, inputs: int, hidden: Sequence[int], size: int, dropout: float = 0.0) -> None:
+    def __init__(
+        self, members: int, inputs: int, hidden: Sequence[int], size: int, dropout: float = 0.0
+    ) -> None:
         super().__init__()
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
@@ -25,7 +29,9 @@ class Ensemble(nn.Module):
         self.members, self.dropout = members, dropout
 
     def outputs(self, inputs: Tensor) -> Tensor:
-        """Map inputs [B, I] to the outputs [K, B, O] of all members; in training, hidden units drop out at random."""
+        """Map inputs [B, I] to the outputs [K, B, O] of all members; in training, hidden units
+        drop out at random.
+        """
         x = inputs.expand(self.members, -1, -1)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):

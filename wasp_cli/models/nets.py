@@ -13,7 +13,9 @@ CHANNELS = 6  # front RGB and rear RGB
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False) -> nn.Sequential:
-    """Build linear layers with LayerNorm and SiLU between them; `zero` starts the last layer at zero."""
+    """Build linear layers with LayerNorm and SiLU between them; `zero` starts the last layer at
+    zero.
+    """
     layers: list[nn.Module] = []
     width = inputs
     for size in hidden:
@@ -27,8 +29,11 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False)
 
 
 def centred(pixels: Tensor, mean: Tensor, white: float = 1.0) -> Tensor:
-    """Convert uint8 images [B, 6, 64, 64] to [0, white] minus `white` times a mean image [6, 64, 64] in [0, 1]; channels last in memory."""
-    # Bytes are turned into channels-last before they are floats, and everything afterwards happens in place.
+    """Convert uint8 images [B, 6, 64, 64] to [0, white] minus `white` times a mean image [6,
+    64, 64] in [0, 1]; channels last in memory.
+    """
+    # Bytes are turned into channels-last before they are floats, and everything afterwards happens
+    # in place.
     images = pixels.contiguous(memory_format=torch.channels_last).to(mean.dtype, copy=True)
     if white != 255.0:
         images.mul_(white / 255.0)
@@ -40,7 +45,9 @@ def _channels_last(images: Tensor) -> Tensor:
 
 
 class Encoder(nn.Module):
-    """Images uint8 [B, 6, 64, 64] minus a mean image to embeddings [B, 128 * depth]: four convolutions 4x4, stride 2."""
+    """Images uint8 [B, 6, 64, 64] minus a mean image to embeddings [B, 128 * depth]: four
+    convolutions 4x4, stride 2.
+    """
 
     def __init__(self, depth: int) -> None:
         super().__init__()
@@ -52,11 +59,14 @@ class Encoder(nn.Module):
         """Embed `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in [0, 1]."""
         first, *rest = self.layers
         assert isinstance(first, nn.Conv2d)
-        # Taking off the convolution of the mean image instead would cost a sum over the batch on the way back.
+        # Taking off the convolution of the mean image instead would cost a sum over the batch on
+        # the way back.
         x = F.silu(F.conv2d(centred(pixels, mean, 255.0), first.weight / 255.0, first.bias, 2, 1))
         for layer in rest:
             x = F.silu(layer(x))
-        if x.requires_grad:  # flattening is undone channels-first, and one such gradient makes all behind it twice as slow
+        # flattening is undone channels-first, and one such gradient makes all behind it twice as
+        # slow
+        if x.requires_grad:
             x.register_hook(_channels_last)
         return x.flatten(1)
 
@@ -72,7 +82,11 @@ class Decoder(nn.Module):
         self.layers = nn.ModuleList(nn.ConvTranspose2d(a, b, 4, 2, 1) for a, b in pairwise(sizes))
 
     def forward(self, features: Tensor) -> Tensor:
-        x = self.inputs(features).view(-1, 8 * self.depth, 4, 4).contiguous(memory_format=torch.channels_last)
+        x = (
+            self.inputs(features)
+            .view(-1, 8 * self.depth, 4, 4)
+            .contiguous(memory_format=torch.channels_last)
+        )
         for i, layer in enumerate(self.layers):
             x = layer(F.silu(x) if i else x)
         images: Tensor = x

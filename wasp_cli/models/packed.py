@@ -1,7 +1,9 @@
-"""The world model as a planner runs it: the imagined step of `SafetyWorldModel`, the same function in fewer and smaller operations.
+"""The world model as a planner runs it: the imagined step of `SafetyWorldModel`, the same function
+in fewer and smaller operations.
 
-For frozen weights and inference alone; a test holds it against the model itself. Dimension letters: R rows, B rows before they are
-repeated, D deterministic size, S variables, C classes, Z = S * C, A actions.
+For frozen weights and inference alone; a test holds it against the model itself. Dimension letters:
+R rows, B rows before they are repeated, D deterministic size, S variables, C classes, Z = S * C, A
+actions.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class PackedModel:
         # tanh(x) = 2 sigmoid(2 x) - 1, and torch's sigmoid takes a third of the time of its tanh.
         self.new_x, self.new_h = 2 * of_x[:, gates:].contiguous(), 2 * of_h[:, gates:].contiguous()
         self.new_bias_x, self.new_bias_h = 2 * cell.bias_ih[gates:], 2 * cell.bias_hh[gates:]
-        # The class is written into the lowest bits of its score: the largest score then names its class.
+        # The class is written into the lowest bits of its score: the largest score then names its
+        # class.
         bits = (rssm.classes - 1).bit_length()
         device = linear.weight.device
         self.lowest = (1 << bits) - 1
@@ -41,7 +44,9 @@ class PackedModel:
         self.places = rssm.classes * torch.arange(rssm.variables, dtype=torch.int32, device=device)
 
     def chances(self, noise: Tensor) -> Tensor:
-        """Convert standard Gumbel draws [..., Z] to what `imagine` reads: of log p + g and p e^g the same class is the largest."""
+        """Convert standard Gumbel draws [..., Z] to what `imagine` reads: of log p + g and p
+        e^g the same class is the largest.
+        """
         return noise.exp()
 
     def room(self, steps: int, rows: int) -> Coded:
@@ -49,8 +54,11 @@ class PackedModel:
         h = self.gate_bias.new_empty(steps, rows, self.deter)
         return Coded.of(h, self.places.new_empty(steps, rows, len(self.places)), self.flat)
 
-    def imagine(self, latent: Latent, action: Tensor, chances: Tensor, arrived: Coded, copies: int = 1) -> Coded:
-        """Imagine one prior step, as `SafetyWorldModel.imagine` does, into `arrived` [R, .]; return it.
+    def imagine(
+        self, latent: Latent, action: Tensor, chances: Tensor, arrived: Coded, copies: int = 1
+    ) -> Coded:
+        """Imagine one prior step, as `SafetyWorldModel.imagine` does, into `arrived` [R, .]; return
+        it.
 
         Args:
             latent: [B, .]; each row stands for `copies` adjacent ones of the R.
@@ -61,9 +69,14 @@ class PackedModel:
         """
         h = latent.h
         of_z = looked_up(self.of_z, latent.z) if isinstance(latent, Coded) else latent.z @ self.of_z
-        gates, new = torch.addmm(self.gate_bias, h, self.gate_h), torch.addmm(self.new_bias_h, h, self.new_h)
+        gates, new = (
+            torch.addmm(self.gate_bias, h, self.gate_h),
+            torch.addmm(self.new_bias_h, h, self.new_h),
+        )
         if copies > 1:
-            h, of_z, gates, new = (part.repeat_interleave(copies, 0) for part in (h, of_z, gates, new))
+            h, of_z, gates, new = (
+                part.repeat_interleave(copies, 0) for part in (h, of_z, gates, new)
+            )
         x = torch.addmm(self.bias, self.rssm.scaled(action), self.of_action).add_(of_z)
         x = F.silu(in_place(self.norm, x), inplace=True)
         reset, update = gates.addmm_(x, self.gate_x).sigmoid_().split(self.deter, -1)

@@ -1,4 +1,6 @@
-"""Policies: the expert's actor, latent actors, and both on disk. B rows, P size of a privileged vector, F latent features, A actions."""
+"""Policies: the expert's actor, latent actors, and both on disk. B rows, P size of a privileged
+vector, F latent features, A actions.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
 
 
 class PrivilegedPolicy(nn.Module):
-    """The mean action of a PPO actor (tanh layers) on normalised privileged observations, clipped to the action box."""
+    """The mean action of a PPO actor (tanh layers) on normalised privileged observations,
+    clipped to the action box.
+    """
 
     mean: Tensor
     std: Tensor
@@ -51,23 +55,32 @@ class LatentPolicy(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         # Features that were joined from a coded latent (`models.coded`) are read by its classes.
         latent: Latent | None = getattr(features, "latent", None)
-        return (self.unbounded(features) if latent is None else latent.through(self.net)).clamp(-1, 1)
+        return (self.unbounded(features) if latent is None else latent.through(self.net)).clamp(
+            -1, 1
+        )
 
     def unbounded(self, features: Tensor) -> Tensor:
-        """Return the output [B, A] before the bounds, for a loss whose gradient does not vanish at them."""
+        """Return the output [B, A] before the bounds, for a loss whose gradient does not vanish
+        at them.
+        """
         return self.net(features)  # type: ignore[no-any-return]
 
 
 class Skills(nn.Module):
-    """One latent policy per expert checkpoint, by its fraction of the interactions ('0.25', '1')."""
+    """One latent policy per expert checkpoint, by its fraction of the interactions ('0.25',
+    '1').
+    """
 
-    def __init__(self, fractions: Sequence[float], features: int, hidden: Sequence[int], action: int) -> None:
+    def __init__(
+        self, fractions: Sequence[float], features: int, hidden: Sequence[int], action: int
+    ) -> None:
         super().__init__()
         self.fractions = tuple(fractions)
         self.actors = nn.ModuleList(LatentPolicy(features, hidden, action) for _ in fractions)
         self.register_buffer("exploration", torch.zeros(action))
 
-    exploration: Tensor  # [A] standard deviation of the expert's own exploration when training ended
+    # [A] standard deviation of the expert's own exploration when training ended
+    exploration: Tensor
 
     @property
     def expert(self) -> LatentPolicy:
@@ -79,7 +92,10 @@ class Skills(nn.Module):
             if abs(known - fraction) < 1e-9:
                 assert isinstance(actor, LatentPolicy)
                 return actor
-        raise KeyError(f"no checkpoint at {fraction:g}; there are {', '.join(f'{f:g}' for f in self.fractions)}")
+        raise KeyError(
+            f"no checkpoint at {fraction:g}; there are "
+            f"{', '.join(f'{f:g}' for f in self.fractions)}"
+        )
 
 
 def checkpoint_name(fraction: float) -> str:
@@ -88,12 +104,16 @@ def checkpoint_name(fraction: float) -> str:
 
 
 def checkpoint_fractions(folder: Path) -> list[float]:
-    """Read at which fractions of the interactions an expert artifact has a policy, in ascending order."""
+    """Read at which fractions of the interactions an expert artifact has a policy, in ascending
+    order.
+    """
     evaluation = json.loads((folder / "evaluation.json").read_text())
     return sorted(float(fraction) for fraction in evaluation)
 
 
-def save_privileged(policy: PrivilegedPolicy, path: Path, inputs: int, hidden: Sequence[int], action: int) -> None:
+def save_privileged(
+    policy: PrivilegedPolicy, path: Path, inputs: int, hidden: Sequence[int], action: int
+) -> None:
     """Write the weights of a privileged policy and its constructor's arguments."""
     save_weights(policy, path, inputs=inputs, hidden=list(hidden), action=action)
 
@@ -103,10 +123,19 @@ def load_privileged(folder: Path, fraction: float) -> PrivilegedPolicy:
     return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
 
 
-def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:
+def save_skills(
+    skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int
+) -> None:
     """Write `skills.safetensors` and its constructor's arguments."""
     path = folder / "skills.safetensors"
-    save_weights(skills, path, fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
+    save_weights(
+        skills,
+        path,
+        fractions=list(skills.fractions),
+        features=features,
+        hidden=list(hidden),
+        action=action,
+    )
 
 
 def load_skills(folder: Path) -> Skills:

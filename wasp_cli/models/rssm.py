@@ -1,7 +1,8 @@
 """The recurrent state-space model with categorical latents (section 4.1 of the paper).
 
-Dimension letters: B sequences, T steps, A action, D deterministic size, S variables, C classes, Z = S * C, E embedding.
-A step is indexed by arrival: h_t follows from (h_{t-1}, z_{t-1}, a_{t-1}); z_t is inferred from h_t and o_t.
+Dimension letters: B sequences, T steps, A action, D deterministic size, S variables, C classes, Z =
+S * C, E embedding. A step is indexed by arrival: h_t follows from (h_{t-1}, z_{t-1}, a_{t-1}); z_t
+is inferred from h_t and o_t.
 """
 
 from __future__ import annotations
@@ -31,21 +32,41 @@ class RSSM(nn.Module):
     scales: Tensor
 
     def __init__(
-        self, *, action: int, embed: int, deter: int, hidden: int, variables: int, classes: int, unimix: float,
+        self,
+        *,
+        action: int,
+        embed: int,
+        deter: int,
+        hidden: int,
+        variables: int,
+        classes: int,
+        unimix: float,
         action_scales: Sequence[float] = (1.0,),
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         # Constructor arguments define the scales; they are not stored with the weights.
-        self.register_buffer("scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False)  # [K, 1]
+        # [K, 1]
+        self.register_buffer(
+            "scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False
+        )
         self.deter, self.variables, self.classes, self.unimix = deter, variables, classes, unimix
         self.flat = variables * classes
-        self.inputs = nn.Sequential(nn.Linear(self.flat + len(action_scales) * action, hidden), nn.LayerNorm(hidden), nn.SiLU())
+        self.inputs = nn.Sequential(
+            nn.Linear(self.flat + len(action_scales) * action, hidden),
+            nn.LayerNorm(hidden),
+            nn.SiLU(),
+        )
         self.cell = nn.GRUCell(hidden, deter)
-        self.prior_net = nn.Sequential(nn.Linear(deter, hidden), nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
-        # The first posterior layer in two halves: the image half needs no recurrence and runs once for a whole sequence.
+        self.prior_net = nn.Sequential(
+            nn.Linear(deter, hidden), nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat)
+        )
+        # The first posterior layer in two halves: the image half needs no recurrence and runs once
+        # for a whole sequence.
         self.posterior_h = nn.Linear(deter, hidden)
         self.posterior_o = nn.Linear(embed, hidden, bias=False)
-        self.posterior_net = nn.Sequential(nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
+        self.posterior_net = nn.Sequential(
+            nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat)
+        )
 
     def initial(self, batch: int) -> Latent:
         """Return zeros: what the mask at an episode's start leaves."""
@@ -58,10 +79,12 @@ class RSSM(nn.Module):
         return h
 
     def scaled(self, action: Tensor) -> Tensor:
-        """Return the action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every scale s.
+        """Return the action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every
+        scale s.
 
-        Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer takes such a step for a slope, and a planner then
-        finds corrections that do something in the model and nothing in the world.
+        Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer takes such
+        a step for a slope, and a planner then finds corrections that do something in the model and
+        nothing in the world.
         """
         return (action.unsqueeze(-2) / self.scales).clamp(-1, 1).flatten(-2)
 
@@ -70,18 +93,23 @@ class RSSM(nn.Module):
         return self._mixed(self.prior_net(h))
 
     def posterior(self, h: Tensor, projected: Tensor) -> Tensor:
-        """Return log-probabilities of q_theta(z | h, o), [..., S, C]; `projected` = posterior_o(embedding)."""
+        """Return log-probabilities of q_theta(z | h, o), [..., S, C]; `projected` =
+        posterior_o(embedding).
+        """
         return self._mixed(self.posterior_net(self.posterior_h(h) + projected))
 
     def _mixed(self, logits: Tensor) -> Tensor:
-        # One percent of a uniform distribution keeps every KL finite; float32 whatever the autocast.
+        # One percent of a uniform distribution keeps every KL finite; float32 whatever the
+        # autocast.
         shaped = logits.float().unflatten(-1, (self.variables, self.classes))
         probs = (1 - self.unimix) * shaped.softmax(-1) + self.unimix / self.classes
         logs: Tensor = probs.log()
         return logs
 
     def sample(self, log_probs: Tensor, noise: Tensor | None) -> Tensor:
-        """Draw one-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode when `noise` is None."""
+        """Draw one-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode
+        when `noise` is None.
+        """
         scores = log_probs if noise is None else log_probs + noise
         hard = F.one_hot(scores.argmax(-1), self.classes).to(log_probs.dtype)
         if torch.is_grad_enabled():
@@ -89,7 +117,14 @@ class RSSM(nn.Module):
             hard = hard + probs - probs.detach()
         return hard.flatten(-2)
 
-    def observe(self, projected: Tensor, action: Tensor, first: Tensor, noise: Tensor, start: Latent | None = None) -> Observed:
+    def observe(
+        self,
+        projected: Tensor,
+        action: Tensor,
+        first: Tensor,
+        noise: Tensor,
+        start: Latent | None = None,
+    ) -> Observed:
         """Filter sequences.
 
         Args:
@@ -120,21 +155,28 @@ class RSSM(nn.Module):
         read = weights(self.inputs, self.cell, first.weight, norm, logits, self.flat)  # type: ignore[arg-type]
         added = first.bias.expand(*noise.shape[:2], -1)  # type: ignore[operator]
         draws = noise.unflatten(-1, (self.variables, self.classes))
-        return unroll(start, self._from_action(action.transpose(0, 1)), None, added, draws, self.unimix, read).latent
+        return unroll(
+            start, self._from_action(action.transpose(0, 1)), None, added, draws, self.unimix, read
+        ).latent
 
     def _from_action(self, action: Tensor) -> Tensor:
-        """What the action [..., A] and the bias give to the layer that reads z and action: [..., hidden]."""
+        """What the action [..., A] and the bias give to the layer that reads z and action:
+        [..., hidden].
+        """
         layer = self.inputs[0]
         return F.linear(self.scaled(action), layer.weight[:, self.flat :], layer.bias)  # type: ignore[index, arg-type]
 
 
 def kl_divergence(left: Tensor, right: Tensor) -> Tensor:
-    """Return KL[left || right], [...], of categoricals given as log-probabilities [..., S, C], summed over the S variables."""
+    """Return KL[left || right], [...], of categoricals given as log-probabilities [..., S, C],
+    summed over the S variables.
+    """
     return (left.exp() * (left - right)).sum((-2, -1))
 
 
 def balanced_kl(posterior: Tensor, prior: Tensor, free_nats: float) -> tuple[Tensor, Tensor]:
-    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps, of logarithms [..., S, C].
+    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps, of
+    logarithms [..., S, C].
 
     Free nats clip the KL summed over the variables, so that no gradient flows below them.
     """

@@ -1,4 +1,6 @@
-"""A world without a world model: h is the observation, z is empty, and nothing is imagined. For assistants that imagine nothing."""
+"""A world without a world model: h is the observation, z is empty, and nothing is imagined. For
+assistants that imagine nothing.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from wasp_cli.models.base import Latent
 
 
 class StateWorld:
-    """The filter of a world whose state everybody perceives. S = size of the state, A = action size."""
+    """The filter of a world whose state everybody perceives. S = size of the state, A = action
+    size.
+    """
 
     reads: ClassVar[str] = "state"
 

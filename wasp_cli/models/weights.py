@@ -1,4 +1,6 @@
-"""Weights on disk: safetensors with the constructor's arguments as JSON beside them. Nothing is unpickled."""
+"""Weights on disk: safetensors with the constructor's arguments as JSON beside them. Nothing is
+unpickled.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,10 @@ def read_arguments(path: Path) -> dict[str, Any]:
     try:
         loaded: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
     except (OSError, ValueError) as error:
-        raise ArtifactError(f"cannot read {path.with_suffix('.json')}: {error}", "remove the artifact's folder and run again") from error
+        raise ArtifactError(
+            f"cannot read {path.with_suffix('.json')}: {error}",
+            "remove the artifact's folder and run again",
+        ) from error
     return loaded
 
 
@@ -39,7 +44,9 @@ def load_weights(module: nn.Module, path: Path) -> None:
         state = load_file(path)
         module.load_state_dict(state)
     except (OSError, SafetensorError, RuntimeError) as error:
-        raise ArtifactError(f"cannot read {path}: {error}", "remove the artifact's folder and run again") from error
+        raise ArtifactError(
+            f"cannot read {path}: {error}", "remove the artifact's folder and run again"
+        ) from error
     module.eval().requires_grad_(False)
 
 
@@ -55,5 +62,7 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     try:
         tensors: dict[str, torch.Tensor] = load_file(path)
     except (OSError, SafetensorError) as error:
-        raise ArtifactError(f"cannot read {path}: {error}", "remove the artifact's folder and run again") from error
+        raise ArtifactError(
+            f"cannot read {path}: {error}", "remove the artifact's folder and run again"
+        ) from error
     return tensors

@@ -1,15 +1,17 @@
 """A results folder as Arrow tables.
 
-    results = wasp_cli.results("results")                                  # of the spec that ran last; spec="table1" for another
-    results.episodes(method="wasp", operator="laggy").to_pandas()          # a row per episode
-    results.steps(method="wasp", columns=["t", "cost", "gate"])            # a row per decision
-    results.branches()                                                     # a row per intervention that was tested counterfactually
-    results.trained(kind="world_model")                                    # a row per trained part, with its numbers
-    results.table("main")                                                  # a table of the report
-    results.cell("goal1 s1 wasp laggy=0.7").replay(episode=0)              # frames
+    results = wasp_cli.results("results")                                  # of the spec that ran
+    last; spec="table1" for another results.episodes(method="wasp", operator="laggy").to_pandas()
+    # a row per episode results.steps(method="wasp", columns=["t", "cost", "gate"])            # a
+    row per decision results.branches()                                                     # a row
+    per intervention that was tested counterfactually results.trained(kind="world_model")
+    # a row per trained part, with its numbers results.table("main")
+    # a table of the report results.cell("goal1 s1 wasp laggy=0.7").replay(episode=0)              #
+    frames
 
-Nothing is computed, and torch is imported by `replay` alone. Columns have the names of `wasp run --select`: `variant` is the ablation,
-`operator` the impaired operator, `value` its severity's value.
+Nothing is computed, and torch is imported by `replay` alone. Columns have the names of `wasp run
+--select`: `variant` is the ablation, `operator` the impaired operator, `value` its severity's
+value.
 """
 
 from __future__ import annotations
@@ -37,12 +39,15 @@ if TYPE_CHECKING:
 Columns = Iterable[str] | None
 
 
-def open_results(folder: str | Path = "results", spec: str | Sequence[str] | None = None) -> Results:
+def open_results(
+    folder: str | Path = "results", spec: str | Sequence[str] | None = None
+) -> Results:
     """Open a results folder.
 
     Args:
         folder: as `wasp run --results` wrote it, or one without runs, such as `results/published`.
-        spec: whose cells: a name, or several. None: of the spec that ran last; everything in the store of a folder without runs.
+        spec: whose cells: a name, or several. None: of the spec that ran last; everything in the
+            store of a folder without runs.
 
     Raises:
         StoreError: there is no such folder.
@@ -51,7 +56,10 @@ def open_results(folder: str | Path = "results", spec: str | Sequence[str] | Non
     layout = Layout(Path(folder))
     plans = reading.recorded_plans(layout, told=True)
     if not plans and not layout.store.is_dir():
-        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+        raise StoreError(
+            f"no results in '{folder}': it has neither runs nor a store",
+            "wasp run SPEC --results DIR writes there",
+        )
     named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
     for name in named:
         if name not in plans:
@@ -62,11 +70,13 @@ def open_results(folder: str | Path = "results", spec: str | Sequence[str] | Non
 class Results:
     """The cells of one spec, or of several, and everything that is stored of them.
 
-    Every method takes a value or a list of values to choose by, and raises UnknownName for one that no cell has. What is not computed has
-    no rows; `missing` lists it.
+    Every method takes a value or a list of values to choose by, and raises UnknownName for one that
+    no cell has. What is not computed has no rows; `missing` lists it.
     """
 
-    def __init__(self, layout: Layout, plans: Mapping[str, Mapping[str, Any]], named: tuple[str, ...]) -> None:
+    def __init__(
+        self, layout: Layout, plans: Mapping[str, Mapping[str, Any]], named: tuple[str, ...]
+    ) -> None:
         self._layout, self._plans, self._named = layout, plans, named
 
     @property
@@ -79,7 +89,9 @@ class Results:
         """The cells, computed or not, in the order of the spec."""
         if not self._plans:
             return reading.stored_cells(self._layout)
-        return [cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])]
+        return [
+            cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])
+        ]
 
     @property
     def missing(self) -> list[str]:
@@ -87,14 +99,26 @@ class Results:
         return [cell.label for cell in self.cells if reading.table_of(self._layout, cell) is None]
 
     def __repr__(self) -> str:
-        whose = f"spec={', '.join(map(repr, self._named)) or 'none'}" if self._plans else "without runs"
+        whose = (
+            f"spec={', '.join(map(repr, self._named)) or 'none'}" if self._plans else "without runs"
+        )
         return f"<wasp results '{self._layout.root}', {whose}: {len(self.cells)} cells>"
 
     def episodes(
-        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
-    ) -> pa.Table:  # fmt: skip
-        """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
+        self,
+        *,
+        task: Names = None,
+        method: Names = None,
+        variant: Names = None,
+        operator: Names = None,
+        severity: Names = None,
+        value: Numbers = None,
+        seed: Numbers = None,
+        key: Names = None,
+        columns: Columns = None,
+    ) -> pa.Table:
+        """Read a row per episode: names of the cell, then its measures and thresholds;
+        `.to_pandas()` of it is a data frame.
 
         Args:
             task, method: only these; so for the next ones.
@@ -113,23 +137,46 @@ class Results:
         return reading.stacked(self._layout, cells, reading.episodes_of, reading.EPISODE, columns)
 
     def steps(
-        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
-    ) -> pa.Table:  # fmt: skip
-        """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
+        self,
+        *,
+        task: Names = None,
+        method: Names = None,
+        variant: Names = None,
+        operator: Names = None,
+        severity: Names = None,
+        value: Numbers = None,
+        seed: Numbers = None,
+        key: Names = None,
+        columns: Columns = None,
+    ) -> pa.Table:
+        """Read a row per decision; arguments and errors are those of `episodes`. Of large
+        results name the columns that you need.
+        """
         cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.all_steps(self._layout, cells, columns)
 
     def branches(
-        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
-        severity: Names = None, value: Numbers = None, seed: Numbers = None, key: Names = None, columns: Columns = None,
-    ) -> pa.Table:  # fmt: skip
-        """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
+        self,
+        *,
+        task: Names = None,
+        method: Names = None,
+        variant: Names = None,
+        operator: Names = None,
+        severity: Names = None,
+        value: Numbers = None,
+        seed: Numbers = None,
+        key: Names = None,
+        columns: Columns = None,
+    ) -> pa.Table:
+        """Read a row per counterfactually tested decision: both branches, and whether the
+        intervention was necessary. As `episodes`.
+        """
         cells = self._chosen(task, method, variant, operator, severity, value, seed, key)
         return reading.stacked(self._layout, cells, reading.branches_of, reading.BRANCH, columns)
 
     def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
-        """Read a row per trained part: key, kind, folder, seconds, and every number that its stage reports.
+        """Read a row per trained part: key, kind, folder, seconds, and every number that its stage
+        reports.
 
         Args:
             task: only these.
@@ -139,14 +186,23 @@ class Results:
         Raises:
             UnknownName: no part has such a task, kind or seed.
         """
-        planned = (part for name in self._named for part in reading.planned_parts(name, self._plans[name]))
+        planned = (
+            part for name in self._named for part in reading.planned_parts(name, self._plans[name])
+        )
         parts = list(planned) if self._plans else None  # of a folder without runs all that there is
-        return reading.trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
+        return reading.trained_table(
+            self._layout,
+            [cell.key for cell in self.cells],
+            parts,
+            {"task": task, "kind": kind, "seed": seed},
+        )
 
     def table(self, name: str = "main") -> pa.Table:
-        """Make a table of the report: `main`, `table2`, `figure3`, `statistics`, `operators`, `severity`, `details`, `latency`, ...
+        """Make a table of the report: `main`, `table2`, `figure3`, `statistics`, `operators`,
+        `severity`, `details`, `latency`, ...
 
-        Numbers are unscaled, as in the report's CSV files; `_sd`, `_low` and `_high` columns have the spread.
+        Numbers are unscaled, as in the report's CSV files; `_sd`, `_low` and `_high` columns have
+        the spread.
 
         Raises:
             UsageError: the results are of no spec, or of several.
@@ -154,11 +210,16 @@ class Results:
             ArtifactError: the record of the run is damaged.
         """
         if len(self._named) != 1:
-            raise UsageError("a table is of one spec", f"wasp_cli.results(folder, spec=...) with one of: {', '.join(self.specs) or 'none'}")
+            raise UsageError(
+                "a table is of one spec",
+                "wasp_cli.results(folder, spec=...) with one of: "
+                f"{', '.join(self.specs) or 'none'}",
+            )
         return reading.report_table(self._layout, self._named[0], name)
 
     def cell(self, label: str) -> StoredCell:
-        """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its key.
+        """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its
+        key.
 
         Raises:
             UnknownName: there is none.
@@ -169,7 +230,10 @@ class Results:
         if not cells:
             raise UnknownName("cell", label, [cell.label for cell in self.cells])
         if len(cells) > 1:
-            raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
+            raise UsageError(
+                f"'{label}' names {len(cells)} cells: {', '.join(cells)}",
+                "give the first characters of one of these keys",
+            )
         (cell,) = cells.values()
         path = reading.table_of(self._layout, cell)
         if path is None:
@@ -179,10 +243,17 @@ class Results:
     def _chosen(self, *values: Any) -> list[ListedCell]:
         names = ("task", "method", "variant", "operator", "severity", "value", "seed", "key")
         cells = reading.chosen(self.cells, dict(zip(names, values, strict=True)))
-        alike = Counter((cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values())
+        alike = Counter(
+            (cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values()
+        )
         if twice := sum(count for count in alike.values() if count > 1):
-            told = f"{twice} of {len(cells)} cells share their names with another, of other settings or code"
-            warnings.warn(f"{told}: the column `key` tells them apart, and key=[...] chooses", stacklevel=3)
+            told = (
+                f"{twice} of {len(cells)} cells share their names with another, of other "
+                "settings or code"
+            )
+            warnings.warn(
+                f"{told}: the column `key` tells them apart, and key=[...] chooses", stacklevel=3
+            )
         return cells
 
 
@@ -214,7 +285,9 @@ class StoredCell:
 
     def episodes(self) -> pa.Table:
         """Read a row per episode."""
-        return reading.stacked(self.layout, [self.names], reading.episodes_of, reading.EPISODE, None)
+        return reading.stacked(
+            self.layout, [self.names], reading.episodes_of, reading.EPISODE, None
+        )
 
     def steps(self, episode: int | None = None) -> pa.Table:
         """Read a row per decision, of one episode or of all.
@@ -228,7 +301,8 @@ class StoredCell:
 
         from wasp_cli.report.explain import read_episode
 
-        read_episode(FoundCell(self.path, self.key, self.manifest), episode)  # refuses what is not here
+        # refuses what is not here
+        read_episode(FoundCell(self.path, self.key, self.manifest), episode)
         rows = reading.stacked(self.layout, [self.names], reading.steps_of, reading.STEPS, None)
         return rows.filter(pc.equal(rows["episode"], episode))
 
@@ -237,7 +311,8 @@ class StoredCell:
         return reading.stacked(self.layout, [self.names], reading.branches_of, reading.BRANCH, None)
 
     def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined futures, gates; uint8 [704, 976, 3] each.
+        """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined
+        futures, gates; uint8 [704, 976, 3] each.
 
         Needs torch and the cell's models in the results folder.
 
@@ -247,10 +322,16 @@ class StoredCell:
 
         Raises:
             UsageError: no such episode, or `every` is none.
-            ArtifactError: a model is missing or damaged, or what is played is not what was recorded.
+            ArtifactError: a model is missing or damaged, or what is played is not what was
+                recorded.
         """
         from wasp_cli.video.replay import replay_frames
 
         if every is not None and (not isinstance(every, int) or every < 1):
-            raise UsageError(f"every={every!r} is no number of decisions", "give a whole number from 1 on, or None")
-        yield from replay_frames(self.layout, FoundCell(self.path, self.key, self.manifest), episode, every)
+            raise UsageError(
+                f"every={every!r} is no number of decisions",
+                "give a whole number from 1 on, or None",
+            )
+        yield from replay_frames(
+            self.layout, FoundCell(self.path, self.key, self.manifest), episode, every
+        )

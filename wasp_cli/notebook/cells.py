@@ -1,7 +1,8 @@
-"""Results and trained parts in one line, for notebooks and scripts: which cells a results folder has, and their rows below each other.
+"""Results and trained parts in one line, for notebooks and scripts: which cells a results folder
+has, and their rows below each other.
 
-The plans of its runs alone say which cells there are: no spec is parsed, no plugin imported. Each row begins with the key, the spec and the
-names of its cell.
+The plans of its runs alone say which cells there are: no spec is parsed, no plugin imported. Each
+row begins with the key, the spec and the names of its cell.
 """
 
 from __future__ import annotations
@@ -25,7 +26,16 @@ from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.tables import METRICS, STEP, THRESHOLDS, TIMES, CellIdentity, cell_file, read_episodes, read_steps
+from wasp_cli.store.tables import (
+    METRICS,
+    STEP,
+    THRESHOLDS,
+    TIMES,
+    CellIdentity,
+    cell_file,
+    read_episodes,
+    read_steps,
+)
 
 BRANCHES = "counterfactual"  # the kind of node that tests the interventions of a cell
 
@@ -45,22 +55,35 @@ class ListedCell(CellIdentity):
 
     @property
     def label(self) -> str:
-        return f"{self.task} s{self.seed} {cell_label(self.method, self.variant, self.operator, self.value)}"
+        return (
+            f"{self.task} s{self.seed} "
+            f"{cell_label(self.method, self.variant, self.operator, self.value)}"
+        )
 
     @property
     def identity(self) -> CellIdentity:
-        return CellIdentity(self.task, self.method, self.variant, self.operator, self.value, self.seed)
+        return CellIdentity(
+            self.task, self.method, self.variant, self.operator, self.value, self.seed
+        )
 
 
 def recorded_plans(layout: Layout, *, told: bool = False) -> dict[str, Mapping[str, Any]]:
-    """Read the plan of the last run of each spec, by its name, oldest first. One that does not read is left out (`told`: a warning)."""
+    """Read the plan of the last run of each spec, by its name, oldest first. One that does not
+    read is left out (`told`: a warning).
+    """
     if not layout.root.is_dir():
-        raise StoreError(f"no results in '{layout.root}': no such folder", "wasp run SPEC --results DIR writes there")
+        raise StoreError(
+            f"no results in '{layout.root}': no such folder",
+            "wasp run SPEC --results DIR writes there",
+        )
     with suppress(StoreError):  # a folder without runs
         runs, damaged = last_runs(layout)
         for wrong in damaged if told else ():
             warnings.warn(wrong, stacklevel=3)
-        return {name: read_record(layout.run(run_id) / "plan.json") or {} for name, run_id in runs.items()}
+        return {
+            name: read_record(layout.run(run_id) / "plan.json") or {}
+            for name, run_id in runs.items()
+        }
     return {}
 
 
@@ -71,23 +94,34 @@ def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
         keys = [str(entry["key"]) for entry in plan["cells"]]
         if not all(map(is_key, (*keys, *judged.values()))):
             raise ValueError("a key is none")
-        return [replace(cell, key=key, branches=judged.get(cell)) for cell, key in zip(cells, keys, strict=True)]
+        return [
+            replace(cell, key=key, branches=judged.get(cell))
+            for cell, key in zip(cells, keys, strict=True)
+        ]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again") from error
+        raise ArtifactError(
+            f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again"
+        ) from error
 
 
 def planned_parts(spec: str, plan: Mapping[str, Any]) -> list[tuple[str, str]]:
     try:
         return [(str(part["kind"]), str(part["key"])) for part in plan.get("parts", ())]
     except (KeyError, TypeError) as error:
-        raise ArtifactError(f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again") from error
+        raise ArtifactError(
+            f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again"
+        ) from error
 
 
 def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
     value = None if entry["value"] is None else float(entry["value"])
     severity = None if entry["severity"] is None else str(entry["severity"])
-    task, method, variant, operator = (str(entry[name]) for name in ("task", "method", "assistant", "operator"))
-    return ListedCell(task, method, variant, operator, value, int(entry["seed"]), spec=spec, severity=severity)
+    task, method, variant, operator = (
+        str(entry[name]) for name in ("task", "method", "assistant", "operator")
+    )
+    return ListedCell(
+        task, method, variant, operator, value, int(entry["seed"]), spec=spec, severity=severity
+    )
 
 
 def stored_cells(layout: Layout) -> list[ListedCell]:
@@ -103,7 +137,9 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
             value = None if axes["value"] is None else float(axes["value"])
             variant = str(axes["method_config"].get("variant", "full"))
             who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
-            cells.append(ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key)))
+            cells.append(
+                ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key))
+            )
     return cells
 
 
@@ -118,7 +154,8 @@ def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
             continue
         known = {getattr(item, name) for item in items}
         texts = {str(one): one for one in known if one is not None}
-        values = {texts.get(str(one), one) for one in _values(value)}  # a number may be written as a text
+        # a number may be written as a text
+        values = {texts.get(str(one), one) for one in _values(value)}
         for unknown in sorted(values - known, key=str):
             raise UnknownName(f"{name} in these results", str(unknown), texts)
         kept = [item for item in kept if getattr(item, name) in values]
@@ -139,15 +176,34 @@ def table_of(layout: Layout, cell: ListedCell) -> Path | None:
 
 NAMES = pa.schema(  # columns with which every row begins: fields of `ListedCell`
     [
-        *((name, pa.string()) for name in ("key", "spec", "task", "method", "variant", "operator", "severity")),
+        *(
+            (name, pa.string())
+            for name in ("key", "spec", "task", "method", "variant", "operator", "severity")
+        ),
         ("value", pa.float64()),
         ("seed", pa.int64()),
     ]
 )
-EPISODE = (pa.field("episode", pa.int32()), pa.field("episode_seed", pa.int64()), *METRICS, *THRESHOLDS, *TIMES)
+EPISODE = (
+    pa.field("episode", pa.int32()),
+    pa.field("episode_seed", pa.int64()),
+    *METRICS,
+    *THRESHOLDS,
+    *TIMES,
+)
 STEPS = (pa.field("episode", pa.int32()), *STEP)
-SUMS = ("cost_assisted", "cost_alone", "reward_assisted", "reward_alone", "rho", "delta_c", "delta_r")
-BRANCH = (  # a branched decision: sums of cost and reward over the window of both branches, and what `metrics.necessity` says of them
+SUMS = (
+    "cost_assisted",
+    "cost_alone",
+    "reward_assisted",
+    "reward_alone",
+    "rho",
+    "delta_c",
+    "delta_r",
+)
+# a branched decision: sums of cost and reward over the window of both branches, and what
+# `metrics.necessity` says of them
+BRANCH = (
     pa.field("episode", pa.int32()),
     pa.field("t", pa.int32()),
     pa.field("gate", pa.int8()),
@@ -158,11 +214,20 @@ BRANCH = (  # a branched decision: sums of cost and reward over the window of bo
     pa.field("tau_R", pa.float64()),
 )
 
-Read = Callable[[Layout, ListedCell], pa.Table | None]  # reads the rows of one cell; None where it is not computed
+# reads the rows of one cell; None where it is not computed
+Read = Callable[[Layout, ListedCell], pa.Table | None]
 
 
-def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Sequence[pa.Field], columns: Iterable[str] | None) -> pa.Table:
-    """Read columns of many cells into one table, in the order of the cells; those that are not computed have no rows."""
+def stacked(
+    layout: Layout,
+    cells: Sequence[ListedCell],
+    read: Read,
+    fields: Sequence[pa.Field],
+    columns: Iterable[str] | None,
+) -> pa.Table:
+    """Read columns of many cells into one table, in the order of the cells; those that are not
+    computed have no rows.
+    """
     known = {field.name: field for field in fields}
     asked = list(known if columns is None else dict.fromkeys(_values(columns)))
     for name in asked:
@@ -175,8 +240,13 @@ def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Seq
         rows = read(layout, cell)
         if rows is None:
             return None
-        named = [pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows) for field in NAMES]
-        return pa.table([*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema)
+        named = [
+            pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows)
+            for field in NAMES
+        ]
+        return pa.table(
+            [*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema
+        )
 
     tables = [table for cell in cells if (table := one(cell)) is not None]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
@@ -199,14 +269,21 @@ def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
     return read_steps(cell_file(layout.artifact(KIND, cell.key)))
 
 
-def all_steps(layout: Layout, cells: Sequence[ListedCell], columns: Iterable[str] | None) -> pa.Table:
+def all_steps(
+    layout: Layout, cells: Sequence[ListedCell], columns: Iterable[str] | None
+) -> pa.Table:
     """Read the steps of cells; a warning says of how many episodes they are not here."""
     asked = None if columns is None else list(_values(columns))
     rows = stacked(layout, cells, steps_of, STEPS, None if asked is None else [*asked, "episode"])
     whole = stacked(layout, cells, episodes_of, EPISODE, ["episode"])
-    here, many = (table.group_by(["key", "episode"]).aggregate([]).num_rows for table in (rows, whole))
+    here, many = (
+        table.group_by(["key", "episode"]).aggregate([]).num_rows for table in (rows, whole)
+    )
     if here < many:
-        told = "published results leave out the others: wasp run SPEC --reuse none computes cells whole"
+        told = (
+            "published results leave out the others: wasp run SPEC --reuse none computes cells "
+            "whole"
+        )
         warnings.warn(f"{here} of {many} episodes have steps; {told}", stacklevel=3)
     return rows if asked is None or "episode" in asked else rows.drop_columns("episode")
 
@@ -221,30 +298,59 @@ def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
     if stored.cell.identity != cell.identity:
         raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)
     cost, reward, count = stored.cost, stored.reward, len(stored.episode)
-    worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)
+    worth = necessity(
+        cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R
+    )
     columns = {
-        "episode": stored.episode, "t": stored.t, "gate": stored.gate, "deviation": stored.deviation,
-        "cost_assisted": cost[ASSISTED].sum(1), "cost_alone": cost[ALONE].sum(1),
-        "reward_assisted": reward[ASSISTED].sum(1), "reward_alone": reward[ALONE].sum(1),
-        "rho": worth.rho, "delta_c": worth.delta_c, "delta_r": worth.delta_r, "unnecessary": worth.unnecessary,
-        "unnecessary_swapped": worth.swapped, "effective": worth.effective,
-        "window": np.full(count, stored.cell.window), "tau_R": np.full(count, stored.cell.tau_R),
-    }  # fmt: skip
-    return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})
+        "episode": stored.episode,
+        "t": stored.t,
+        "gate": stored.gate,
+        "deviation": stored.deviation,
+        "cost_assisted": cost[ASSISTED].sum(1),
+        "cost_alone": cost[ALONE].sum(1),
+        "reward_assisted": reward[ASSISTED].sum(1),
+        "reward_alone": reward[ALONE].sum(1),
+        "rho": worth.rho,
+        "delta_c": worth.delta_c,
+        "delta_r": worth.delta_r,
+        "unnecessary": worth.unnecessary,
+        "unnecessary_swapped": worth.swapped,
+        "effective": worth.effective,
+        "window": np.full(count, stored.cell.window),
+        "tau_R": np.full(count, stored.cell.tau_R),
+    }
+    return pa.table(
+        {field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH}
+    )
 
 
-def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]] | None, wanted: Mapping[str, Any]) -> pa.Table:
+def trained_table(
+    layout: Layout,
+    cells: Iterable[str],
+    parts: Sequence[tuple[str, str]] | None,
+    wanted: Mapping[str, Any],
+) -> pa.Table:
     # Imported here: what a report needs is not needed for rows.
     from wasp_cli.report.trained import NOT_TRAINED, scalars, trained_artifacts
 
     roots = [*((KIND, key) for key in cells), *(parts or ())]
     if not roots and parts is None:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
-        roots = [(kind, key) for kind in kinds for key in sorted(filter(is_key, stored_keys(layout, kind)))]
+        roots = [
+            (kind, key)
+            for kind in kinds
+            for key in sorted(filter(is_key, stored_keys(layout, kind)))
+        ]
     shown = chosen(trained_artifacts(layout, roots)[0], wanted)
-    columns: dict[str, list[Any]] = {name: [getattr(part, name) for part in shown] for name in ("key", "kind", "task", "seed", "seconds")}
+    columns: dict[str, list[Any]] = {
+        name: [getattr(part, name) for part in shown]
+        for name in ("key", "kind", "task", "seed", "seconds")
+    }
     columns["folder"] = [str(layout.artifact(part.kind, part.key)) for part in shown]
-    numbers = [{f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)} for part in shown]
+    numbers = [
+        {f"{name}_" if name in columns else name: value for name, value in scalars(part.summary)}
+        for part in shown
+    ]
     for name in dict.fromkeys(name for each in numbers for name in each):
         columns[name] = [each.get(name) for each in numbers]
     return pa.table({name: _array(values) for name, values in columns.items()})
@@ -265,8 +371,14 @@ def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
 
     run = read_run(layout, last_runs(layout)[0][spec])
     paper = load_paper() if name == "paper" else None
-    report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent)
-    known = {own: table for table in report.tables for own in (table.name, *["main"] * (table.name == "table1"))}
+    report = report_run(
+        layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent
+    )
+    known = {
+        own: table
+        for table in report.tables
+        for own in (table.name, *["main"] * (table.name == "table1"))
+    }
     if name not in known:
         raise UnknownName("table", name, known)
     return pa.table(data_columns(known[name]))

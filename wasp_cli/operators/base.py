@@ -1,8 +1,10 @@
-"""The contract of a simulated operator: an intended policy and an impairment with memory, and where its randomness comes from.
+"""The contract of a simulated operator: an intended policy and an impairment with memory, and where
+its randomness comes from.
 
-The same class runs in the task (noise from the episode's stream) and in imagination (forked from the real memory, with
-draws of its own), which is the paper's "same pi_H". B = rows, A = action size, F = size of what the policy reads
-(latent features at evaluation, privileged observations while data are collected).
+The same class runs in the task (noise from the episode's stream) and in imagination (forked from
+the real memory, with draws of its own), which is the paper's "same pi_H". B = rows, A = action
+size, F = size of what the policy reads (latent features at evaluation, privileged observations
+while data are collected).
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ class NoiseSource(Protocol):
         ...
 
     def position(self) -> Tensor:
-        """Return where the streams are, as a tensor [...]; `seek` of it brings the same draws back."""
+        """Return where the streams are, as a tensor [...]; `seek` of it brings the same draws
+        back.
+        """
         ...
 
     def seek(self, position: Tensor) -> None:
@@ -41,25 +45,29 @@ class NoiseSource(Protocol):
 class OperatorContext:
     """What an operator variant is built from, besides its severity and its noise."""
 
-    skill: Callable[[float], Policy]  # the policy at a fraction of the expert's training (1.0 is the expert)
+    # the policy at a fraction of the expert's training (1.0 is the expert)
+    skill: Callable[[float], Policy]
     action_size: int  # A
     decision_seconds: float  # seconds between two commands
     informed: Callable[[float], Policy] | None = None
-    """The policy of one who knows more than any assistant perceives, of privileged observations; None: operators perceive what assistants
-    do. Imagination has `skill` alone."""
+    """The policy of one who knows more than any assistant perceives, of privileged observations;
+    None: operators perceive what assistants do. Imagination has `skill` alone."""
 
 
 class Operator:
     """An unimpaired operator, and the base of the impaired ones."""
 
     noise_size: ClassVar[int] = 0  # uniforms per decision beyond those for an action
-    draws_action: ClassVar[bool] = False  # whether a decision also needs A uniforms for a random action
+    # whether a decision also needs A uniforms for a random action
+    draws_action: ClassVar[bool] = False
 
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
         self.policy, self.action_size, self.noise, self.batch = policy, action_size, noise, batch
         self.memory = self.initial(batch)
         self.informed: Policy | None = None
-        """[B, P] privileged observations to the intended command [B, A]; None: `policy` intends it"""
+        """[B, P] privileged observations to the intended command [B, A]; None: `policy` intends
+        it
+        """
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
@@ -67,7 +75,9 @@ class Operator:
         return cls.skilled(1.0, context, noise, batch)
 
     @classmethod
-    def skilled(cls, fraction: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+    def skilled(
+        cls, fraction: float, context: OperatorContext, noise: NoiseSource, batch: int
+    ) -> Self:
         """Build an operator with the skill at a fraction of the expert's training."""
         operator = cls(context.skill(fraction), context.action_size, noise, batch)
         operator.informed = None if context.informed is None else context.informed(fraction)
@@ -88,28 +98,41 @@ class Operator:
         return {}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B, A] and the next memory."""
+        """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B,
+        A] and the next memory.
+        """
         return intended, memory
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
-        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision.
+        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one
+        decision.
 
-        An informed operator in the task reads privileged observations [B, P] instead; in imagination there are none.
+        An informed operator in the task reads privileged observations [B, P] instead; in
+        imagination there are none.
         """
         intended = self.intended(features, privileged)
-        issued, self.memory = self.act(intended, self.memory, self.noise.next(self.draws).to(intended.device))
+        issued, self.memory = self.act(
+            intended, self.memory, self.noise.next(self.draws).to(intended.device)
+        )
         return issued
 
     def intended(self, features: Tensor, privileged: Tensor | None) -> Tensor:
         """Return the command [B, A] before the impairment."""
-        return self.policy(features) if self.informed is None or privileged is None else self.informed(privileged)
+        return (
+            self.policy(features)
+            if self.informed is None or privileged is None
+            else self.informed(privileged)
+        )
 
     def react(self, executed: Tensor, memory: Memory) -> Memory:
-        """Return the next memory of one who has seen that `executed` [B, A] was carried out instead of the command; here the same one."""
+        """Return the next memory of one who has seen that `executed` [B, A] was carried out
+        instead of the command; here the same one.
+        """
         return memory
 
     def observe(self, executed: Tensor) -> None:
-        """Tell the operator which action [B, A] was executed after its command; only the memory may change, by `react`.
+        """Tell the operator which action [B, A] was executed after its command; only the memory may
+        change, by `react`.
 
         Whoever asks for commands in a loop calls it once after each of them, before the next one.
         """
@@ -128,16 +151,25 @@ class Operator:
             self.memory[name] = torch.where(mask, fresh[name].to(old.device), old)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
-        """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices [R]), with other noise."""
+        """Return the same operator in imagination: `copies` adjacent copies of each of `rows`
+        (indices [R]), with other noise.
+        """
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
         forked.noise, forked.batch = noise, len(rows) * copies
-        forked.memory = {name: value[rows].repeat_interleave(copies, 0) for name, value in self.memory.items()}
+        forked.memory = {
+            name: value[rows].repeat_interleave(copies, 0) for name, value in self.memory.items()
+        }
         return forked
 
     def snapshot(self) -> Memory:
-        """Return memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
-        return {"noise": self.noise.position(), **{name: value.clone() for name, value in self.memory.items()}}
+        """Return memory and position of the noise: after `restore` of it the same commands
+        follow, bit for bit.
+        """
+        return {
+            "noise": self.noise.position(),
+            **{name: value.clone() for name, value in self.memory.items()},
+        }
 
     def restore(self, snapshot: Memory) -> None:
         """Return to a snapshot."""
@@ -145,7 +177,9 @@ class Operator:
         self.noise.seek(snapshot["noise"])
 
 
-def build_operator(variant: str, value: float | None, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:
+def build_operator(
+    variant: str, value: float | None, context: OperatorContext, noise: NoiseSource, batch: int
+) -> Operator:
     """Build an operator of `batch` rows; the variant "none" is the unimpaired expert."""
     if variant == UNIMPAIRED or value is None:
         return Operator.build(1.0, context, noise, batch)
@@ -154,7 +188,9 @@ def build_operator(variant: str, value: float | None, context: OperatorContext, 
 
 
 class EpisodeNoise:
-    """A counter-based stream per episode: what decision t of an episode draws depends on (its seed, t) and nothing else."""
+    """A counter-based stream per episode: what decision t of an episode draws depends on (its
+    seed, t) and nothing else.
+    """
 
     def __init__(self, seeds: Sequence[int]) -> None:
         self.seeds = list(seeds)
@@ -169,8 +205,11 @@ class EpisodeNoise:
         draws = np.empty((len(self.seeds), size), np.float32)
         for row, (seed, step) in enumerate(zip(self.seeds, self.step, strict=True)):
             if size:
-                # 2^64 draws lie between two counters of the second word, so that decisions never share any.
-                draws[row] = np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 0, 0])).random(size, np.float32)
+                # 2^64 draws lie between two counters of the second word, so that decisions never
+                # share any.
+                draws[row] = np.random.Generator(
+                    np.random.Philox(key=seed, counter=[0, step, 0, 0])
+                ).random(size, np.float32)
             self.step[row] = step + 1
         return torch.from_numpy(draws)
 
@@ -184,7 +223,9 @@ class EpisodeNoise:
 
 
 class DrawnNoise:
-    """Draws made before a loop: [H, B, K]. Rows may share draws by having been expanded (common random numbers)."""
+    """Draws made before a loop: [H, B, K]. Rows may share draws by having been expanded (common
+    random numbers).
+    """
 
     def __init__(self, draws: Tensor) -> None:
         self.draws = draws

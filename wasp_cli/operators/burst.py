@@ -1,4 +1,6 @@
-"""Noisy operator, mode `burst`: random commands come in bursts, a Markov chain that is on or off (after IDA's operators)."""
+"""Noisy operator, mode `burst`: random commands come in bursts, a Markov chain that is on or
+off (after IDA's operators).
+"""
 
 from __future__ import annotations
 
@@ -12,22 +14,33 @@ MEAN_BURST = 10.0  # decisions; IDA stops a burst with probability 0.1
 
 
 class BurstNoiseOperator(NoisyOperator):
-    """See the module; the severity `epsilon` is the share of the decisions within bursts, from the first decision of an episode on."""
+    """See the module; the severity `epsilon` is the share of the decisions within bursts, from
+    the first decision of an episode on.
+    """
 
     def initial(self, batch: int) -> Memory:
-        return {"burst": torch.zeros(batch, 1, dtype=torch.bool), "started": torch.zeros(batch, 1, dtype=torch.bool)}
+        return {
+            "burst": torch.zeros(batch, 1, dtype=torch.bool),
+            "started": torch.zeros(batch, 1, dtype=torch.bool),
+        }
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
         start, stop = burst_rates(self.epsilon)
         on = torch.where(memory["burst"], uniforms[:, :1] >= stop, uniforms[:, :1] < start)
-        on = torch.where(memory["started"], on, uniforms[:, :1] < self.epsilon)  # an episode begins as it goes on
-        return torch.where(on, 2 * uniforms[:, 1:] - 1, intended), {"burst": on, "started": torch.ones_like(on)}
+        # an episode begins as it goes on
+        on = torch.where(memory["started"], on, uniforms[:, :1] < self.epsilon)
+        return torch.where(on, 2 * uniforms[:, 1:] - 1, intended), {
+            "burst": on,
+            "started": torch.ones_like(on),
+        }
 
 
 def burst_rates(share: float) -> tuple[float, float]:
-    """Return the probabilities per decision that a burst starts and that it stops, for a `share` of the decisions in bursts.
+    """Return the probabilities per decision that a burst starts and that it stops, for a `share` of
+    the decisions in bursts.
 
-    Bursts last MEAN_BURST decisions on average, longer where so large a share leaves no room between them.
+    Bursts last MEAN_BURST decisions on average, longer where so large a share leaves no room
+    between them.
     """
     if share >= 1.0:
         return 1.0, 0.0

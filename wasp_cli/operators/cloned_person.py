@@ -1,4 +1,6 @@
-"""The clone of a person as an operator of the grid: what `wasp clone` fitted to the commands of a participant drives."""
+"""The clone of a person as an operator of the grid: what `wasp clone` fitted to the commands of
+a participant drives.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from wasp_cli.operators.clones import PlacedClone, required_clone
 
 
 class CloneOfPerson(ClonedOperator):
-    """See the module. Its severity is the participant's number; the clone is that which the node reads (`operators.clones`)."""
+    """See the module. Its severity is the participant's number; the clone is that which the
+    node reads (`operators.clones`).
+    """
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
@@ -29,13 +33,17 @@ class CloneOfPerson(ClonedOperator):
 
 
 class ContinuedPerson(CloneOfPerson):
-    """A person whose session is played again, and whose clone goes on where a branch leaves it: nobody can be asked again.
+    """A person whose session is played again, and whose clone goes on where a branch leaves it:
+    nobody can be asked again.
 
-    Until the first `restore` commands are those that were said; from then on they are drawn from the clone.
+    Until the first `restore` commands are those that were said; from then on they are drawn from
+    the clone.
     """
 
     @classmethod
-    def of(cls, placed: PlacedClone, seeds: list[int], context: OperatorContext, noise: NoiseSource) -> Self:
+    def of(
+        cls, placed: PlacedClone, seeds: list[int], context: OperatorContext, noise: NoiseSource
+    ) -> Self:
         """Build the operator of the episodes with these operator seeds."""
         built = cls.build(0.0, context, noise, len(seeds))
         length = max(len(placed.said[seed]) for seed in seeds)

@@ -1,4 +1,6 @@
-"""Where the clone of a person lies while a node runs: what runs it says so, and the key covers the clone, since the node reads it."""
+"""Where the clone of a person lies while a node runs: what runs it says so, and the key covers
+the clone, since the node reads it.
+"""
 
 from __future__ import annotations
 
@@ -45,5 +47,8 @@ def required_clone() -> PlacedClone:
     """Return the clone of the block that runs."""
     found = _PLACED.get()
     if found is None:
-        raise UsageError("the clone of a person drives evaluations and their branches alone", "name other operators here")
+        raise UsageError(
+            "the clone of a person drives evaluations and their branches alone",
+            "name other operators here",
+        )
     return found

@@ -1,4 +1,6 @@
-"""Reaction-time operator: issues the command for what it saw d decisions ago; the queue starts with neutral commands."""
+"""Reaction-time operator: issues the command for what it saw d decisions ago; the queue starts
+with neutral commands.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,13 @@ class DelayedOperator(Operator):
         return {"queue": torch.zeros(batch, self.delay, self.action_size)}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        queue = torch.cat([memory["queue"], intended.unsqueeze(1)], 1)  # [B, d + 1, A], oldest first
+        # [B, d + 1, A], oldest first
+        queue = torch.cat([memory["queue"], intended.unsqueeze(1)], 1)
         return queue[:, 0], {"queue": queue[:, 1:]}
 
 
 def delay_steps(seconds: float, decision_seconds: float) -> int:
-    """Return the delay in whole decision steps, rounded up (0.24 s is 3 steps of 0.08 s and 2 of 0.16 s)."""
+    """Return the delay in whole decision steps, rounded up (0.24 s is 3 steps of 0.08 s and 2
+    of 0.16 s).
+    """
     return math.ceil(seconds / decision_seconds - 1e-9)

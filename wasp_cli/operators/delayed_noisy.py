@@ -1,4 +1,6 @@
-"""Delayed and noisy operator: commands arrive late as under `reaction-time`, and some are replaced by uniform ones as under `noisy`."""
+"""Delayed and noisy operator: commands arrive late as under `reaction-time`, and some are
+replaced by uniform ones as under `noisy`.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,14 @@ from wasp_cli.operators.base import Memory, NoiseSource, OperatorContext
 from wasp_cli.operators.delayed import DelayedOperator
 from wasp_cli.operators.noisy import NoisyOperator
 
-DELAY = 0.16  # seconds; the mild severity of `reaction-time`, so that neither impairment hides the other
+# seconds; the mild severity of `reaction-time`, so that neither impairment hides the other
+DELAY = 0.16
 
 
 class DelayedNoisyOperator(DelayedOperator):
-    """See the module; the severity is the probability of a uniform action. A replaced command is lost: nothing else is late for it."""
+    """See the module; the severity is the probability of a uniform action. A replaced command
+    is lost: nothing else is late for it.
+    """
 
     noise_size = NoisyOperator.noise_size
     draws_action = NoisyOperator.draws_action

@@ -11,7 +11,9 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorConte
 
 
 class GaussianNoiseOperator(Operator):
-    """See the module; the severity is the standard deviation `sigma` in units of the command, which stays within its bounds."""
+    """See the module; the severity is the standard deviation `sigma` in units of the command,
+    which stays within its bounds.
+    """
 
     draws_action = True
     sigma: float

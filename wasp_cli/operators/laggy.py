@@ -1,4 +1,6 @@
-"""Laggy operator: with probability p the last issued command is repeated; the first of an episode is fresh."""
+"""Laggy operator: with probability p the last issued command is repeated; the first of an
+episode is fresh.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorConte
 
 
 class LaggyOperator(Operator):
-    """See the module; `p` is the severity. The *issued* command is repeated, not what an assistant executed."""
+    """See the module; `p` is the severity. The *issued* command is repeated, not what an
+    assistant executed.
+    """
 
     noise_size = 1
     p: float
@@ -23,7 +27,10 @@ class LaggyOperator(Operator):
         return operator
 
     def initial(self, batch: int) -> Memory:
-        return {"last": torch.zeros(batch, self.action_size), "started": torch.zeros(batch, 1, dtype=torch.bool)}
+        return {
+            "last": torch.zeros(batch, self.action_size),
+            "started": torch.zeros(batch, 1, dtype=torch.bool),
+        }
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
         repeats = (uniforms[:, :1] < self.p) & memory["started"]

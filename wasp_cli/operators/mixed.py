@@ -15,8 +15,9 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator
 class MixedOperator(Operator):
     """B rows, each driven by one of several operators (all of batch B), chosen anew at every reset.
 
-    All of them share one draw per decision and one evaluation of each distinct policy: only the chosen operator of a row counts.
-    `choice` [B] may also be set: a row then meets the operator of that index until its next reset.
+    All of them share one draw per decision and one evaluation of each distinct policy: only the
+    chosen operator of a row counts. `choice` [B] may also be set: a row then meets the operator of
+    that index until its next reset.
     """
 
     def __init__(self, operators: Sequence[Operator], noise: NoiseSource, seed: int) -> None:
@@ -36,7 +37,9 @@ class MixedOperator(Operator):
 
     def reset(self, rows: Tensor) -> None:
         """Begin new episodes in `rows` [B] (bool): clear memories and draw their operators."""
-        drawn = torch.from_numpy(self._random.integers(len(self.operators), size=len(self.choice))).to(self.choice.device)
+        drawn = torch.from_numpy(
+            self._random.integers(len(self.operators), size=len(self.choice))
+        ).to(self.choice.device)
         self.choice = torch.where(rows.to(self.choice.device), drawn, self.choice)
         for operator in self.operators:
             operator.reset(rows)
@@ -50,12 +53,18 @@ class MixedOperator(Operator):
             mind = id(operator.policy)  # one for each skill, informed or not
             if mind not in intended:
                 intended[mind] = operator.intended(features, privileged)
-            command, operator.memory = operator.act(intended[mind], operator.memory, uniforms[:, : operator.draws])
+            command, operator.memory = operator.act(
+                intended[mind], operator.memory, uniforms[:, : operator.draws]
+            )
             issued.append(command)
-        return torch.stack(issued)[self.choice, torch.arange(len(self.choice), device=self.choice.device)]
+        return torch.stack(issued)[
+            self.choice, torch.arange(len(self.choice), device=self.choice.device)
+        ]
 
     def observe(self, executed: Tensor) -> None:
-        """Tell all operators which action [B, A] was executed; what one makes of a row that it does not drive is cleared by `reset`."""
+        """Tell all operators which action [B, A] was executed; what one makes of a row that it
+        does not drive is cleared by `reset`.
+        """
         for operator in self.operators:
             operator.observe(executed)
 
@@ -66,7 +75,9 @@ class MixedOperator(Operator):
         return self
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
-        """Copy it into imagination, where every row keeps its operator, and operators of no row are left out."""
+        """Copy it into imagination, where every row keeps its operator, and operators of no row
+        are left out.
+        """
         used, choice = torch.unique(self.choice[rows], return_inverse=True)
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
@@ -77,7 +88,11 @@ class MixedOperator(Operator):
 
     def snapshot(self) -> Memory:
         """Return the memories of all operators, by their index, and who drives which row."""
-        memories = {f"{i}.{name}": value.clone() for i, each in enumerate(self.operators) for name, value in each.memory.items()}
+        memories = {
+            f"{i}.{name}": value.clone()
+            for i, each in enumerate(self.operators)
+            for name, value in each.memory.items()
+        }
         return {"noise": self.noise.position(), "choice": self.choice.clone(), **memories}
 
     def restore(self, snapshot: Memory) -> None:

@@ -6,13 +6,22 @@ import torch
 from torch import Tensor
 
 from wasp_cli.errors import UsageError
-from wasp_cli.operators.base import EpisodeNoise, Memory, NoiseSource, Operator, OperatorContext, Policy
+from wasp_cli.operators.base import (
+    EpisodeNoise,
+    Memory,
+    NoiseSource,
+    Operator,
+    OperatorContext,
+    Policy,
+)
 from wasp_cli.operators.cloned_person import ContinuedPerson
 from wasp_cli.operators.clones import placed_clone
 
 
 class PersonOperator(Operator):
-    """See the module. In imagination the command of now is held: nobody can ask a person what they would do there."""
+    """See the module. In imagination the command of now is held: nobody can ask a person what
+    they would do there.
+    """
 
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
         super().__init__(policy, action_size, noise, batch)
@@ -20,8 +29,12 @@ class PersonOperator(Operator):
         self.imagined = False  # whether this is a fork
 
     @classmethod
-    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:  # type: ignore[override]
-        """Build the operator of a session; where a session is branched, one whom the participant's clone continues."""
+    def build(
+        cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int
+    ) -> Operator:  # type: ignore[override]
+        """Build the operator of a session; where a session is branched, one whom the
+        participant's clone continues.
+        """
         clone = placed_clone()
         if clone is not None and clone.said and isinstance(noise, EpisodeNoise):
             return ContinuedPerson.of(clone, noise.seeds, context, noise)
@@ -41,7 +54,8 @@ class PersonOperator(Operator):
         if self._next is None:
             raise UsageError(
                 "a person has to drive this cell: nobody's commands can be computed",
-                "wasp drive TASK or SPEC; wasp clone RESULTS --participant N makes an operator of what was recorded",
+                "wasp drive TASK or SPEC; wasp clone RESULTS --participant N makes an "
+                "operator of what was recorded",
             )
         issued, self._next = self._next, None
         self.memory = {"held": issued}

@@ -18,17 +18,28 @@ class OperatorInfo:
     high: float  # range of the severity value
     unit: str  # meaning of the severity value, for people
     simulated: bool = True
-    """False of people, and of what was learned of one: their commands do not follow from a rule and the seed alone."""
+    """False of people, and of what was learned of one: their commands do not follow from a rule
+    and the seed alone.
+    """
 
 
 PERSON, CLONED = "person", "cloned"
-"""The variants of people, who drive with `wasp drive`, and of their clones, which `wasp clone` makes."""
+"""The variants of people, who drive with `wasp drive`, and of their clones, which `wasp clone`
+makes.
+"""
 
 OPERATORS: Registry[OperatorInfo] = Registry(
     "operator variant",
     "wasp.operators",
     (
-        OperatorInfo("noisy", "Noisy", "wasp_cli.operators.noisy:NoisyOperator", 0.0, 1.0, "probability of a uniform action"),
+        OperatorInfo(
+            "noisy",
+            "Noisy",
+            "wasp_cli.operators.noisy:NoisyOperator",
+            0.0,
+            1.0,
+            "probability of a uniform action",
+        ),
         OperatorInfo(
             "noisy-gaussian",
             "Noisy, Gaussian",
@@ -45,7 +56,14 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             1.0,
             "share of the decisions within bursts of uniform actions",
         ),
-        OperatorInfo("laggy", "Laggy", "wasp_cli.operators.laggy:LaggyOperator", 0.0, 1.0, "probability of repeating the last command"),
+        OperatorInfo(
+            "laggy",
+            "Laggy",
+            "wasp_cli.operators.laggy:LaggyOperator",
+            0.0,
+            1.0,
+            "probability of repeating the last command",
+        ),
         OperatorInfo(
             "limited-skill",
             "Limited skill",
@@ -54,7 +72,14 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             1.0,
             "fraction of the expert's interactions",
         ),
-        OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),
+        OperatorInfo(
+            "reaction-time",
+            "Reaction time",
+            "wasp_cli.operators.delayed:DelayedOperator",
+            0.0,
+            10.0,
+            "delay in seconds",
+        ),
         OperatorInfo(
             "delayed-noisy",
             "Delayed and noisy",
@@ -69,10 +94,17 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             "wasp_cli.operators.reactive:ReactiveOperator",
             0.0,
             1.0,
-            "lag of the stick: share of the way to the intended command that is left after a decision",
+            "lag of the stick: share of the way to the intended command that is left after "
+            "a decision",
         ),
         OperatorInfo(
-            PERSON, "Person", "wasp_cli.operators.person:PersonOperator", 0.0, 9999.0, "number of the participant", simulated=False
+            PERSON,
+            "Person",
+            "wasp_cli.operators.person:PersonOperator",
+            0.0,
+            9999.0,
+            "number of the participant",
+            simulated=False,
         ),
         OperatorInfo(
             CLONED,

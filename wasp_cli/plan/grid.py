@@ -1,7 +1,9 @@
-"""A spec to its nodes and their keys, in one pass: each cell asks for its evaluation, a node for what it needs, and then has its key.
+"""A spec to its nodes and their keys, in one pass: each cell asks for its evaluation, a node for
+what it needs, and then has its key.
 
-`lay_out` is where to begin to read, `_Builder` has a method for each sort of node, and `_Builder.node` is where every key is made.
-`select` says which nodes `--select task=race1,method=wasp|ida` means.
+`lay_out` is where to begin to read, `_Builder` has a method for each sort of node, and
+`_Builder.node` is where every key is made. `select` says which nodes `--select
+task=race1,method=wasp|ida` means.
 """
 
 from __future__ import annotations
@@ -16,7 +18,18 @@ from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
-from wasp_cli.plan.node import PACKAGE, Cell, Node, Part, closure_hash, driver_label, key_of, recipe_of, sort_of, with_upstream
+from wasp_cli.plan.node import (
+    PACKAGE,
+    Cell,
+    Node,
+    Part,
+    closure_hash,
+    driver_label,
+    key_of,
+    recipe_of,
+    sort_of,
+    with_upstream,
+)
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
@@ -25,52 +38,88 @@ from wasp_cli.store.published import Reused
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
-"""Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
+"""Ablations share the thresholds of the method that they ablate, unless theirs have another
+unit (`MethodInfo.own_thresholds`).
+"""
 COUNTERFACTUAL = "counterfactual"  # the stage that runs for every cell whose method may intervene
 CLONE, FITTING = "clone", "wasp_cli.learning.clone"
-"""The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which is therefore in its key."""
-OPERATOR_CLONE = "operator_clone"  # the name under which a node reads the clone of the person who drives in it
+"""The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which
+is therefore in its key.
+"""
+# the name under which a node reads the clone of the person who drives in it
+OPERATOR_CLONE = "operator_clone"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What a spec asks for: its cells, each with its evaluation node, what else it trains, and every node behind them."""
+    """What a spec asks for: its cells, each with its evaluation node, what else it trains, and
+    every node behind them.
+    """
 
     cells: tuple[tuple[Cell, Node], ...]
     nodes: tuple[Node, ...]  # each once, needed ones first
     named: tuple[Node, ...]  # what the spec trains by name
-    branched: tuple[tuple[Cell, Node], ...]  # the cells whose interventions are to be judged, each with the node of its branches
-    points: int  # combinations that the spec writes down: the unimpaired reference counts for every operator there, and once in `cells`
+    # the cells whose interventions are to be judged, each with the node of its branches
+    branched: tuple[tuple[Cell, Node], ...]
+    # combinations that the spec writes down: the unimpaired reference counts for every operator
+    # there, and once in `cells`
+    points: int
     presets: Mapping[str, str]  # by key of a node, that of its spec: for estimates, and in no key
-    reused: Mapping[str, Reused] = field(default_factory=dict)  # by key, the published results that stand in the place of nodes
+    # by key, the published results that stand in the place of nodes
+    reused: Mapping[str, Reused] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # published results that cannot be used, each with the reason
 
     @property
     def targets(self) -> frozenset[str]:
         """The keys of what the spec asks for; the other nodes are there for these."""
-        return frozenset(node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched))))
+        return frozenset(
+            node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched)))
+        )
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
-        return [(Part(node.task, node.kind, node.seed), node) for node in self.nodes if STAGES[node.kind].unit == "chain"]
+        return [
+            (Part(node.task, node.kind, node.seed), node)
+            for node in self.nodes
+            if STAGES[node.kind].unit == "chain"
+        ]
 
 
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
-    """Return every cell of a spec, every stage that it names, and every node behind them, each node once.
+    """Return every cell of a spec, every stage that it names, and every node behind them, each node
+    once.
 
-    `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys of what is computed from it say so.
+    `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys
+    of what is computed from it say so.
     """
     builder = _Builder(spec, reuse or {})
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
-    judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
+    judged = (
+        [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes]
+        if COUNTERFACTUAL in spec.stages
+        else []
+    )
     branched = [(cell, builder.branches(cell, node)) for cell, node in judged]
-    trained, seeds = [kind for kind in spec.stages if STAGES[kind].unit == "chain"], dict.fromkeys(map(spec.chain_seed, spec.seeds))
-    named = [builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, seeds, trained)]
+    trained, seeds = (
+        [kind for kind in spec.stages if STAGES[kind].unit == "chain"],
+        dict.fromkeys(map(spec.chain_seed, spec.seeds)),
+    )
+    named = [
+        builder.training(kind, task, seed)
+        for task, seed, kind in product(spec.tasks, seeds, trained)
+    ]
     nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
     severities = sum(map(len, spec.operators.values()))
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)
     points = len(spec.tasks) * len(spec.seeds) * assistants * max(severities, 1)
-    return Grid(tuple(cells), tuple(nodes), tuple(named), tuple(branched), points, {node.key: spec.preset for node in nodes})
+    return Grid(
+        tuple(cells),
+        tuple(nodes),
+        tuple(named),
+        tuple(branched),
+        points,
+        {node.key: spec.preset for node in nodes},
+    )
 
 
 def together(grids: Sequence[Grid]) -> Grid:
@@ -87,15 +136,23 @@ def together(grids: Sequence[Grid]) -> Grid:
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
-    impaired = [(variant, name, value) for variant, severities in spec.operators.items() for name, value in severities.items()]
+    impaired = [
+        (variant, name, value)
+        for variant, severities in spec.operators.items()
+        for name, value in severities.items()
+    ]
     for task, method in product(spec.tasks, spec.methods):
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
-        for assistant, (operator, severity, value), seed in product(spec.variants_of(method), operators, spec.seeds):
+        for assistant, (operator, severity, value), seed in product(
+            spec.variants_of(method), operators, spec.seeds
+        ):
             yield Cell(task, method, assistant, operator, severity, value, seed)
 
 
 class Section(NamedTuple):
-    """Settings as a stage reads them, and as a key has them: without those that move no result or are at their defaults."""
+    """Settings as a stage reads them, and as a key has them: without those that move no result
+    or are at their defaults.
+    """
 
     values: dict[str, Any]
     identity: dict[str, Any]
@@ -108,13 +165,16 @@ def _section(config: Config) -> Section:
 class _Builder:
     """Builds the nodes of one spec; what cells share is built once.
 
-    Each method says what its node reads, and which `code` beside its stage and its task computes it: import strings by name.
+    Each method says what its node reads, and which `code` beside its stage and its task computes
+    it: import strings by name.
     """
 
     def __init__(self, spec: Spec, reuse: Mapping[str, str]) -> None:
         self.spec, self.reuse = spec, reuse
         self.config = cache(lambda kind, task: _section(spec.stage(kind, task)))
-        self.method = cache(lambda method, variant, task: _section(spec.method(method, variant, task)))
+        self.method = cache(
+            lambda method, variant, task: _section(spec.method(method, variant, task))
+        )
         self.settings = cache(self._settings)
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
@@ -125,50 +185,95 @@ class _Builder:
         chain = self.spec.chain_seed(cell.seed)
         code = {cell.method: METHODS[cell.method].target} | _operators([cell.operator])
         config = self.method(cell.method, cell.assistant, cell.task).values
-        axes = {"method": cell.method, "method_config": config, "operator": cell.operator, "value": cell.value, **_plugins(code)}
+        axes = {
+            "method": cell.method,
+            "method_config": config,
+            "operator": cell.operator,
+            "value": cell.value,
+            **_plugins(code),
+        }
         needs: Mapping[str, Node] = self.assistant(cell.task, chain, cell.method, cell.assistant)
         if cell.operator == CLONED:
             needs = {**needs, OPERATOR_CLONE: self.clone(cell.task, chain, cell.value)}
-        return self.node("evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.assistant)
+        return self.node(
+            "evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.assistant
+        )
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
-        if cell.operator in (CLONED, PERSON):  # a person cannot be asked again: in the branches the clone goes on
+        # a person cannot be asked again: in the branches the clone goes on
+        if cell.operator in (CLONED, PERSON):
             needs[OPERATOR_CLONE] = self.clone(cell.task, chain, cell.value)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         code, label = _operators([cell.operator]), f"{COUNTERFACTUAL} {cell.who}"
-        return self.node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, code, label, cell.assistant)
+        return self.node(
+            COUNTERFACTUAL,
+            cell.task,
+            cell.seed,
+            evaluation.axes,
+            needs,
+            code,
+            label,
+            cell.assistant,
+        )
 
     def _assistant(self, task: str, chain: int, method: str, variant: str) -> Mapping[str, Node]:
         info = METHODS[method]
         needs = self._inputs("evaluate", task, chain, method, variant)
         if info.calibrated:
-            needs["calibration"] = self.calibration(task, chain, method, variant if variant in info.own_thresholds else CALIBRATED_VARIANT)
+            needs["calibration"] = self.calibration(
+                task,
+                chain,
+                method,
+                variant if variant in info.own_thresholds else CALIBRATED_VARIANT,
+            )
         return needs
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         code = {method: METHODS[method].target}
-        axes = {"method": method, "method_config": self.method(method, variant, task).values, **_plugins(code)}
+        axes = {
+            "method": method,
+            "method_config": self.method(method, variant, task).values,
+            **_plugins(code),
+        }
         label = f"calibration {method if variant == CALIBRATED_VARIANT else f'{method}/{variant}'}"
         needs = self._inputs("calibration", task, seed, method, variant)
         return self.node("calibration", task, seed, axes, needs, code, label, variant)
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
         # A stage that mixes operators finds them by the names in its section.
-        code = {kind: STAGES[kind].target} | _operators(self.config(kind, task).values.get("operators", {}))
-        return self.node(kind, task, seed, _plugins(code), self._inputs(kind, task, seed), code, kind)
+        code = {kind: STAGES[kind].target} | _operators(
+            self.config(kind, task).values.get("operators", {})
+        )
+        return self.node(
+            kind, task, seed, _plugins(code), self._inputs(kind, task, seed), code, kind
+        )
 
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
         axes, code = {"operator": PERSON, "value": value}, _operators([PERSON]) | {CLONE: FITTING}
-        return self.node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), code, f"{CLONE} {driver_label(PERSON, value)}")
+        return self.node(
+            CLONE,
+            task,
+            seed,
+            axes,
+            self._inputs(CLONE, task, seed),
+            code,
+            f"{CLONE} {driver_label(PERSON, value)}",
+        )
 
-    def _inputs(self, kind: str, task: str, seed: int, method: str = "", variant: str = "") -> dict[str, Node]:
-        """The trained parts that a stage reads, by kind, with those that a method asks for; a plugin may name one wrong."""
+    def _inputs(
+        self, kind: str, task: str, seed: int, method: str = "", variant: str = ""
+    ) -> dict[str, Node]:
+        """The trained parts that a stage reads, by kind, with those that a method asks for; a
+        plugin may name one wrong.
+        """
         stage = stage_class(kind)
         asked = [(name, f"the stage '{kind}'") for name in stage.needs]
         if TASKS[task].informed:
-            asked += [(name, f"the stage '{kind}'") for name in getattr(stage, "needs_informed", ())]
+            asked += [
+                (name, f"the stage '{kind}'") for name in getattr(stage, "needs_informed", ())
+            ]
         if method:
             config = self.method(method, variant, task).values
             asked += [(name, f"the method '{method}'") for name in METHODS[method].needs_of(config)]
@@ -180,8 +285,13 @@ class _Builder:
 
     def _settings(self, kind: str) -> Section:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
-        sections = {name: _section(value) if isinstance(value, Config) else Section(value, value) for name, value in values.items()}
-        return Section(*({name: section[form] for name, section in sections.items()} for form in (0, 1)))
+        sections = {
+            name: _section(value) if isinstance(value, Config) else Section(value, value)
+            for name, value in values.items()
+        }
+        return Section(
+            *({name: section[form] for name, section in sections.items()} for form in (0, 1))
+        )
 
     def node(
         self,
@@ -195,23 +305,48 @@ class _Builder:
         variant: str = "",
     ) -> Node:
         """Return a node with its key; `variant` is that of its method, where it has one."""
-        modules = tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *map(module_of, code.values())}))
+        modules = tuple(
+            sorted(
+                {
+                    module_of(STAGES[kind].target),
+                    *TASKS[task].modules,
+                    *map(module_of, code.values()),
+                }
+            )
+        )
         config, settings = self.config(kind, task), self.settings(kind)
         identity = {
             "kind": kind,
             "task": TASKS[task].facts(),
             "seed": seed,
-            "axes": {**axes, "method_config": self.method(axes["method"], variant, task).identity} if variant else axes,
+            "axes": {**axes, "method_config": self.method(axes["method"], variant, task).identity}
+            if variant
+            else axes,
             "config": config.identity,
             "settings": settings.identity,
         }
-        recipe = recipe_of({**identity, "upstream": {name: needed.recipe for name, needed in needs.items()}})
+        recipe = recipe_of(
+            {**identity, "upstream": {name: needed.recipe for name, needed in needs.items()}}
+        )
         key = self.reuse.get(recipe)
         if key is None:
             upstream = {name: needed.key for name, needed in needs.items()}
             key = key_of({**identity, "upstream": upstream, "code": closure_hash(modules)})
         sort = sort_of(kind, task, config.values, axes)
-        return Node(kind, task, seed, axes, config.values, settings.values, needs, modules, key, f"{task} s{seed} {label}", sort, recipe)
+        return Node(
+            kind,
+            task,
+            seed,
+            axes,
+            config.values,
+            settings.values,
+            needs,
+            modules,
+            key,
+            f"{task} s{seed} {label}",
+            sort,
+            recipe,
+        )
 
 
 def _operators(names: Iterable[str]) -> dict[str, str]:
@@ -219,8 +354,14 @@ def _operators(names: Iterable[str]) -> dict[str, str]:
 
 
 def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
-    """What plugins name, as an axis: a key covers a module's source, but not which of its classes an entry point means."""
-    plugins = {name: target for name, target in sorted(code.items()) if module_of(target).partition(".")[0] != PACKAGE}
+    """What plugins name, as an axis: a key covers a module's source, but not which of its
+    classes an entry point means.
+    """
+    plugins = {
+        name: target
+        for name, target in sorted(code.items())
+        if module_of(target).partition(".")[0] != PACKAGE
+    }
     return {"plugins": plugins} if plugins else {}
 
 
@@ -251,14 +392,17 @@ def _condition(part: str, text: str) -> Condition:
     excluding = name.endswith("!")
     name, values = name.removesuffix("!").strip(), tuple(value.strip() for value in rest.split("|"))
     if not equals or not name or not all(values):
-        raise UsageError(f"--select: '{text}' is not of the form FIELD=VALUE,FIELD=VALUE,...", EXAMPLE)
+        raise UsageError(
+            f"--select: '{text}' is not of the form FIELD=VALUE,FIELD=VALUE,...", EXAMPLE
+        )
     if name not in FIELDS:
         raise UnknownName("field to select by", name, FIELDS)
     return Condition(name, values, excluding)
 
 
 def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
-    """Return the keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
+    """Return the keys of the nodes that are meant: cells with their branches, and what the spec
+    trains by name, or with `stage` any node.
 
     Without selectors it is None.
     """
@@ -276,23 +420,41 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
     selected: set[str] = set()
     for selector in selectors:
         of_any_node = any(condition.field == "stage" for condition in selector)
-        meant = (key for key, facts in candidates if all(condition.holds(facts) for condition in selector))
+        meant = (
+            key
+            for key, facts in candidates
+            if all(condition.holds(facts) for condition in selector)
+        )
         selected |= {key for key in meant if of_any_node or key in targets}
     if not selected:
-        raise UsageError(f"--select: no node of the spec matches {' or '.join(texts)}", "wasp plan SPEC --all lists them")
+        raise UsageError(
+            f"--select: no node of the spec matches {' or '.join(texts)}",
+            "wasp plan SPEC --all lists them",
+        )
     return frozenset(selected)
 
 
 def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
-    """Each node with what it can be selected by; a cell with two names of one severity comes twice."""
+    """Each node with what it can be selected by; a cell with two names of one severity comes
+    twice.
+    """
     of_cells = (*grid.cells, *grid.branched)
     cells = {node.key for _, node in of_cells}
     for cell, node in of_cells:
-        facts = {"task": cell.task, "method": cell.method, "variant": cell.assistant, "operator": cell.operator, "seed": str(cell.seed)}
+        facts = {
+            "task": cell.task,
+            "method": cell.method,
+            "variant": cell.assistant,
+            "operator": cell.operator,
+            "seed": str(cell.seed),
+        }
         if cell.severity is not None and cell.value is not None:
             facts |= {"severity": cell.severity, "value": f"{cell.value:g}"}
         yield node.key, facts | {"stage": node.kind}
     for node in grid.nodes:
         if node.key not in cells:
             facts = {"task": node.task, "seed": str(node.seed), "stage": node.kind}
-            yield node.key, facts | ({"method": str(node.axes["method"])} if "method" in node.axes else {})
+            yield (
+                node.key,
+                facts | ({"method": str(node.axes["method"])} if "method" in node.axes else {}),
+            )

@@ -1,13 +1,16 @@
-"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and their keys.
+"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and their
+keys.
 
-A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node is, its resolved configuration, the
-keys of what it reads, the source of what it runs, and the major and minor versions of the libraries that compute. Not in it: the name of
-the spec and of its severities, the order of lists, paths, workers, devices.
+A key is a hash over everything that decides a node's bytes, and nothing else. In it: what the node
+is, its resolved configuration, the keys of what it reads, the source of what it runs, and the major
+and minor versions of the libraries that compute. Not in it: the name of the spec and of its
+severities, the order of lists, paths, workers, devices.
 
-The source is every project module that is imported, hashed without comments and docstrings: modules are read, never imported, so that
-planning needs no torch. The package's registries are not followed (their import strings name every task and method at once); a node names
-the modules that it loads through them as further roots. In packages of others, such as a task of one's own, every module counts as it is:
-what they keep in a `registry` or a `config` may be constants.
+The source is every project module that is imported, hashed without comments and docstrings: modules
+are read, never imported, so that planning needs no torch. The package's registries are not followed
+(their import strings name every task and method at once); a node names the modules that it loads
+through them as further roots. In packages of others, such as a task of one's own, every module
+counts as it is: what they keep in a `registry` or a `config` may be constants.
 """
 
 from __future__ import annotations
@@ -26,7 +29,8 @@ from typing import Any
 from wasp_cli.errors import WaspError
 from wasp_cli.store.reached import reached
 
-SCHEMA = 1  # raised when the meaning of artifacts changes in a way that no other part of the key shows
+# raised when the meaning of artifacts changes in a way that no other part of the key shows
+SCHEMA = 1
 LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
 LENGTH = 20
 
@@ -44,7 +48,9 @@ def key_of(identity: Mapping[str, Any]) -> str:
 
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
-    """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
+    """Return what `identity` describes, whatever code and libraries compute it; its upstream
+    are the recipes of what it reads.
+    """
     return digest({**identity, "schema": SCHEMA})
 
 
@@ -105,19 +111,27 @@ class Part:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Node:
-    """One run of one stage. Two nodes with the same key produce the same bytes, so the key is the node."""
+    """One run of one stage. Two nodes with the same key produce the same bytes, so the key is
+    the node.
+    """
 
     kind: str
     task: str
     seed: int
-    axes: Mapping[str, Any]  # what else identifies it: method, method_config, operator variant, value (evaluate, calibration)
+    # what else identifies it: method, method_config, operator variant, value (evaluate,
+    # calibration)
+    axes: Mapping[str, Any]
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    needs: Mapping[str, Node]  # the nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind
+    # the nodes whose artifacts it reads, by the name under which its stage reads them: mostly their
+    # kind
+    needs: Mapping[str, Node]
     modules: tuple[str, ...]  # where its code begins; its key covers what these import
     key: str
     label: str  # for people: `goal1 s0 world_model`
-    sort: str  # nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator
+    # nodes of a sort take about as long: the same stage, task and method at the same sizes,
+    # whatever the seed and the operator
+    sort: str
     recipe: str = ""  # what it is, whatever code computes it
 
     def __hash__(self) -> int:
@@ -146,17 +160,38 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
-    return digest([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16)
+    """Return what `Node.sort` is; a manifest tells the same four things of a node that was
+    computed.
+    """
+    return digest(
+        [kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16
+    )
 
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
-    ["cli", "compare", "console", "drive", "errors", "notebook", "plan", "report", "run", "spec", "video", "view", "web", "__main__"]
+    [
+        "cli",
+        "compare",
+        "console",
+        "drive",
+        "errors",
+        "notebook",
+        "plan",
+        "report",
+        "run",
+        "spec",
+        "video",
+        "view",
+        "web",
+        "__main__",
+    ]
 )
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})
-"""Our modules and folders of config models: the resolved values are in the key already, so fields and their defaults do not count."""
+"""Our modules and folders of config models: the resolved values are in the key already, so
+fields and their defaults do not count.
+"""
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
@@ -176,18 +211,24 @@ def closure_hash(roots: tuple[str, ...]) -> str:
 
 
 def source_hashes(roots: Iterable[str]) -> dict[str, str]:
-    """Return the hash by module of the closure: the manifest keeps them, so that a later plan can name what changed."""
+    """Return the hash by module of the closure: the manifest keeps them, so that a later plan
+    can name what changed.
+    """
     return {name: source_hash(name) for name in sorted(closure(roots))}
 
 
 @cache
 def source_hash(module: str) -> str:
-    """Return the hash of one module's syntax without docstrings, as it was when it was first read here."""
+    """Return the hash of one module's syntax without docstrings, as it was when it was first
+    read here.
+    """
     return _hash(module, _stamp(module))
 
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
-    """Return the modules whose source is not what `source_hashes` once said; reads again only what was written since."""
+    """Return the modules whose source is not what `source_hashes` once said; reads again only
+    what was written since.
+    """
     changed = []
     for module, known in hashes.items():
         try:
@@ -199,7 +240,9 @@ def changed_since(hashes: Mapping[str, str]) -> list[str]:
 
 
 def _stamp(module: str) -> tuple[int, int]:
-    """Time of the last write and size of a module's file; zeros where it has none. Taken before a file is read."""
+    """Time of the last write and size of a module's file; zeros where it has none. Taken before
+    a file is read.
+    """
     file = _file(module)
     state = file.stat() if file is not None else None
     return (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
@@ -222,9 +265,13 @@ def _reach(root: str) -> set[str]:
 
 @cache
 def _imports(module: str) -> frozenset[str]:
-    """Project modules that a module imports anywhere, functions included, except for type checking only."""
+    """Project modules that a module imports anywhere, functions included, except for type
+    checking only.
+    """
     file = _file(module)
-    package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
+    package = (
+        module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
+    )
     own = module.partition(".")[0]
     imported: set[str] = set()
     for node in _running(_tree(module, _stamp(module))):
@@ -239,7 +286,11 @@ def _imports(module: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        imported |= {name for name in names if _ours(name.partition(".")[0], own) and _counts(name) and _file(name) is not None}
+        imported |= {
+            name
+            for name in names
+            if _ours(name.partition(".")[0], own) and _counts(name) and _file(name) is not None
+        }
     # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
     parts = [name.split(".") for name in imported]
     parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
@@ -248,14 +299,22 @@ def _imports(module: str) -> frozenset[str]:
 
 @cache
 def _ours(top: str, own: str) -> bool:
-    """Whether keys follow an import: into this package, into one's own, or to what lies beside that in no folder of installed packages."""
+    """Whether keys follow an import: into this package, into one's own, or to what lies beside
+    that in no folder of installed packages.
+    """
     home = _home(own) if own != PACKAGE else None
-    return top in (PACKAGE, own) or (home is not None and home == _home(top) and home.name not in ("site-packages", "dist-packages"))
+    return top in (PACKAGE, own) or (
+        home is not None
+        and home == _home(top)
+        and home.name not in ("site-packages", "dist-packages")
+    )
 
 
 def _home(top: str) -> Path | None:
     file = _file(top)
-    return None if file is None else file.parent.parent if file.name == "__init__.py" else file.parent
+    return (
+        None if file is None else file.parent.parent if file.name == "__init__.py" else file.parent
+    )
 
 
 def _counts(module: str) -> bool:
@@ -273,7 +332,10 @@ def _running(tree: ast.AST) -> Iterator[ast.AST]:
         yield node
         if isinstance(node, ast.expr):
             continue  # no import hides in an expression
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in (getattr(node.test, "attr", ""), getattr(node.test, "id", "")):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in (
+            getattr(node.test, "attr", ""),
+            getattr(node.test, "id", ""),
+        ):
             pending.extend(node.orelse)
         else:
             pending.extend(ast.iter_child_nodes(node))
@@ -286,9 +348,19 @@ def _configured(tree: ast.Module) -> ast.Module:
         if not isinstance(statement, ast.ClassDef):
             body.append(statement)
             continue
-        rest: list[ast.stmt] = [part for part in statement.body if isinstance(part, ast.FunctionDef)]
+        rest: list[ast.stmt] = [
+            part for part in statement.body if isinstance(part, ast.FunctionDef)
+        ]
         if rest:
-            body.append(ast.ClassDef(statement.name, statement.bases, statement.keywords, rest, statement.decorator_list))
+            body.append(
+                ast.ClassDef(
+                    statement.name,
+                    statement.bases,
+                    statement.keywords,
+                    rest,
+                    statement.decorator_list,
+                )
+            )
     return ast.Module(body, [])
 
 
@@ -296,9 +368,11 @@ _NO_SYNTAX = frozenset({"ctx", "type_comment"})
 
 
 def _syntax(node: ast.AST, into: list[str]) -> None:
-    """The syntax as text, the same on every Python: no positions, and empty parts left out (new versions add fields).
+    """The syntax as text, the same on every Python: no positions, and empty parts left out (new
+    versions add fields).
 
-    Into one list: planning spends most of its time here, and a generator in each of a million nodes takes twice as long.
+    Into one list: planning spends most of its time here, and a generator in each of a million nodes
+    takes twice as long.
     """
     into.append(type(node).__name__)
     for name in node._fields:
@@ -324,8 +398,14 @@ def _syntax(node: ast.AST, into: list[str]) -> None:
 
 
 def _is_text(item: object) -> bool:
-    """A string that stands alone: the docstring of a module, a class, a function or an attribute."""
-    return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant) and isinstance(item.value.value, str)
+    """A string that stands alone: the docstring of a module, a class, a function or an
+    attribute.
+    """
+    return (
+        isinstance(item, ast.Expr)
+        and isinstance(item.value, ast.Constant)
+        and isinstance(item.value.value, str)
+    )
 
 
 @cache
@@ -336,7 +416,9 @@ def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
 
 @cache
 def _file(module: str) -> Path | None:
-    """The source of a module, found without importing anything; None for a namespace package, or when there is none."""
+    """The source of a module, found without importing anything; None for a namespace package,
+    or when there is none.
+    """
     top, _, rest = module.partition(".")
     try:
         spec = find_spec(top)
@@ -345,7 +427,9 @@ def _file(module: str) -> Path | None:
     if spec is None:
         return None
     if not rest:
-        return Path(spec.origin) if spec.origin is not None and spec.origin.endswith(".py") else None
+        return (
+            Path(spec.origin) if spec.origin is not None and spec.origin.endswith(".py") else None
+        )
     for folder in spec.submodule_search_locations or ():
         path = Path(folder).joinpath(*rest.split("."))
         for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):

@@ -1,4 +1,6 @@
-"""What a run would do: each node with a state and a reason, for runs, which do exactly that, and for people."""
+"""What a run would do: each node with a state and a reason, for runs, which do exactly that,
+and for people.
+"""
 
 from __future__ import annotations
 
@@ -46,11 +48,16 @@ class Plan:
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Median time of each sort of node, where the store has some, else an estimate."""
-    wanted: frozenset[str] | None = None  # keys of the targets that were selected; None when all are wanted
+    # keys of the targets that were selected; None when all are wanted
+    wanted: frozenset[str] | None = None
     begun: Mapping[str, str] = field(default_factory=dict)
-    """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
+    """Keys of cells of which the store has the first episodes, each with the key of the cell
+    that has them.
+    """
     guessed: frozenset[str] = frozenset()
-    """The sorts whose time is an estimate: nodes like them were measured, or other machines measured them."""
+    """The sorts whose time is an estimate: nodes like them were measured, or other machines
+    measured them.
+    """
 
     def to_run(self) -> list[Node]:
         return [step.node for step in self.steps if step.runs]
@@ -59,23 +66,39 @@ class Plan:
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
-        """Return the number of nodes by kind and state; kinds in the order in which they first run."""
+        """Return the number of nodes by kind and state; kinds in the order in which they first
+        run.
+        """
         counts: dict[str, Counter[State]] = {}
         levels: dict[str, int] = {}
         for step in self.steps:  # needed ones first
             counts.setdefault(step.node.kind, Counter())[step.state] += 1
-            levels[step.node.key] = max((1 + levels[needed.key] for needed in step.node.needs.values() if needed.key in levels), default=0)
-        order = dict.fromkeys(step.node.kind for step in sorted(self.steps, key=lambda step: levels[step.node.key]))
+            levels[step.node.key] = max(
+                (
+                    1 + levels[needed.key]
+                    for needed in step.node.needs.values()
+                    if needed.key in levels
+                ),
+                default=0,
+            )
+        order = dict.fromkeys(
+            step.node.kind for step in sorted(self.steps, key=lambda step: levels[step.node.key])
+        )
         return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
+        """Return the seconds for the nodes that are to run, and how many of them have no
+        measured time (they count as nothing).
+        """
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
-        total, _ = simulated(nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers)
+        total, _ = simulated(
+            nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers
+        )
         return total, sum(node.sort not in self.seconds for node in nodes)
 
     def critical_path(self) -> tuple[float, list[Node]]:
-        paths: dict[str, tuple[float, list[Node]]] = {}  # by key the longest one that ends with this node
+        # by key the longest one that ends with this node
+        paths: dict[str, tuple[float, list[Node]]] = {}
         none: tuple[float, list[Node]] = (0.0, [])
         for node in self.to_run():  # needed ones first
             needed = [paths[each.key] for each in node.needs.values() if each.key in paths]
@@ -92,15 +115,20 @@ class Plan:
             "parts": [{**asdict(part), "key": node.key} for part, node in self.grid.parts],
             "nodes": [
                 {
-                    "key": step.node.key, "kind": step.node.kind, "label": step.node.label, "state": step.state, "reason": step.reason,
-                    "needs": {name: needed.key for name, needed in step.node.needs.items()}, "seconds": self.seconds.get(step.node.sort),
+                    "key": step.node.key,
+                    "kind": step.node.kind,
+                    "label": step.node.label,
+                    "state": step.state,
+                    "reason": step.reason,
+                    "needs": {name: needed.key for name, needed in step.node.needs.items()},
+                    "seconds": self.seconds.get(step.node.sort),
                 }
                 for step in self.steps
             ],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
             "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
-        }  # fmt: skip
+        }
 
     def of(self, grid: Grid) -> Plan:
         steps = {step.node.key: step for step in self.steps}
@@ -117,7 +145,9 @@ def make_plan(
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
-    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all targets of the grid by default."""
+    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all
+    targets of the grid by default.
+    """
     targets = grid.targets if wanted is None else wanted
     scope, required = set(targets), set(targets)
     steps: list[Step] = []
@@ -126,8 +156,16 @@ def make_plan(
         if node.key in scope:
             scope.update(needed.key for needed in node.needs.values())
         # What is damaged is repaired also where only a finished node has read it: reports show it.
-        if step.state != "cached" and node.key not in required and not (node.key in damages and node.key in scope):
-            step = Step(node, "unneeded", "everything that needs it is computed" if node.key in scope else "not selected")
+        if (
+            step.state != "cached"
+            and node.key not in required
+            and not (node.key in damages and node.key in scope)
+        ):
+            step = Step(
+                node,
+                "unneeded",
+                "everything that needs it is computed" if node.key in scope else "not selected",
+            )
         elif step.runs:
             required.update(needed.key for needed in node.needs.values())
             if step.state == "missing" and (reason := changed(node)) is not None:
@@ -136,9 +174,16 @@ def make_plan(
     return Plan(grid, tuple(reversed(steps)), seconds, wanted)
 
 
-def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
+def _step(
+    node: Node,
+    grid: Grid,
+    stored: Mapping[str, Container[str]],
+    failures: Mapping[str, str],
+    damages: Mapping[str, str],
+) -> Step:
     if node.key in grid.reused:
-        # Never computed, whatever became of it in the store: under this code its key would not be the truth.
+        # Never computed, whatever became of it in the store: under this code its key would not be
+        # the truth.
         whole = node.key in stored.get(node.kind, ()) and node.key not in damages
         return Step(node, "cached" if whole else "published", grid.reused[node.key].reason)
     if node.key in damages:
@@ -150,10 +195,14 @@ def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures
     return Step(node, "missing", "not computed yet")
 
 
-def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False) -> Plan:
+def plan_against(
+    grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False
+) -> Plan:
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
-    failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
+    failures = {
+        path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes
+    }
     damages = {key: wrong for key, wrong in stored.damaged.items() if key in nodes}
     if failed_only:
         touched: set[str] = set()  # what failed, and what needs it
@@ -162,16 +211,37 @@ def plan_against(grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = 
                 touched.add(node.key)
         wanted = frozenset(touched & (grid.targets if wanted is None else wanted))
     reasons = Reasons(layout, stored)
-    made = partial(make_plan, grid, stored.whole, failures, measured(stored), changed=reasons.of, wanted=wanted)
+    made = partial(
+        make_plan, grid, stored.whole, failures, measured(stored), changed=reasons.of, wanted=wanted
+    )
     plan = made(damages)
-    read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.key not in grid.reused}
-    if cut := {key: WITHOUT_STEPS for kind, key in read if (facts := stored.whole[kind].get(key)) is not None and facts.cut}:
+    read = {
+        (needed.kind, needed.key)
+        for node in plan.to_run()
+        for needed in node.needs.values()
+        if needed.key not in grid.reused
+    }
+    if cut := {
+        key: WITHOUT_STEPS
+        for kind, key in read
+        if (facts := stored.whole[kind].get(key)) is not None and facts.cut
+    }:
         plan = made(damages | cut)
     # Cells that are to run, and of which another version is there.
-    again = [step.node for step in plan.steps if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")]
+    again = [
+        step.node
+        for step in plan.steps
+        if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
+    ]
     begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
-    guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.presets, _timed(plan))
-    return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
+    guesses = estimated(
+        [node for node in plan.to_run() if node.sort not in plan.seconds],
+        grid.presets,
+        _timed(plan),
+    )
+    return replace(
+        plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses)
+    )
 
 
 def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
@@ -198,12 +268,16 @@ def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
     return [(thing, node.key) for thing, node in pairs]
 
 
-COLUMNS: dict[State, str] = {state: state for state in get_args(State)} | {"failed": "failed before", "unneeded": "not needed"}
+COLUMNS: dict[State, str] = {state: state for state in get_args(State)} | {
+    "failed": "failed before",
+    "unneeded": "not needed",
+}
 SHOWN = 12
 
 
 def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
-    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it takes on so many workers.
+    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it
+    takes on so many workers.
 
     With `every` each node is listed, with its state and reason.
     """
@@ -214,16 +288,24 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
     for kind, states in counts.items():
         table.add_row(kind, str(states.total()), *(str(states[state] or "-") for state in columns))
     table.add_section()
-    table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
+    table.add_row(
+        "total", str(total.total()), *(str(total[state]) for state in columns), style="bold"
+    )
     console.print(table)
-    cells, branched = (len({node.key for _, node in pairs}) for pairs in (plan.grid.cells, plan.grid.branched))
+    cells, branched = (
+        len({node.key for _, node in pairs}) for pairs in (plan.grid.cells, plan.grid.branched)
+    )
     size = f"{plan.grid.points} grid points, {cells} cells to evaluate"
     if cells < plan.grid.points and any(cell.operator == UNIMPAIRED for cell, _ in plan.grid.cells):
         size += " (the unimpaired reference is one cell for all operators)"
     if branched:
         size += f"; the interventions of {branched} of them are judged by counterfactual branches"
     console.print(size if cells else "nothing to evaluate: the spec lists no methods")
-    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan)), *_time(plan, workers)):
+    for line in (
+        *plan.grid.notes,
+        *(_every(plan) if every else _reasons(plan)),
+        *_time(plan, workers),
+    ):
         console.print(line, markup=False, soft_wrap=True)
 
 
@@ -231,7 +313,9 @@ def _reasons(plan: Plan) -> list[str]:
     lines = reason_lines(plan, "published", "changed", "failed", "damaged")
     if len(lines) > SHOWN:
         lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
-    if any(step.state == "published" and plan.grid.reused[step.node.key].details for step in plan.steps):
+    if any(
+        step.state == "published" and plan.grid.reused[step.node.key].details for step in plan.steps
+    ):
         lines.append("wasp plan --all names what has changed since then")
     return lines
 
@@ -241,29 +325,49 @@ def reason_lines(plan: Plan, *states: State) -> list[str]:
     for step in plan.steps:
         if step.state in states:
             labels.setdefault(step.reason, []).append(step.node.label)
-    return [f"{first}{f' and {len(more)} more' if more else ''}: {reason}" for reason, (first, *more) in labels.items()]
+    return [
+        f"{first}{f' and {len(more)} more' if more else ''}: {reason}"
+        for reason, (first, *more) in labels.items()
+    ]
 
 
 def _every(plan: Plan) -> list[str]:
     labels = max((len(step.node.label) for step in plan.steps), default=0)
-    lines = [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
-    details = [reused.details if (reused := plan.grid.reused.get(step.node.key)) else "" for step in plan.steps]
+    lines = [
+        f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  "
+        f"{step.reason}"
+        for step in plan.steps
+    ]
+    details = [
+        reused.details if (reused := plan.grid.reused.get(step.node.key)) else ""
+        for step in plan.steps
+    ]
     return [f"{line}; {more}" if more else line for line, more in zip(lines, details, strict=True)]
 
 
 def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
-        return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
+        return [
+            f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}"
+            if copied
+            else "nothing to run"
+        ]
     people = [node for node in plan.to_run() if node.axes.get("operator") == PERSON]
     lines: list[str] = []
     if people:
-        lines = [f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"]
+        lines = [
+            f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, "
+            "whom no run replaces: wasp drive SPEC"
+        ]
         if len(people) == len(plan.to_run()):
             return lines
     seconds, unknown = plan.estimate(workers)
     if not seconds:
-        return [*lines, "no time estimate: neither here nor elsewhere was a node like these measured"]
+        return [
+            *lines,
+            "no time estimate: neither here nor elsewhere was a node like these measured",
+        ]
     rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
     longest, path = plan.critical_path()
     names = [node.label for node in path]
@@ -272,8 +376,15 @@ def _time(plan: Plan, workers: int) -> list[str]:
     guessed = sum(node.sort in plan.guessed for node in plan.to_run())
     if plan.begun:
         count = len(plan.begun)
-        rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
-    source = f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine" if guessed else ""
+        rest += (
+            f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there "
+            "and are taken over"
+        )
+    source = (
+        f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine"
+        if guessed
+        else ""
+    )
     return [
         *lines,
         f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",

@@ -1,4 +1,6 @@
-"""What a plan reads in manifests (how long nodes took, earlier versions of them), and why a node is computed anew."""
+"""What a plan reads in manifests (how long nodes took, earlier versions of them), and why a
+node is computed anew.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,15 @@ from wasp_cli.store.slim import without_steps
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a plan wants to know of a stored artifact. Nothing of one whose manifest has another form."""
+    """What a plan wants to know of a stored artifact. Nothing of one whose manifest has another
+    form.
+    """
 
     who: str = ""  # the same for all versions of one node
     sort: str = ""  # as `Node.sort`
     signature: str = ""  # the same for versions that differ from a node in the same way
-    seconds: float | None = None  # what it took; None of what took rows over or was published: its like takes another time here
+    # what it took; None of what took rows over or was published: its like takes another time here
+    seconds: float | None = None
     at: str = ""
     episodes: int = 0
     cut: bool = False  # whether steps of a cell were left out, so that nothing is computed from it
@@ -40,7 +45,9 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
             who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
             sort_of(manifest["kind"], manifest["task"], config, axes),
             digest([*differing, axes.get("method_config"), provenance.get("versions")]),
-            None if EARLIER in provenance or provenance.get(FROM_PUBLISHED) else float(provenance["seconds"]),
+            None
+            if EARLIER in provenance or provenance.get(FROM_PUBLISHED)
+            else float(provenance["seconds"]),
             str(provenance.get("started_at", "")),
             int(config.get("episodes", 0)),
             without_steps(manifest),
@@ -70,10 +77,15 @@ def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
-    """Return the identity of a node without its configuration: who assists whom, where, with which seed."""
+    """Return the identity of a node without its configuration: who assists whom, where, with
+    which seed.
+    """
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
-    return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} {axes.get('value')!r}"
+    return (
+        f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} "
+        f"{axes.get('value')!r}"
+    )
 
 
 def measured(stored: Stored) -> dict[str, float]:
@@ -101,18 +113,30 @@ class Reasons:
             for key, facts in sorted(artifacts.items(), key=lambda item: item[1].at, reverse=True):
                 self._versions.setdefault(facts.who, []).append((key, facts))
         self._known: dict[tuple[object, ...], tuple[int, str]] = {}
-        """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
+        """By what was compared: nodes that share their configuration differ from versions that
+        share theirs in the same way.
+        """
 
     def of(self, node: Node) -> str | None:
         """Return what changed since the nearest version; None where there is none."""
-        compared = [self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]]
+        compared = [
+            self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]
+        ]
         differences = [difference for difference in compared if difference is not None]
         return min(differences, key=lambda difference: difference[0])[1] if differences else None
 
     def beginning(self, node: Node) -> str | None:
-        """Return the key of the stored cell with which this one begins: it has fewer episodes, and nothing else is different."""
-        fewer = [(facts.episodes, key) for key, facts in self._versions_of(node) if 0 < facts.episodes < node.config["episodes"]]
-        return next((key for _, key in sorted(fewer, reverse=True) if self._begins(node, key)), None)
+        """Return the key of the stored cell with which this one begins: it has fewer episodes,
+        and nothing else is different.
+        """
+        fewer = [
+            (facts.episodes, key)
+            for key, facts in self._versions_of(node)
+            if 0 < facts.episodes < node.config["episodes"]
+        ]
+        return next(
+            (key for _, key in sorted(fewer, reverse=True) if self._begins(node, key)), None
+        )
 
     def _versions_of(self, node: Node) -> list[tuple[str, Facts]]:
         return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
@@ -120,7 +144,10 @@ class Reasons:
     def _begins(self, node: Node, key: str) -> bool:
         with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             manifest = read_manifest(self._layout, node.kind, key)
-            before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
+            before = [
+                {**manifest["config"], "episodes": None},
+                *(manifest[name] for name in ("settings", "axes", "upstream")),
+            ]
             upstream = {name: needed.key for name, needed in node.needs.items()}
             now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
             return canonical(before) == canonical(now) and not moved_on(node, manifest)
@@ -129,7 +156,14 @@ class Reasons:
     def _difference(self, node: Node, key: str, facts: Facts) -> tuple[int, str] | None:
         method = node.axes.get("method_config")
         # Identity is enough: the grid builds each of these once.
-        pair = (facts.signature, id(node.config), id(node.settings), id(method), id(node.needs), node.modules)
+        pair = (
+            facts.signature,
+            id(node.config),
+            id(node.settings),
+            id(method),
+            id(node.needs),
+            node.modules,
+        )
         if pair not in self._known:
             with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
                 self._known[pair] = _compared(node, read_manifest(self._layout, node.kind, key))
@@ -139,29 +173,47 @@ class Reasons:
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
     model = stage_class(node.kind).config
     try:
-        before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
+        before, now = (
+            model.model_validate(values).identity() for values in (manifest["config"], node.config)
+        )
     except ValidationError:  # written by a version with other fields
         before, now = manifest["config"], dict(node.config)
     sections = (before, manifest["settings"], manifest["axes"]), (now, node.settings, node.axes)
     fields = list(_fields(node.kind, *sections))
-    modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
+    modules, versions = (
+        _modules(source_hashes(node.modules), manifest["sources"]),
+        library_changes(manifest),
+    )
     parts = _words(fields, modules, versions)
     if not parts:
         upstream = manifest["upstream"]
-        parts = [f"upstream changed: {few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"]
+        parts = [
+            "upstream changed: "
+            f"{few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"
+        ]
     return len(fields) + len(modules) + len(versions), "; ".join(parts)
 
 
 def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str]) -> list[str]:
-    return [f"{what} changed: {few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
+    return [
+        f"{what} changed: {few(items)}"
+        for what, items in (("spec", fields), ("code", modules), ("library", versions))
+        if items
+    ]
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read."""
-    sections = ([manifest[name] for name in ("config", "settings", "axes")] for manifest in (before, after))
+    """Return what differs between two versions of a node by their manifests: configuration,
+    code and libraries, not what they read.
+    """
+    sections = (
+        [manifest[name] for name in ("config", "settings", "axes")] for manifest in (before, after)
+    )
     fields = list(_fields(after["kind"], *sections))
     older, newer = ((manifest["provenance"].get("versions") or {}) for manifest in (before, after))
-    return _words(fields, _modules(after["sources"], before["sources"]), list(_differing(older, newer, "")))
+    return _words(
+        fields, _modules(after["sources"], before["sources"]), list(_differing(older, newer, ""))
+    )
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
@@ -171,13 +223,20 @@ def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
-    return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := minor(installed.get(name))) != new]
+    return [
+        f"{name} {old} -> {new}"
+        for name, new in libraries().items()
+        if (old := minor(installed.get(name))) != new
+    ]
 
 
-def _fields(kind: str, before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _fields(
+    kind: str, before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]
+) -> Iterator[str]:
     """What differs in configuration, settings and axes, named as in specs."""
     for text in _differing(before[0], now[0], f"{kind}."):
-        yield text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text  # it stands at the top
+        # it stands at the top
+        yield text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text
     yield from _differing(before[1], now[1], "")
     old, new = (axes.get("method_config") or {} for *_, axes in (before, now))
     yield from _differing(old, new, f"{now[2].get('method')}.")
@@ -188,7 +247,11 @@ def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -
         old, new = before.get(name, _ABSENT), now.get(name, _ABSENT)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             yield from _differing(old, new, f"{prefix}{name}.")
-        elif old != new and not (isinstance(old, list | tuple) and isinstance(new, list | tuple) and list(old) == list(new)):
+        elif old != new and not (
+            isinstance(old, list | tuple)
+            and isinstance(new, list | tuple)
+            and list(old) == list(new)
+        ):
             yield f"{prefix}{name} {_shown(old)} -> {_shown(new)}"
 
 

@@ -1,6 +1,7 @@
 """What a run was to do, from its folder alone: for those who watch it, and for those who clean up.
 
-The folder may be half written or untrusted: a run whose plan has another form than ours is left out.
+The folder may be half written or untrusted: a run whose plan has another form than ours is left
+out.
 """
 
 from __future__ import annotations
@@ -49,15 +50,25 @@ class PlannedRun:
 
 
 def run_ids(layout: Layout) -> list[str]:
-    """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts."""
+    """Return the runs of a results folder, newest first: by the number that each wrote down, so
+    that no wrong clock counts.
+    """
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
-            names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
+            names = [
+                entry.name
+                for entry in entries
+                if is_name(entry.name) and entry.is_dir(follow_symlinks=False)
+            ]
     except (FileNotFoundError, NotADirectoryError) as error:
         what = "it holds no runs" if os.path.exists(layout.root) else "no such folder"
-        raise StoreError(f"no results in '{layout.root}': {what}", "wasp run SPEC --results DIR writes there") from error
+        raise StoreError(
+            f"no results in '{layout.root}': {what}", "wasp run SPEC --results DIR writes there"
+        ) from error
     except OSError as error:
-        raise StoreError(f"cannot read the results in '{layout.root}': {(error.strerror or str(error)).lower()}") from error
+        raise StoreError(
+            f"cannot read the results in '{layout.root}': {(error.strerror or str(error)).lower()}"
+        ) from error
     return sorted(names, key=lambda name: (order_of(layout, name), name), reverse=True)
 
 
@@ -74,7 +85,9 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
         sweep = _record(layout, run_id, "sweep.json")
         if sweep is not None:
             parts = tuple(value["run"] for value in sweep["values"] if is_name(value["run"]))
-            plans = [plan for part in parts if (plan := _record(layout, part, "plan.json")) is not None]
+            plans = [
+                plan for part in parts if (plan := _record(layout, part, "plan.json")) is not None
+            ]
             spec = f"{sweep['spec']} --vary {sweep['setting']}"
         else:
             parts, plans = (), [_record(layout, run_id, "plan.json") or {}]
@@ -83,11 +96,17 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
     except (ArtifactError, StoreError, KeyError, TypeError, ValueError, AttributeError):
         return None
     restricted = any(plan.get("restricted") is True for plan in plans)
-    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, restricted) if isinstance(spec, str) else None
+    return (
+        PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, restricted)
+        if isinstance(spec, str)
+        else None
+    )
 
 
 def planned_runs(layout: Layout, *, parts: bool = False) -> list[PlannedRun]:
-    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep, and come with `parts` alone."""
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of
+    the sweep, and come with `parts` alone.
+    """
     runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
     of_sweeps = () if parts else {part for run in runs for part in run.parts}
     return [run for run in runs if run.run_id not in of_sweeps]
@@ -103,8 +122,12 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """Return the run of a name, or the newest of the spec of this name, or the newest whose name ends so."""
-    named = [run for run in runs if text in (run.run_id, run.spec)] or [run for run in runs if text and run.run_id.endswith(text)]
+    """Return the run of a name, or the newest of the spec of this name, or the newest whose
+    name ends so.
+    """
+    named = [run for run in runs if text in (run.run_id, run.spec)] or [
+        run for run in runs if text and run.run_id.endswith(text)
+    ]
     if not named:
         raise UnknownName("run", text, [run.run_id for run in runs])
     return named[0]
@@ -113,7 +136,8 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None:
     """Return the keys that a label or the beginning of a key may mean; None: any.
 
-    Those of the run that `named_run` finds. Without one, those that a label has from the newest run on that left something of it.
+    Those of the run that `named_run` finds. Without one, those that a label has from the newest run
+    on that left something of it.
     """
     from wasp_cli.store.find import same_label
 
@@ -122,7 +146,11 @@ def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None
     keys: set[str] = set()
     with suppress(StoreError):  # a folder without runs
         for planned in planned_runs(layout):
-            nodes = [node for node in planned.nodes.values() if same_label(node.label, " ".join(text.split()))]
+            nodes = [
+                node
+                for node in planned.nodes.values()
+                if same_label(node.label, " ".join(text.split()))
+            ]
             keys.update(node.key for node in nodes)
             if any(layout.artifact(node.kind, node.key).is_dir() for node in nodes):
                 return frozenset(keys)

@@ -1,13 +1,15 @@
 """Which published results stand in the place of nodes.
 
-A node may be replaced by a published result of the same recipe: the same configuration, perhaps under other code. Its key is then that of
-the published result, so that the keys of whatever is computed from it say what that was computed from.
+A node may be replaced by a published result of the same recipe: the same configuration, perhaps
+under other code. Its key is then that of the published result, so that the keys of whatever is
+computed from it say what that was computed from.
 
-The store comes first: what it has under the code of today stays. Results of other code replace nodes together or not at all where it
-matters: a critic goes with the world model whose latent states it was trained on. What has to be computed therefore never reads two
-versions of one recipe, neither directly nor through what it reads; but for held-out rows: parts are judged and thresholds set on them, and
-nothing is trained on them, so that they may be recorded again. A published result that nothing reads, such as the rows of a cell, is bound
-by nothing.
+The store comes first: what it has under the code of today stays. Results of other code replace
+nodes together or not at all where it matters: a critic goes with the world model whose latent
+states it was trained on. What has to be computed therefore never reads two versions of one recipe,
+neither directly nor through what it reads; but for held-out rows: parts are judged and thresholds
+set on them, and nothing is trained on them, so that they may be recorded again. A published result
+that nothing reads, such as the rows of a cell, is bound by nothing.
 
 Of a published cell with more episodes than are asked for, the first ones are taken (`--limit`).
 """
@@ -32,13 +34,25 @@ from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import artifact_keys, exists, stored_kinds
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import EARLIER, RECIPE, Offer, Reused, commit_of, manifest_of, not_used, offers, why_unusable
+from wasp_cli.store.published import (
+    EARLIER,
+    RECIPE,
+    Offer,
+    Reused,
+    commit_of,
+    manifest_of,
+    not_used,
+    offers,
+    why_unusable,
+)
 from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, without_steps
 
 NONE, PUBLISHED = "none", "published"  # what may be reused; or the published folder of someone else
 HELDOUT = "heldout"
-"""The kind of which there may be two versions: too large to be published, it would keep everything trained beside it from being reused."""
+"""The kind of which there may be two versions: too large to be published, it would keep
+everything trained beside it from being reused.
+"""
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
@@ -52,12 +66,17 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
     layer = Layout(Path(choice).absolute())
     recipes = recipes_in(layer)
     if not choice.strip() or not recipes or not all(recipes):
-        raise UsageError(f"'{choice}' is no folder of published results", "use none, published, or a folder that wasp publish has filled")
+        raise UsageError(
+            f"'{choice}' is no folder of published results",
+            "use none, published, or a folder that wasp publish has filled",
+        )
     return layer
 
 
 def recipes_in(layer: Layout) -> list[bool]:
-    """Return of each artifact whether its manifest is a published one: in an ordinary folder only what was itself reused has one."""
+    """Return of each artifact whether its manifest is a published one: in an ordinary folder
+    only what was itself reused has one.
+    """
     found: list[bool] = []
     for kind in stored_kinds(layer):
         for key in artifact_keys(layer, kind):
@@ -68,7 +87,9 @@ def recipes_in(layer: Layout) -> list[bool]:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results folder need not be there."""
+    """Return the grid of a spec with published results in the place of nodes; the results
+    folder need not be there.
+    """
     gc.disable()  # of a million objects of syntax trees and manifests none is garbage
     try:
         return _laid_out_over(spec, layout, reuse)
@@ -87,7 +108,9 @@ def _laid_out_over(spec: Spec, layout: Layout, reuse: str | None) -> Grid:
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
     current = {node.recipe: node.key for node in own.nodes}
-    grid = lay_out(spec, keys) if any(current[recipe] != key for recipe, key in keys.items()) else own
+    grid = (
+        lay_out(spec, keys) if any(current[recipe] != key for recipe, key in keys.items()) else own
+    )
     reused = {
         node.key: Reused(offer, *_code_of(node, offer, current=current[node.recipe] == node.key))
         for node in grid.nodes
@@ -102,7 +125,11 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
     usable, notes = [], []
     for offer in offered:
         node = nodes.get(offer.recipe)
-        if node is None or node.kind != offer.kind or (node.key != offer.key and exists(layout, node.kind, node.key)):
+        if (
+            node is None
+            or node.kind != offer.kind
+            or (node.key != offer.key and exists(layout, node.kind, node.key))
+        ):
             continue
         other = recipes.get(offer.key, offer.recipe) != offer.recipe
         why = "it has the key of another node" if other else why_unusable(offer, layout)
@@ -113,15 +140,23 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
     return usable, notes
 
 
-def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
-    """The first episodes of published cells that have more, and what a plan says where they cannot be taken.
+def _first_episodes(
+    spec: Spec, own: Grid, offered: Sequence[Offer], layout: Layout
+) -> tuple[list[Offer], list[str]]:
+    """The first episodes of published cells that have more, and what a plan says where they cannot
+    be taken.
 
-    Products of matrices may round by the number of rows, so that only whole batches of `side_by_side` episodes are those of a smaller cell.
+    Products of matrices may round by the number of rows, so that only whole batches of
+    `side_by_side` episodes are those of a smaller cell.
     """
     episodes = spec.episodes
     published: dict[str, list[Offer]] = {}
     for offer in offered:
-        if offer.kind == "evaluate" and _episodes(offer) > episodes and STEPS_FILE in offer.manifest["files"]:
+        if (
+            offer.kind == "evaluate"
+            and _episodes(offer) > episodes
+            and STEPS_FILE in offer.manifest["files"]
+        ):
             published.setdefault(offer.recipe, []).append(offer)
     longer_ones: list[tuple[Node, Node, Offer]] = []
     for length in sorted({_episodes(offer) for same in published.values() for offer in same}):
@@ -145,20 +180,32 @@ def _episodes(offer: Offer) -> int:
 
 def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
     episodes = int(node.config["episodes"])
-    # Under today's code it has the key that it would have been computed under; under other code, one that says what it was cut from.
-    key = node.key if offer.key == longer.key else hashlib.sha256(f"first {episodes} of {offer.key}".encode()).hexdigest()[:LENGTH]
+    # Under today's code it has the key that it would have been computed under; under other code,
+    # one that says what it was cut from.
+    key = (
+        node.key
+        if offer.key == longer.key
+        else hashlib.sha256(f"first {episodes} of {offer.key}".encode()).hexdigest()[:LENGTH]
+    )
     provenance: dict[str, Any] = {**offer.manifest["provenance"], EARLIER: offer.key}
     seconds = provenance.get("seconds")
     if isinstance(seconds, int | float):
         provenance["seconds"] = round(seconds * episodes / _episodes(offer), 3)
-    manifest = {**offer.manifest, "key": key, "config": dict(node.config), "recipe": recipe, "provenance": provenance}
+    manifest = {
+        **offer.manifest,
+        "key": key,
+        "config": dict(node.config),
+        "recipe": recipe,
+        "provenance": provenance,
+    }
     return replace(offer, key=key, recipe=recipe, manifest=manifest, episodes=episodes)
 
 
 def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
     """Return, by recipe, the published results that are reused.
 
-    Of several, first that of this very code, then one that was computed from what else is reused, then the newest.
+    Of several, first that of this very code, then one that was computed from what else is reused,
+    then the newest.
     """
     by_recipe: dict[str, list[Offer]] = {}
     for offer in offered:
@@ -173,7 +220,9 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
     for node in own.nodes:  # needed ones first
         keys[node.recipe] = node.key
         if node.recipe in by_recipe:
-            chosen[node.recipe] = max(by_recipe[node.recipe], key=lambda offer: preference(offer, node.key))
+            chosen[node.recipe] = max(
+                by_recipe[node.recipe], key=lambda offer: preference(offer, node.key)
+            )
             keys[node.recipe] = chosen[node.recipe].key
     while wrong := set(_conflicts(own, chosen)):
         chosen = {recipe: offer for recipe, offer in chosen.items() if recipe not in wrong}
@@ -181,20 +230,26 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
 
 
 def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
-    """The recipes of results that must not be reused: a node that is computed would read two versions of something through them, or steps
-    that were left out of a slim cell."""
+    """The recipes of results that must not be reused: a node that is computed would read two
+    versions of something through them, or steps that were left out of a slim cell."""
     keys, targets = _keys_with(own, chosen), own.targets
     # What is needed for reused results alone is not computed.
-    computed = {node for node in _looked_at((node for node in own.nodes if node.key in targets), chosen) if node.recipe not in chosen}
+    computed = {
+        node
+        for node in _looked_at((node for node in own.nodes if node.key in targets), chosen)
+        if node.recipe not in chosen
+    }
     read = {needed.key for node in own.nodes for needed in node.needs.values()}
     free = {node.recipe for node in own.nodes if node.kind == HELDOUT}
-    versions: dict[str, Mapping[str, str]] = {}  # by recipe of a node that others read, the versions behind it and its own, by recipe
+    # by recipe of a node that others read, the versions behind it and its own, by recipe
+    versions: dict[str, Mapping[str, str]] = {}
     judged: set[int] = set()
     for node in own.nodes:
         if node.recipe in chosen:
             versions[node.recipe] = {**chosen[node.recipe].behind, node.recipe: keys[node.recipe]}
             continue
-        if node not in computed or (node.key not in read and id(node.needs) in judged):  # the cells of an assistant share what they read
+        # the cells of an assistant share what they read
+        if node not in computed or (node.key not in read and id(node.needs) in judged):
             continue
         judged.add(id(node.needs))
         merged: dict[str, str] = {}
@@ -202,11 +257,17 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
         for needed in node.needs.values():
             if needed.recipe in chosen and without_steps(chosen[needed.recipe].manifest):
                 yield needed.recipe
-            twofold |= {recipe for recipe, key in versions[needed.recipe].items() if merged.setdefault(recipe, key) != key}
+            twofold |= {
+                recipe
+                for recipe, key in versions[needed.recipe].items()
+                if merged.setdefault(recipe, key) != key
+            }
         versions[node.recipe] = {**merged, node.recipe: keys[node.recipe]}
         if twofold := twofold - free:
             # The reused results that the node reads, directly or through what is computed for it.
-            for recipe in {near.recipe for near in _looked_at(node.needs.values(), chosen)} & chosen.keys():
+            for recipe in {
+                near.recipe for near in _looked_at(node.needs.values(), chosen)
+            } & chosen.keys():
                 behind = chosen[recipe].behind
                 if any(name in behind and behind[name] != keys.get(name) for name in twofold):
                     yield recipe
@@ -218,7 +279,9 @@ def _looked_at(nodes: Iterable[Node], chosen: Mapping[str, Offer]) -> set[Node]:
 
 
 def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
-    """By recipe, the key that a node would have; of one that is to be computed from other versions, a text that is no key."""
+    """By recipe, the key that a node would have; of one that is to be computed from other
+    versions, a text that is no key.
+    """
     keys: dict[str, str] = {}
     for node in own.nodes:
         same = all(keys[needed.recipe] == needed.key for needed in node.needs.values())
@@ -233,5 +296,9 @@ def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:
     changes = moved_on(node, offer.manifest)
     if not changes and current:
         return f"{first}published with this code", ""
-    details = f"changed since: {few(changes)}" if changes else "its inputs were computed by another version"
+    details = (
+        f"changed since: {few(changes)}"
+        if changes
+        else "its inputs were computed by another version"
+    )
     return f"{first}published by another version of this code{commit_of(offer.manifest)}", details

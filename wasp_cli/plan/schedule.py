@@ -1,8 +1,11 @@
-"""The order in which nodes run (each as soon as what it needs is there, the longest remaining path first), and how long they take.
+"""The order in which nodes run (each as soon as what it needs is there, the longest remaining path
+first), and how long they take.
 
-Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled by the speed of this one. The figures
-are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS`
-makes them. A variant that nobody measured is taken for its method, and a method that nobody measured for WASP, the slowest.
+Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled
+by the speed of this one. The figures are medians by preset, stage, task and method, for stages in
+`SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS` makes them. A variant
+that nobody measured is taken for its method, and a method that nobody measured for WASP, the
+slowest.
 """
 
 from __future__ import annotations
@@ -22,27 +25,42 @@ from wasp_cli.store.reached import reached
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
-    """Return how long each node will take, by key: as measured where its sort was, else by the weight of its stage."""
+    """Return how long each node will take, by key: as measured where its sort was, else by the
+    weight of its stage.
+    """
     nodes = list(nodes)
-    per_weight = [seconds[node.sort] / weight for node in nodes if node.sort in seconds and (weight := STAGES[node.kind].weight)]
+    per_weight = [
+        seconds[node.sort] / weight
+        for node in nodes
+        if node.sort in seconds and (weight := STAGES[node.kind].weight)
+    ]
     unit = median(per_weight) if per_weight else 1.0
     return {node.key: seconds.get(node.sort, unit * STAGES[node.kind].weight) for node in nodes}
 
 
 class Schedule:
-    """The nodes that are still to run, and which of them can begin. Only needs among them count: the rest is computed."""
+    """The nodes that are still to run, and which of them can begin. Only needs among them
+    count: the rest is computed.
+    """
 
     def __init__(self, nodes: Iterable[Node], lasting: Mapping[str, float]) -> None:
-        """`nodes` come needed ones first, which counts among equals; `lasting` has their seconds by key (`durations`)."""
+        """`nodes` come needed ones first, which counts among equals; `lasting` has their
+        seconds by key (`durations`).
+        """
         members = {node.key: node for node in nodes}
-        self._needs = {key: {needed.key for needed in node.needs.values()} & members.keys() for key, node in members.items()}
+        self._needs = {
+            key: {needed.key for needed in node.needs.values()} & members.keys()
+            for key, node in members.items()
+        }
         self._dependents: dict[str, list[Node]] = {key: [] for key in members}
         for node in members.values():
             for needed in self._needs[node.key]:
                 self._dependents[needed].append(node)
         path: dict[str, float] = {}
         for key in reversed(members):
-            path[key] = lasting[key] + max((path[node.key] for node in self._dependents[key]), default=0.0)
+            path[key] = lasting[key] + max(
+                (path[node.key] for node in self._dependents[key]), default=0.0
+            )
         self._rank = {key: (-path[key], place) for place, key in enumerate(members)}
         self._ready: list[tuple[tuple[float, int], Node]] = []
         self._left = set(members)
@@ -68,7 +86,9 @@ class Schedule:
                 self.put(dependent)
 
     def failed(self, node: Node) -> list[Node]:
-        """Give up a node, ready or taken, and return what can never begin without it, needed ones first."""
+        """Give up a node, ready or taken, and return what can never begin without it, needed
+        ones first.
+        """
         self._left.discard(node.key)
         self._ready = [entry for entry in self._ready if entry[1].key != node.key]
         heapq.heapify(self._ready)
@@ -78,8 +98,12 @@ class Schedule:
         return sorted(lost, key=lambda dependent: self._rank[dependent.key][1])
 
 
-def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None) -> tuple[float, int]:
-    """Return how long the nodes take on so many workers (None: on any number), and how many run at once at most."""
+def simulated(
+    nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None
+) -> tuple[float, int]:
+    """Return how long the nodes take on so many workers (None: on any number), and how many run
+    at once at most.
+    """
     schedule = Schedule(nodes, lasting)
     running: list[tuple[float, str, Node]] = []
     now, most = 0.0, 0
@@ -96,13 +120,21 @@ def simulated(nodes: Iterable[Node], lasting: Mapping[str, float], workers: int 
 
 SLICES, SLICE_SECONDS = 25, 0.01
 SIZE = 65_536
-SIZES = {"expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions", "evaluate": "episodes"}
+SIZES = {
+    "expert": "interactions",
+    "dataset": "steps",
+    "world_model": "updates",
+    "residual": "interactions",
+    "evaluate": "episodes",
+}
 """By stage the setting that its time grows with."""
 SLOWEST = "wasp"
 
 
 def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
-    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that stand for it, nearest first."""
+    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that
+    stand for it, nearest first.
+    """
     method, config = axes.get("method"), axes.get("method_config")
     if not method:
         return [f"{kind} {task}"]
@@ -125,16 +157,22 @@ def speed() -> float:
             rounds += 1
         return rounds / max(time.thread_time() - begun, 1e-9)
 
-    return max(rounds_per_second() for _ in range(SLICES))  # the fastest: others may use the machine too
+    # the fastest: others may use the machine too
+    return max(rounds_per_second() for _ in range(SLICES))
 
 
 def shipped() -> Mapping[str, Any]:
-    figures: Mapping[str, Any] = json.loads((Path(__file__).parent / "times.json").read_text(encoding="utf-8"))
+    figures: Mapping[str, Any] = json.loads(
+        (Path(__file__).parent / "times.json").read_text(encoding="utf-8")
+    )
     return figures
 
 
-def estimated(nodes: Iterable[Node], presets: Mapping[str, str], near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
-    """Return the seconds by sort that nodes will take here, where there is a figure for them or for something like them.
+def estimated(
+    nodes: Iterable[Node], presets: Mapping[str, str], near: Iterable[tuple[Node, float]] = ()
+) -> dict[str, float]:
+    """Return the seconds by sort that nodes will take here, where there is a figure for them or for
+    something like them.
 
     `near` are nodes of the same spec that were computed, each with its seconds.
     """

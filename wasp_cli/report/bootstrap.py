@@ -1,22 +1,28 @@
-"""Intervals of what a table says: a seeded cluster bootstrap over trainings, or over worlds where there is one training.
+"""Intervals of what a table says: a seeded cluster bootstrap over trainings, or over worlds where
+there is one training.
 
-What is resampled is a cluster with everything in it. Episodes of one training share its models and are not independent, so the
-trainings are the clusters where there are two or more. One says nothing of another; then the worlds are the clusters, each
-with its episodes under all operators and, in a difference, under both methods, and rates are ratios of sums in every resample.
-The limits are percentiles: 95 % of RESAMPLES resamples lie within. Of two or three clusters these are the least and the largest: a range.
-The draws depend on SEED and on the number of clusters alone, so the same rows give the same interval on every machine.
+What is resampled is a cluster with everything in it. Episodes of one training share its models and
+are not independent, so the trainings are the clusters where there are two or more. One says nothing
+of another; then the worlds are the clusters, each with its episodes under all operators and, in a
+difference, under both methods, and rates are ratios of sums in every resample. The limits are
+percentiles: 95 % of RESAMPLES resamples lie within. Of two or three clusters these are the least
+and the largest: a range. The draws depend on SEED and on the number of clusters alone, so the same
+rows give the same interval on every machine.
 
-Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one task); a cell that does not
-define a column is left out of it.
+Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one
+task); a cell that does not define a column is left out of it.
 
-A contrast has a margin: of training s it is left - right - margin x |right|, each side the mean over conditions (operator, severity) of
-the column pooled over worlds; a negative margin asks for that much less, a positive one allows or asks for that much more. It is resampled
-hierarchically: S of S trainings with replacement, and for each drawn training anew as many of its worlds as it has; with one training
-only worlds are drawn. Evaluation seeds that share a training's models (`training_seed`) are one training, with the worlds of all of them.
-The t interval, mean -+ t(.975, S - 1) sd / sqrt(S) of the S contrasts, shows how little a few trainings say.
+A contrast has a margin: of training s it is left - right - margin x |right|, each side the mean
+over conditions (operator, severity) of the column pooled over worlds; a negative margin asks for
+that much less, a positive one allows or asks for that much more. It is resampled hierarchically: S
+of S trainings with replacement, and for each drawn training anew as many of its worlds as it has;
+with one training only worlds are drawn. Evaluation seeds that share a training's models
+(`training_seed`) are one training, with the worlds of all of them. The t interval, mean -+ t(.975,
+S - 1) sd / sqrt(S) of the S contrasts, shows how little a few trainings say.
 
     estimate = difference_of(wasp.cells, human.cells, "cost")
-    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="training", clusters=3)
+    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="training",
+    clusters=3)
 """
 
 from __future__ import annotations
@@ -37,7 +43,8 @@ Places = NDArray[np.intp]
 Limits = tuple[float, float]
 
 RESAMPLES = 2000
-SEED = 20211105  # of all draws. Any number would do; changing it changes the last digits of every interval.
+# of all draws. Any number would do; changing it changes the last digits of every interval.
+SEED = 20211105
 COVERAGE = 0.95
 TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on either side
 
@@ -54,14 +61,18 @@ class Estimate:
 class _Clusters:
     unit: Literal["training", "world"]
     names: Floats  # [K] the seeds of the trainings, or of the worlds
-    alike: bool = True  # whether they differ by chance alone: trainings with cells under other conditions do not
+    # whether they differ by chance alone: trainings with cells under other conditions do not
+    alike: bool = True
 
     @classmethod
     def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:
         trainings = np.unique([float(cell.training) for cell in cells])
         if len(trainings) > 1:
             return cls("training", trainings, even(cells))
-        return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
+        return cls(
+            "world",
+            np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])),
+        )
 
     def place(self, names: Floats | Sequence[float]) -> Places:
         return np.searchsorted(self.names, names)
@@ -71,11 +82,15 @@ class _Clusters:
         return self.place([float(cell.training) for cell in cells])
 
     def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
-        """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
+        """A number with the interval of `statistic`: how often each cluster was drawn [R, K] ->
+        [R], NaN where it is undefined.
+        """
         if len(self.names) < 2 or not self.alike:
             return Estimate(value, None)
         limits = limits_of(statistic(drawn(len(self.names))))
-        return Estimate(value, None if limits is None else Interval(*limits, self.unit, len(self.names)))
+        return Estimate(
+            value, None if limits is None else Interval(*limits, self.unit, len(self.names))
+        )
 
     def found(self, statistic: Callable[[Floats], Floats]) -> Estimate:
         """`statistic` with every cluster drawn once, and its interval."""
@@ -83,23 +98,33 @@ class _Clusters:
 
 
 def limits_of(resampled: Floats) -> Limits | None:
-    """Return the percentiles within which COVERAGE of the resamples lie, of those that are defined; None without any."""
+    """Return the percentiles within which COVERAGE of the resamples lie, of those that are
+    defined; None without any.
+    """
     resampled = resampled[~np.isnan(resampled)]
     if not len(resampled):
         return None
-    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
-    low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in
+    # it.
+    low, high = (
+        round(float(limit), 12) + 0.0
+        for limit in np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    )
     return low, high
 
 
 @lru_cache(maxsize=8)
 def drawn(clusters: int) -> Floats:
-    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into it."""
+    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into
+    it.
+    """
     return _times_drawn(np.random.PCG64(SEED), clusters)
 
 
 def _picks(draws: np.random.PCG64, bound: int, columns: int) -> Places:
-    """[R, columns] whole numbers below a bound, from the raw stream, which is the same in every version of NumPy."""
+    """[R, columns] whole numbers below a bound, from the raw stream, which is the same in every
+    version of NumPy.
+    """
     bits = draws.random_raw((RESAMPLES, columns)) >> np.uint64(32)
     return ((bits * np.uint64(bound)) >> np.uint64(32)).astype(np.intp)
 
@@ -112,20 +137,26 @@ def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
 
 
 def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`); None where nothing defines it."""
+    """Return the mean over seeds of the means of pooled cells, as tables print it
+    (`summarise`); None where nothing defines it.
+    """
     cells = defining(cells, key)
     value = summarise(cells, key).mean
     if value is None:
         return None
     clusters = _Clusters.of(cells)
-    return clusters.estimate(value, lambda counts: _mean(clusters, counts, cells, _pooled(clusters, counts, cells, key)))
+    return clusters.estimate(
+        value, lambda counts: _mean(clusters, counts, cells, _pooled(clusters, counts, cells, key))
+    )
 
 
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Return the interquartile mean over the cells of a row: the mean of the middle half of the sorted pooled cells.
+    """Return the interquartile mean over the cells of a row: the mean of the middle half of the
+    sorted pooled cells.
 
-    Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a cell in part where C / 4 is no whole
-    number: of three cells the middle one counts four times as much as the others. Where it is whole, this is a mean trimmed by 25 %.
+    Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a
+    cell in part where C / 4 is no whole number: of three cells the middle one counts four times as
+    much as the others. Where it is whole, this is a mean trimmed by 25 %.
     """
     cells = defining(cells, key)
     if not cells:
@@ -133,14 +164,22 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     clusters = _Clusters.of(cells)
 
     def statistic(counts: Floats) -> Floats:
-        times = counts.T[clusters.trainings(cells)] if clusters.unit == "training" else np.ones((len(cells), len(counts)))
+        times = (
+            counts.T[clusters.trainings(cells)]
+            if clusters.unit == "training"
+            else np.ones((len(cells), len(counts)))
+        )
         return _middle_mean(_pooled(clusters, counts, cells, key), times)
 
     return clusters.found(statistic)
 
 
-def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Return the mean of the paired differences to the cells of a reference under the same conditions (`paired_difference`)."""
+def difference_of(
+    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str
+) -> Estimate | None:
+    """Return the mean of the paired differences to the cells of a reference under the same
+    conditions (`paired_difference`).
+    """
     value = paired_difference(cells, reference, key)
     if value is None:
         return None
@@ -148,18 +187,28 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
     clusters = _Clusters.of(own, other)
 
     def statistic(counts: Floats) -> Floats:
-        return _mean(clusters, counts, own, _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key))
+        return _mean(
+            clusters,
+            counts,
+            own,
+            _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key),
+        )
 
     return clusters.estimate(value, statistic)
 
 
 def improvement_over(
-    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, better: Literal["up", "down"]
+    cells: Sequence[CellNumbers],
+    reference: Sequence[CellNumbers],
+    key: str,
+    better: Literal["up", "down"],
 ) -> Estimate | None:
-    """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode is better under the same condition.
+    """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode
+    is better under the same condition.
 
-    Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator, severity and seed, divided by the
-    number of pairs; then the mean over seeds of the means over conditions. 0.5 is no difference.
+    Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator,
+    severity and seed, divided by the number of pairs; then the mean over seeds of the means over
+    conditions. 0.5 is no difference.
     """
     matched = pairs_of(cells, reference, key)
     if not matched:
@@ -167,9 +216,19 @@ def improvement_over(
     own, other = zip(*matched, strict=True)
     clusters = _Clusters.of(own, other)
     sign, by_world = 1.0 if better == "up" else -1.0, clusters.unit == "world"
-    place, many = (clusters.place, len(clusters.names)) if by_world else (lambda worlds: np.zeros(len(worlds), np.intp), 1)
+    place, many = (
+        (clusters.place, len(clusters.names))
+        if by_world
+        else (lambda worlds: np.zeros(len(worlds), np.intp), 1)
+    )
     won = [
-        _by_world(sign * one.episodes[key], sign * two.episodes[key], place(one.episodes["world"]), place(two.episodes["world"]), many)
+        _by_world(
+            sign * one.episodes[key],
+            sign * two.episodes[key],
+            place(one.episodes["world"]),
+            place(two.episodes["world"]),
+            many,
+        )
         for one, two in matched
     ]
 
@@ -181,17 +240,26 @@ def improvement_over(
     return clusters.found(statistic)
 
 
-def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int) -> tuple[Floats, Floats]:
-    """[K, K] each: in how many pairs of episodes of two worlds x is larger (ties one half), and of how many pairs."""
+def _by_world(
+    x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int
+) -> tuple[Floats, Floats]:
+    """[K, K] each: in how many pairs of episodes of two worlds x is larger (ties one half), and
+    of how many pairs.
+    """
     larger = (x[:, None] > y) + 0.5 * (x[:, None] == y)
     defined = np.where(np.isnan(x[:, None] - y), 0.0, 1.0)
     place = (x_place[:, None] * worlds + y_place).ravel()
-    won, pairs = (np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64) for each in (larger * defined, defined))
+    won, pairs = (
+        np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64)
+        for each in (larger * defined, defined)
+    )
     return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
 
 
 def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
-    """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn, which leave a cell as it is; else [R, C]."""
+    """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn,
+    which leave a cell as it is; else [R, C].
+    """
     if clusters.unit == "training":
         return np.array([[cell.pooled[key] for cell in cells]])
     sums = np.zeros((2, len(clusters.names), len(cells)))
@@ -207,11 +275,18 @@ def _ratio(total: Floats, mass: Floats) -> Floats:
     return quotient
 
 
-def _mean(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> Floats:
-    """[R] the mean over trainings of the mean numbers [R or 1, C] of their cells, or over the seeds of the only one; NaN does not count."""
+def _mean(
+    clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats
+) -> Floats:
+    """[R] the mean over trainings of the mean numbers [R or 1, C] of their cells, or over the
+    seeds of the only one; NaN does not count.
+    """
     if clusters.unit == "world":
-        _, seed, many = np.unique([cell.identity.seed for cell in cells], return_inverse=True, return_counts=True)
-        times = np.broadcast_to(1.0 / many[seed], numbers.shape)  # seeds count alike, as in `summarise`
+        _, seed, many = np.unique(
+            [cell.identity.seed for cell in cells], return_inverse=True, return_counts=True
+        )
+        # seeds count alike, as in `summarise`
+        times = np.broadcast_to(1.0 / many[seed], numbers.shape)
     else:
         place = clusters.trainings(cells)
         numbers, times = (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
@@ -243,15 +318,27 @@ class Contrast:
     t: Limits | None
 
 
-def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] | float, key: str, margin: float = 0.0) -> Contrast | None:
-    """Return the contrast of the cells to a number, or to a reference's cells under the same conditions; None where they share none."""
+def contrast_of(
+    cells: Sequence[CellNumbers],
+    reference: Sequence[CellNumbers] | float,
+    key: str,
+    margin: float = 0.0,
+) -> Contrast | None:
+    """Return the contrast of the cells to a number, or to a reference's cells under the same
+    conditions; None where they share none.
+    """
     if isinstance(reference, float):
-        bound, reference = reference, []  # a cell that has the number wherever the column is defined
+        # a cell that has the number wherever the column is defined
+        bound, reference = reference, []
         for cell in (cell for cell in cells if key in cell.episodes):
             pooled = math.nan if math.isnan(cell.pooled.get(key, math.nan)) else bound
             column = np.where(np.isnan(cell.episodes[key]), math.nan, bound)
-            reference.append(replace(cell, episodes={**cell.episodes, key: column}, pooled={key: pooled}))
-    matched = sorted(pairs_of(cells, reference, key), key=lambda pair: repr(condition(pair[0].identity)))
+            reference.append(
+                replace(cell, episodes={**cell.episodes, key: column}, pooled={key: pooled})
+            )
+    matched = sorted(
+        pairs_of(cells, reference, key), key=lambda pair: repr(condition(pair[0].identity))
+    )
     seeds = sorted({own.training for own, _ in matched})
     if not seeds:
         return None
@@ -259,16 +346,28 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
     trainings = [_Training(each, key, margin) for each in pairs]
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
     limits = limits_of(_resampled(trainings))
-    return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
+    return Contrast(
+        float(np.mean(values)),
+        tuple(values),
+        limits if len(seeds) > 1 or trainings[0].worlds > 1 else None,
+        t_limits(values),
+    )
 
 
 class _Training:
-    """The paired sums of one training: [2, 2, K, C] of side, weighted sum and weight, world and condition."""
+    """The paired sums of one training: [2, 2, K, C] of side, weighted sum and weight, world and
+    condition.
+    """
 
-    def __init__(self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float) -> None:
-        names = np.unique(np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair]))
+    def __init__(
+        self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float
+    ) -> None:
+        names = np.unique(
+            np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair])
+        )
         self.worlds, self.margin = len(names), margin
-        conditions = list(dict.fromkeys(condition(own.identity)[:3] for own, _ in pairs))  # seeds that share the training are one
+        # seeds that share the training are one
+        conditions = list(dict.fromkeys(condition(own.identity)[:3] for own, _ in pairs))
         self.sums = np.zeros((2, 2, len(names), len(conditions)))
         for pair in pairs:
             c = conditions.index(condition(pair[0].identity)[:3])
@@ -278,18 +377,26 @@ class _Training:
                     self.sums[side, part, :, c] += np.bincount(place, weights, len(names))
 
     def contrast(self, counts: Floats) -> Floats:
-        """[R] the contrast when each world counts so often [R, K]; conditions that a side leaves undefined do not count."""
+        """[R] the contrast when each world counts so often [R, K]; conditions that a side
+        leaves undefined do not count.
+        """
         total, mass = counts @ self.sums[:, 0], counts @ self.sums[:, 1]
         defined = (mass > 0).all(0)
-        left, right = np.where(defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0).sum(2)
+        left, right = np.where(
+            defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0
+        ).sum(2)
         number = defined.sum(1)
         contrasts: Floats = np.full(len(counts), np.nan)
-        np.divide(left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0)
+        np.divide(
+            left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0
+        )
         return contrasts
 
 
 def _resampled(trainings: Sequence[_Training]) -> Floats:
-    """[R] the mean contrast of every resample; resamples that a drawn training leaves undefined are NaN."""
+    """[R] the mean contrast of every resample; resamples that a drawn training leaves undefined
+    are NaN.
+    """
     total = np.zeros(RESAMPLES)
     for s, chosen, counts in _drawn(tuple(training.worlds for training in trainings)):
         total[chosen] += trainings[s].contrast(counts)
@@ -298,7 +405,9 @@ def _resampled(trainings: Sequence[_Training]) -> Floats:
 
 @lru_cache(maxsize=8)
 def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, NDArray[np.bool_], Floats]]:
-    """For every place and training with so many worlds: its index, which resamples drew it there, and how often each of its worlds."""
+    """For every place and training with so many worlds: its index, which resamples drew it
+    there, and how often each of its worlds.
+    """
     draws, resamples = np.random.PCG64(SEED), []
     for _ in worlds:
         picks = _picks(draws, len(worlds), 1)[:, 0]
@@ -308,7 +417,9 @@ def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, NDArray[np.bool_], Floats
 
 
 def t_limits(values: Sequence[float]) -> Limits | None:
-    """Return the 95 % t interval of the mean of n values, with n - 1 degrees of freedom; None with one value."""
+    """Return the 95 % t interval of the mean of n values, with n - 1 degrees of freedom; None
+    with one value.
+    """
     if len(values) < 2:
         return None
     half = _t_quantile(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
@@ -316,7 +427,9 @@ def t_limits(values: Sequence[float]) -> Limits | None:
 
 
 def _t_quantile(freedom: int) -> float:
-    """The quantile t for which P(|T| < t) is COVERAGE, by halving: the series of Abramowitz and Stegun, 26.7.3 and 26.7.4."""
+    """The quantile t for which P(|T| < t) is COVERAGE, by halving: the series of Abramowitz and
+    Stegun, 26.7.3 and 26.7.4.
+    """
 
     def within(t: float) -> float:
         angle, term, total = math.atan(t / math.sqrt(freedom)), 1.0, 0.0

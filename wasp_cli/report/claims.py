@@ -1,6 +1,7 @@
 """What a report says of a paper: each printed number beside ours, and whether each claim holds.
 
-A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`report.bootstrap`):
+A comparison asks for the sign of a contrast, which is taken within each training on the same worlds
+(`report.bootstrap`):
 
     lower                      left - right + margin |right| < 0
     higher                     left - right - margin |right| > 0
@@ -8,15 +9,17 @@ A comparison asks for the sign of a contrast, which is taken within each trainin
     not_higher                 left - right - margin |right| <= 0
     at_least, at_most          left - bound >= 0, left - bound <= 0
 
-It holds when the whole interval of the contrast has that sign, does not hold when the whole interval has the other, and is undecided
-when 0 is within. The interval is that of a hierarchical bootstrap over trainings and worlds, nominally 95 %. Of few trainings it is too
-narrow: the t interval of the trainings' contrasts stands beside it as a warning, and decides nothing.
+It holds when the whole interval of the contrast has that sign, does not hold when the whole
+interval has the other, and is undecided when 0 is within. The interval is that of a hierarchical
+bootstrap over trainings and worlds, nominally 95 %. Of few trainings it is too narrow: the t
+interval of the trainings' contrasts stands beside it as a warning, and decides nothing.
 
-A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
-the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
+A claim holds when all of its questions do, and does not hold when one does not. One whose rows are
+not all there is not tested; what the others say is kept beside it. With the models of a single
+training a verdict is about these models, and says so.
 
-Another method may stand for a method, as the printed WASP does for WASP. Claims are judged again with its row in the method's place. Claims
-that name an ablation are not.
+Another method may stand for a method, as the printed WASP does for WASP. Claims are judged again
+with its row in the method's place. Claims that name an ablation are not.
 """
 
 from __future__ import annotations
@@ -32,11 +35,19 @@ from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, m
 from wasp_cli.report.stats import JUDGED, Frame, Group, groups, row_of
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
-from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
+from wasp_cli.report.tables.main import (
+    AUTONOMY_COLUMNS,
+    DETAIL_COLUMNS,
+    MORE_COLUMNS,
+    PAPER_COLUMNS,
+)
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 
-COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
+COLUMN_OF = {
+    column.key: column
+    for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)
+}
 """Everything that a claim may be about (spec.paper.COLUMNS)."""
 Outcome = Literal["holds", "fails", "undecided", "untested"]
 
@@ -47,10 +58,12 @@ class Answer:
     outcome: Outcome
     left: float | None = None
     right: float | None = None  # our means
-    contrast: Contrast | None = None  # over the conditions that both have; its interval is held against 0
+    # over the conditions that both have; its interval is held against 0
+    contrast: Contrast | None = None
     reason: str = ""  # why it is not tested; empty where its task is not here at all
     printed: tuple[Printed | None, Printed | None] = (None, None)
-    shown_in_print: bool | None = None  # whether the paper's own means stand so; None where it prints none
+    # whether the paper's own means stand so; None where it prints none
+    shown_in_print: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -59,12 +72,16 @@ class Judged:
     outcome: Outcome
     answers: tuple[tuple[Answer, ...], ...]  # per question; of the answers in a tuple one is enough
     others: tuple[Judged | None, ...] = ()
-    """The same claim with each of the report's `others` in its method's place; None where that cannot be asked."""
+    """The same claim with each of the report's `others` in its method's place; None where that
+    cannot be asked.
+    """
 
     @property
     def part(self) -> Outcome:
         """The outcome of those questions that could be asked; `untested` where none could."""
-        return all_of([outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"])
+        return all_of(
+            [outcome for answers in self.answers if (outcome := any_of(answers)) != "untested"]
+        )
 
 
 @dataclass(frozen=True)
@@ -87,7 +104,8 @@ class VerdictReport:
     seeds: int
     one_training: bool  # whether all rows come from the models of one training
     notes: tuple[str, ...]
-    others: tuple[Who, ...] = ()  # the rows that stand for a method as another recipe makes it, and that claims are judged by too
+    # the rows that stand for a method as another recipe makes it, and that claims are judged by too
+    others: tuple[Who, ...] = ()
 
     def having(self, outcome: Outcome) -> list[Judged]:
         return [judged for judged in self.claims if judged.outcome == outcome]
@@ -96,14 +114,22 @@ class VerdictReport:
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
-    others = tuple(filter(rows.has, (Who(name) for name, info in METHODS.items() if info.instead_of)))
+    others = tuple(
+        filter(rows.has, (Who(name) for name, info in METHODS.items() if info.instead_of))
+    )
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
-        paper=paper, rows=tuple(_beside(rows, paper)),
-        claims=tuple(replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others)) for own in judged),
-        seeds=seeds, one_training=len({cell.training for cell in frame.cells}) == 1,
-        notes=tuple(_notes(frame, rows, paper, seeds, spec)), others=others,
-    )  # fmt: skip
+        paper=paper,
+        rows=tuple(_beside(rows, paper)),
+        claims=tuple(
+            replace(own, others=tuple(_judged_by(rows, paper, own.claim, who) for who in others))
+            for own in judged
+        ),
+        seeds=seeds,
+        one_training=len({cell.training for cell in frame.cells}) == 1,
+        notes=tuple(_notes(frame, rows, paper, seeds, spec)),
+        others=others,
+    )
 
 
 def decide(interval: Limits | None, relation: Relation) -> Outcome:
@@ -120,18 +146,24 @@ def decide(interval: Limits | None, relation: Relation) -> Outcome:
 
 
 def signed_margin(asked: Comparison) -> float:
-    """Return the share of |right| that a contrast takes off left - right; negative where it puts it on."""
+    """Return the share of |right| that a contrast takes off left - right; negative where it
+    puts it on.
+    """
     return asked.margin if asked.relation in ("higher", "not_higher") else -asked.margin
 
 
 def any_of(answers: Sequence[Answer]) -> Outcome:
     """Combine alternatives: one is enough, and none of them holds only when each was tested."""
     outcomes = {answer.outcome for answer in answers}
-    return next((outcome for outcome in ("holds", "untested", "undecided") if outcome in outcomes), "fails")
+    return next(
+        (outcome for outcome in ("holds", "untested", "undecided") if outcome in outcomes), "fails"
+    )
 
 
 def all_of(outcomes: Sequence[Outcome]) -> Outcome:
-    """Combine questions: one that does not hold settles it; otherwise all have to be tested, and all have to hold."""
+    """Combine questions: one that does not hold settles it; otherwise all have to be tested,
+    and all have to hold.
+    """
     for outcome in ("fails", "untested", "undecided"):
         if outcome in outcomes:
             return outcome
@@ -159,7 +191,11 @@ class _Rows:
     def _contrast(self, asked: Comparison) -> Contrast | None:
         own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
         against = asked.bound if other is None else other.cells
-        return None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
+        return (
+            None
+            if own is None or against is None
+            else contrast_of(own.cells, against, asked.column, signed_margin(asked))
+        )
 
     def lack(self, task: str, who: Who, column: str = "") -> str:
         group = self.group(task, who)
@@ -169,11 +205,17 @@ class _Rows:
         if not group.complete:
             return f"{task_title(task)} {who} has {len(group.cells)} of {total} cells"
         gaps = self._unbranched[group.assistant] if column in JUDGED else 0
-        return f"{task_title(task)} {who} has branches of {total - gaps} of {total} cells" if gaps else ""
+        return (
+            f"{task_title(task)} {who} has branches of {total - gaps} of {total} cells"
+            if gaps
+            else ""
+        )
 
 
 def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
-    answers = tuple(tuple(_answer(rows, paper, asked) for asked in question) for question in claim.questions())
+    answers = tuple(
+        tuple(_answer(rows, paper, asked) for asked in question) for question in claim.questions()
+    )
     return Judged(claim, all_of([any_of(each) for each in answers]), answers)
 
 
@@ -183,7 +225,13 @@ def stood_for(who: Who) -> Who:
 
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
     place = stood_for(who)
-    named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
+    named = {
+        side
+        for question in claim.questions()
+        for asked in question
+        for side in (asked.left, asked.right)
+        if side is not None
+    }
     own = {side: Who(who.method, side.variant) for side in named if side.method == place.method}
     if not own or who.method in {side.method for side in named}:
         return None
@@ -191,13 +239,21 @@ def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | No
     def placed(sides: tuple[Who, ...] | None) -> tuple[Who, ...] | None:
         return sides and tuple(own.get(side, side) for side in sides)
 
-    statements = (each.model_copy(update={"left": placed(each.left), "right": placed(each.right)}) for each in claim.statements)
+    statements = (
+        each.model_copy(update={"left": placed(each.left), "right": placed(each.right)})
+        for each in claim.statements
+    )
     return _judged(rows, paper, claim.model_copy(update={"statements": tuple(statements)}))
 
 
 def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
-    printed = paper.printed(asked.task, asked.left, asked.column), asked.right and paper.printed(asked.task, asked.right, asked.column)
-    answer = Answer(asked, "untested", printed=printed, shown_in_print=_shown_in_print(asked, *printed))
+    printed = (
+        paper.printed(asked.task, asked.left, asked.column),
+        asked.right and paper.printed(asked.task, asked.right, asked.column),
+    )
+    answer = Answer(
+        asked, "untested", printed=printed, shown_in_print=_shown_in_print(asked, *printed)
+    )
     if asked.task not in rows.tasks:
         return answer
     sides = [who for who in (asked.left, asked.right) if who is not None]
@@ -205,12 +261,21 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
     means = [rows.mean(asked.task, who, asked.column) for who in sides]
     if not lacking:
         pairs = zip(means, sides, strict=True)
-        lacking = [f"{task_title(asked.task)} {who} has no `{asked.column}`" for mean, who in pairs if mean is None]
+        lacking = [
+            f"{task_title(asked.task)} {who} has no `{asked.column}`"
+            for mean, who in pairs
+            if mean is None
+        ]
     left, right = means[0], means[1] if asked.right is not None else None
     contrast = None if lacking else rows.contrast(asked)
     if not lacking and contrast is None:
-        lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
-    answer = replace(answer, left=left.value if left else None, right=right.value if right else None)
+        lacking = [
+            f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and "
+            "seed in common"
+        ]
+    answer = replace(
+        answer, left=left.value if left else None, right=right.value if right else None
+    )
     if contrast is None:
         return replace(answer, reason="; ".join(dict.fromkeys(lacking)))
     return replace(answer, outcome=decide(contrast.bootstrap, asked.relation), contrast=contrast)
@@ -219,8 +284,11 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
 def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:
     if left is None or (right is None and asked.right is not None):
         return None
-    # To nine digits: 0.3 - 0.1 is not 0.2 to a computer. Shares are printed in percent, and a bound is none.
-    other = right.mean if right is not None else (asked.bound or 0.0) * COLUMN_OF[asked.column].scale
+    # To nine digits: 0.3 - 0.1 is not 0.2 to a computer. Shares are printed in percent, and a bound
+    # is none.
+    other = (
+        right.mean if right is not None else (asked.bound or 0.0) * COLUMN_OF[asked.column].scale
+    )
     contrast = round(left.mean - other - signed_margin(asked) * abs(other), 9)
     return decide((contrast, contrast), asked.relation) == "holds"
 
@@ -229,34 +297,67 @@ def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
     for table in paper.tables:
         for task, printed in table.rows.items():
             ablations = {who for who in printed if who.variant != "full"}
-            if task not in rows.tasks or (ablations and not any(rows.group(task, who) for who in ablations)):
+            if task not in rows.tasks or (
+                ablations and not any(rows.group(task, who) for who in ablations)
+            ):
                 continue  # a table of ablations is about these
             for who, numbers in printed.items():
                 ours = tuple(rows.mean(task, who, column) for column in table.columns)
                 group = rows.group(task, who)
                 seeds = len({cell.identity.seed for cell in group.cells}) if group else 0
-                yield Beside(table.name, table.columns, task, who, numbers, ours, seeds, rows.lack(task, who) if group else "")
+                yield Beside(
+                    table.name,
+                    table.columns,
+                    task,
+                    who,
+                    numbers,
+                    ours,
+                    seeds,
+                    rows.lack(task, who) if group else "",
+                )
 
 
 def _notes(frame: Frame, rows: _Rows, paper: Paper, seeds: int, spec: Spec | None) -> Iterable[str]:
-    tasks = dict.fromkeys(asked.task for claim in paper.claims for question in claim.questions() for asked in question)
+    tasks = dict.fromkeys(
+        asked.task for claim in paper.claims for question in claim.questions() for asked in question
+    )
     absent = [task_title(task) for task in tasks if task not in rows.tasks]
     if absent:
-        which = "is not in this spec: what claims say of it" if len(absent) == 1 else "are not in this spec: what claims say of them"
+        which = (
+            "is not in this spec: what claims say of it"
+            if len(absent) == 1
+            else "are not in this spec: what claims say of them"
+        )
         named = " and ".join(filter(None, (", ".join(absent[:-1]), absent[-1])))
         yield f"{named} {which} is not tested."
     if seeds == 1:
-        yield "One seed: intervals resample its worlds, so every verdict is about these models. More seeds cover retraining."
+        yield (
+            "One seed: intervals resample its worlds, so every verdict is about these models. "
+            "More seeds cover retraining."
+        )
     elif spec is not None and spec.training_seed is not None:
-        yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
+        yield (
+            f"All seeds share the models of training seed {spec.training_seed}, so every "
+            "verdict is about these models."
+        )
     elif seeds > 1:
         yield (
-            f"Intervals resample the {seeds} trainings and the worlds of each. Of few trainings they are too narrow: the t interval beside "
+            f"Intervals resample the {seeds} trainings and the worlds of each. Of few "
+            "trainings they are too narrow: the t interval beside "
             "them says how little the trainings alone show."
         )
     if spec is not None and spec.preset != "paper":
-        yield f"Preset `{spec.preset}` has smaller models and budgets than the paper: what does not hold here may hold there."
+        yield (
+            f"Preset `{spec.preset}` has smaller models and budgets than the paper: what does "
+            "not hold here may hold there."
+        )
     if frame.missing:
         are = "is" if len(frame.missing) == 1 else "are"
-        yield f"{len(frame.missing)} of {len(frame.order)} cells {are} missing; claims about the rows of such cells are not tested."
-    yield "Each interval is nominally of 95 %, uncorrected for the number of comparisons. The margins are ours: the paper states none."
+        yield (
+            f"{len(frame.missing)} of {len(frame.order)} cells {are} missing; claims about the "
+            "rows of such cells are not tested."
+        )
+    yield (
+        "Each interval is nominally of 95 %, uncorrected for the number of comparisons. The "
+        "margins are ours: the paper states none."
+    )

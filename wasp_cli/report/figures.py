@@ -1,7 +1,7 @@
 """How all figures of a report look and are written, and those of methods.
 
-Cost against return, what interventions were worth (Figure 3), and along the severities. A figure that has nothing to show writes
-no file.
+Cost against return, what interventions were worth (Figure 3), and along the severities. A figure
+that has nothing to show writes no file.
 """
 
 from __future__ import annotations
@@ -34,11 +34,15 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-LINES = ("-", "--", ":")  # of methods with one colour, in their rounds; the last one is that of classes of one's own
+# of methods with one colour, in their rounds; the last one is that of classes of one's own
+LINES = ("-", "--", ":")
 ENDINGS = ("png", "svg")
-# The markers move on by one with every round of the colours, or the eighth method would look like the first.
-STYLES = {  # colour and marker of a method, the same in every figure; the marker also tells them apart in print
-    name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
+# The markers move on by one with every round of the colours, or the eighth method would look like
+# the first.
+# colour and marker of a method, the same in every figure; the marker also tells them apart in print
+STYLES = {
+    name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)])
+    for i, name in enumerate(METHODS)
 }
 LOOK: dict[Any, Any] = {  # settings of matplotlib for every figure
     "font.size": 9,
@@ -48,21 +52,33 @@ LOOK: dict[Any, Any] = {  # settings of matplotlib for every figure
     "axes.spines.right": False,
 }
 CAPTIONS = {  # by the name of the file, in the order of the page
-    "cost_return": "Cost against return of every method: large marks are means over the operators, with the spread over seeds, small ones "
+    "cost_return": "Cost against return of every method: large marks "
+    "are means over the operators, with "
+    "the spread over seeds, small ones "
     "single operators.",
-    "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
+    "figure3": "What the interventions were worth: how many costly decisions would have followed "
+    "without them, and what they changed; bars "
     "are the limits of the table.",
-    "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
-    "profile": "Performance profiles: the share of episodes that return at least x, and that cost at most x; every operator and seed "
+    "severity": "Return, cost and intervention rate under every operator and severity; bars are "
+    "standard deviations over seeds.",
+    "profile": "Performance profiles: the share of episodes that "
+    "return at least x, and that cost at "
+    "most x; every operator and seed "
     "weighs the same.",
-    "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
-    "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
+    "learning": "Learning curves: what learns in the task, and "
+    "the losses of the world model (means of "
+    "neighbouring points).",
+    "reliability": "Of the imagined steps that the world model calls "
+    "costly with some probability, the "
+    "share that was.",
 }
 
 
 @contextmanager
 def drawn(size: tuple[float, float]) -> Iterator[Figure]:
-    """Yield an empty figure of `size` (inches), to be filled inside the block, where LOOK is in force."""
+    """Yield an empty figure of `size` (inches), to be filled inside the block, where LOOK is in
+    force.
+    """
     # Imported here: matplotlib takes most of a second, and most commands draw nothing.
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -75,10 +91,13 @@ def drawn(size: tuple[float, float]) -> Iterator[Figure]:
 
 
 def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers give the same bytes."""
+    """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers
+    give the same bytes.
+    """
     png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
     save(figure, png)
-    figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
+    # what has been laid out stays where it is: doing it again takes as long as drawing
+    figure.set_layout_engine("none")
     save(figure, svg)
     return [png, svg]
 
@@ -94,7 +113,9 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def style_of(method: str) -> tuple[str, str]:
-    """Return colour and marker of a method; those of a class of one's own follow from its name, and are those of no other method here."""
+    """Return colour and marker of a method; those of a class of one's own follow from its name,
+    and are those of no other method here.
+    """
     free = [style for style in product(PALETTE[1:], METHOD_MARKERS) if style not in STYLES.values()]
     return STYLES.get(method) or free[crc32(method.encode()) % len(free)]
 
@@ -107,12 +128,23 @@ def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
 def legend(figure: Figure, panels: Iterable[Axes], most: int = 0, **options: Any) -> None:
     """Set one legend for some panels, with each label once.
 
-    `most` is the number of entries in a row at most, spread evenly over as many rows as the width needs; 0: one below the other.
+    `most` is the number of entries in a row at most, spread evenly over as many rows as the width
+    needs; 0: one below the other.
     """
-    handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    handles = {
+        label: handle
+        for panel in panels
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
     rows = math.ceil(len(handles) / most) if most else len(handles)
     while handles:
-        shown = figure.legend(handles.values(), handles.keys(), frameon=False, ncols=math.ceil(len(handles) / rows), **options)
+        shown = figure.legend(
+            handles.values(),
+            handles.keys(),
+            frameon=False,
+            ncols=math.ceil(len(handles) / rows),
+            **options,
+        )
         if rows >= len(handles) or shown.get_window_extent().width <= MARGIN * figure.bbox.width:
             break
         shown.remove()
@@ -138,23 +170,42 @@ class Line:
     gaps: bool = False  # whether NaN interrupts the line instead
 
 
-def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any) -> None:
-    """Draw lines over a grid, and a grey line of equal x and y from one to the other end of `diagonal`; a shared label is named once."""
+def draw_lines(
+    panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any
+) -> None:
+    """Draw lines over a grid, and a grey line of equal x and y from one to the other end of
+    `diagonal`; a shared label is named once.
+    """
     if diagonal is not None:
         panel.plot(diagonal, diagonal, color=GREY, linewidth=0.8, zorder=0.9)
     named: set[str] = set()
     for line in lines:
-        here = np.ones(len(line.x), bool) if line.gaps else np.isfinite(line.x) & np.isfinite(line.y)
+        here = (
+            np.ones(len(line.x), bool) if line.gaps else np.isfinite(line.x) & np.isfinite(line.y)
+        )
         label = line.label if line.label and line.label not in named else None
         named.add(line.label)
         plain = line.areas is None
         panel.plot(
-            line.x[here], line.y[here], color=line.colour, alpha=line.alpha, linestyle=line.style, linewidth=line.width,
-            marker=line.marker if plain else "", markersize=line.size, label=label if plain else None,
-        )  # fmt: skip
+            line.x[here],
+            line.y[here],
+            color=line.colour,
+            alpha=line.alpha,
+            linestyle=line.style,
+            linewidth=line.width,
+            marker=line.marker if plain else "",
+            markersize=line.size,
+            label=label if plain else None,
+        )
         if line.areas is not None:
             panel.scatter(
-                line.x[here], line.y[here], line.areas[here], color=line.colour, marker=line.marker or "o", linewidths=0, label=label
+                line.x[here],
+                line.y[here],
+                line.areas[here],
+                color=line.colour,
+                marker=line.marker or "o",
+                linewidths=0,
+                label=label,
             )
     ruled(panel)
     panel.set(**axes)
@@ -178,12 +229,16 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
             panel.set_xlabel("Cost per episode (better: left)")
             ruled(panel)
         panels[0].set_ylabel("Return per episode (better: up)")
-        legend(figure, panels, loc="outside right upper", title="large: mean\nsmall: one operator\n")
+        legend(
+            figure, panels, loc="outside right upper", title="large: mean\nsmall: one operator\n"
+        )
         return figure_files(figure, folder, "cost_return")
 
 
 def profile_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
+    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and
+    cost. Returns the files.
+    """
     tasks, names = rows_by_task(frame), list(METHODS)
     if not tasks:
         return []
@@ -193,8 +248,18 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
             for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
                 x, share = profile(group, key, at_least=key == "return")
                 place = names.index(group.method) // len(PALETTE) if group.method in names else -1
-                look = {"color": style_of(group.method)[0], "linestyle": LINES[place % len(LINES)], "linewidth": 1.3}
-                panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
+                look = {
+                    "color": style_of(group.method)[0],
+                    "linestyle": LINES[place % len(LINES)],
+                    "linewidth": 1.3,
+                }
+                panel.step(
+                    x,
+                    share,
+                    where="post" if key == "cost" else "pre",
+                    label=assistant_title(group),
+                    **look,
+                )
             column[0].set_title(task_title(task), loc="left", fontweight="bold")
             column[0].set_xlabel("return x of an episode (better: up)")
             column[1].set_xlabel("cost x of an episode (better: up)")
@@ -209,9 +274,13 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
-    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at most x; every cell weighs the same."""
+    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at
+    most x; every cell weighs the same.
+    """
     values = np.concatenate([cell.episodes[key] for cell in group.cells])
-    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(group.cells)
+    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(
+        group.cells
+    )
     order = np.argsort(values, kind="stable")
     x, reached = values[order], np.cumsum(weights[order])
     return x, 1.0 - reached + weights[order] if at_least else reached
@@ -220,17 +289,32 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
 def _draw(panel: Axes, group: Group) -> None:
     colour, marker = style_of(group.method)
     x, y = _point(group.cells)
-    for variant in dict.fromkeys(cell.identity.operator for cell in group.cells) if METHODS[group.method].impaired else ():
+    for variant in (
+        dict.fromkeys(cell.identity.operator for cell in group.cells)
+        if METHODS[group.method].impaired
+        else ()
+    ):
         small_x, small_y = _point(group.of_variant(variant))
         panel.plot([x, small_x], [y, small_y], color=colour, alpha=0.25, linewidth=0.8)
-        panel.plot(small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0)
+        panel.plot(
+            small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0
+        )
     cost_sd, return_sd = summarise(group.cells, "cost").sd, summarise(group.cells, "return").sd
     # Larger, so that it shows behind an assistant that never acts.
     size = 12 if group.method == "human" else 9
     panel.errorbar(
-        x, y, xerr=cost_sd, yerr=return_sd, fmt=marker, color=colour, markersize=size, markeredgecolor="white", capsize=2, elinewidth=1,
+        x,
+        y,
+        xerr=cost_sd,
+        yerr=return_sd,
+        fmt=marker,
+        color=colour,
+        markersize=size,
+        markeredgecolor="white",
+        capsize=2,
+        elinewidth=1,
         label=assistant_title(group),
-    )  # fmt: skip
+    )
 
 
 def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
@@ -238,8 +322,15 @@ def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
 
 
-CLASSES = (("no cost", "#f2f2f2"), ("up to 1/3", "#bdbdbd"), ("up to 2/3", "#737373"), ("more", "#1a1a1a"))
-"""Classes of the risk, by the share of the W decisions that cost; greys that rise with it survive any printer."""
+CLASSES = (
+    ("no cost", "#f2f2f2"),
+    ("up to 1/3", "#bdbdbd"),
+    ("up to 2/3", "#737373"),
+    ("more", "#1a1a1a"),
+)
+"""Classes of the risk, by the share of the W decisions that cost; greys that rise with it
+survive any printer.
+"""
 PANELS = {
     "uir": "Unnecessary: UIR (better: left;\nhollow: branches swapped)",
     "delta_c": "Costly decisions\navoided: ΔC (better: right)",
@@ -248,7 +339,11 @@ PANELS = {
 
 
 def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
-    drawable = [group for group in judged_groups(frame) if any(frame.judged[cell.identity].worth.rho.size for cell in group.cells)]
+    drawable = [
+        group
+        for group in judged_groups(frame)
+        if any(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+    ]
     if not drawable:
         return []
     tasks = [(task, list(own)) for task, own in groupby(drawable, lambda group: group.task)]
@@ -256,7 +351,12 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
     heights = [0.34 * len(own) + 0.5 for _, own in tasks]
     with drawn((10.0, 1.3 + sum(heights))) as figure:
         panels = figure.subplots(
-            len(tasks), 1 + len(PANELS), squeeze=False, sharey="row", width_ratios=[1.7, 1, 1, 1], height_ratios=heights
+            len(tasks),
+            1 + len(PANELS),
+            squeeze=False,
+            sharey="row",
+            width_ratios=[1.7, 1, 1, 1],
+            height_ratios=heights,
         )
         for row, (task, own) in zip(panels, tasks, strict=True):
             risk, *others = row
@@ -264,7 +364,10 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
             risk.set_title(task_title(task), loc="left", fontweight="bold")
             for panel, key in zip(others, PANELS, strict=True):
                 _points(panel, own, columns[key], columns["uir_swapped"] if key == "uir" else None)
-        labels = ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values())
+        labels = (
+            "Share of the interventions by the risk ρ\nof the command alone",
+            *PANELS.values(),
+        )
         for panel, label in zip(panels[-1], labels, strict=True):
             panel.set_xlabel(label)
         windows = " or ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
@@ -274,21 +377,43 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
-    """Stack the shares of the classes of risk, each the mean over seeds of the means of cells, as in the table (`summarise`)."""
+    """Stack the shares of the classes of risk, each the mean over seeds of the means of cells,
+    as in the table (`summarise`).
+    """
     edges = np.array([0.0, 1 / 3, 2 / 3])
     for y, group in enumerate(own):
         by_seed: dict[int, list[Floats]] = {}
         for cell in group.cells:
             risks = frame.judged[cell.identity].worth.rho
             if len(risks):
-                place = np.searchsorted(edges, risks - 1e-9, side="left")  # k / W on an edge belongs below it
-                by_seed.setdefault(cell.identity.seed, []).append(np.bincount(place, minlength=len(CLASSES)) / len(risks))
+                # k / W on an edge belongs below it
+                place = np.searchsorted(edges, risks - 1e-9, side="left")
+                by_seed.setdefault(cell.identity.seed, []).append(
+                    np.bincount(place, minlength=len(CLASSES)) / len(risks)
+                )
         left, total = 0.0, sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
         shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
         for (name, grey), share in zip(CLASSES, shares.tolist(), strict=True):
-            panel.barh(y, share, 0.62, left=left, color=grey, edgecolor="black", linewidth=0.6, label=name if y == 0 else None)
+            panel.barh(
+                y,
+                share,
+                0.62,
+                left=left,
+                color=grey,
+                edgecolor="black",
+                linewidth=0.6,
+                label=name if y == 0 else None,
+            )
             left += share
-        panel.annotate(f"n = {total}", (100.0, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color="#555555")
+        panel.annotate(
+            f"n = {total}",
+            (100.0, y),
+            (4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=7,
+            color="#555555",
+        )
     panel.set_xlim(0.0, 116.0)
     panel.set_xticks(range(0, 101, 25), [f"{tick} %" for tick in range(0, 101, 25)])
     panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
@@ -304,10 +429,18 @@ def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | 
             continue
         colour, marker = style_of(group.method)
         if value.interval is not None:
-            panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
+            panel.plot(
+                [value.interval.low, value.interval.high],
+                [y, y],
+                color=colour,
+                linewidth=1.6,
+                solid_capstyle="butt",
+            )
         other = estimated(group, beside).mean if beside else None
         if other is not None:
-            panel.plot(other, y, marker, markersize=7, markerfacecolor="none", markeredgecolor=colour)
+            panel.plot(
+                other, y, marker, markersize=7, markerfacecolor="none", markeredgecolor=colour
+            )
         panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")
     if column.key == "uir":
         panel.set_xlim(-0.05, 1.05)  # so that a mark at an end is whole
@@ -320,12 +453,19 @@ def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | 
     panel.tick_params(axis="y", length=0)
 
 
-SEVERITY_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return"))
+SEVERITY_MEASURES = tuple(
+    column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return")
+)
 Condition = tuple[str, float]  # operator variant and severity value
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
-    assistants = [group for rows in rows_by_task(frame).values() for group in rows if METHODS[group.method].impaired]
+    assistants = [
+        group
+        for rows in rows_by_task(frame).values()
+        for group in rows
+        if METHODS[group.method].impaired
+    ]
     who = [cell.identity for cell in frame.cells if has_severity(cell)]
     under = dict.fromkeys((each.operator, each.value) for each in who if each.value is not None)
     variants = list(dict.fromkeys(variant for variant, _ in under))
@@ -340,33 +480,51 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
             for panel, column in zip(row, SEVERITY_MEASURES, strict=True):
                 for i, group in enumerate(shown):
                     # Methods stand beside each other, so that none hides another.
-                    _draw_severities(panel, group, conditions, column, 0.5 * (i / max(len(shown) - 1, 1) - 0.5))
+                    _draw_severities(
+                        panel, group, conditions, column, 0.5 * (i / max(len(shown) - 1, 1) - 0.5)
+                    )
                 panel.set_title(f"{task_title(task)}: {column.heading}", loc="left", fontsize=9)
                 _name_conditions(panel, conditions)
         legend(figure, panels.flat, loc="outside lower center", most=7)
         return figure_files(figure, folder, "severity")
 
 
-def _draw_severities(panel: Axes, group: Group, conditions: Sequence[Condition], column: Column, shift: float) -> None:
+def _draw_severities(
+    panel: Axes, group: Group, conditions: Sequence[Condition], column: Column, shift: float
+) -> None:
     x: list[float] = []
     values: list[Value] = []
     for _, places in groupby(enumerate(conditions), key=lambda place: place[1][0]):
         for place, condition in places:
-            cells = [cell for cell in group.cells if (cell.identity.operator, cell.identity.value) == condition]
+            cells = [
+                cell
+                for cell in group.cells
+                if (cell.identity.operator, cell.identity.value) == condition
+            ]
             x.append(place + shift)
             values.append(summarise(cells, column.key))
-        # A gap between operators, so that one line serves for all: each further one takes as long to draw as this one.
+        # A gap between operators, so that one line serves for all: each further one takes as long
+        # to draw as this one.
         x.append(x[-1])
         values.append(UNDEFINED)
     means, spreads = (
-        [math.nan if n is None else n * column.scale for n in numbers] for numbers in zip(*((v.mean, v.sd) for v in values), strict=True)
+        [math.nan if n is None else n * column.scale for n in numbers]
+        for numbers in zip(*((v.mean, v.sd) for v in values), strict=True)
     )
     colour, marker = style_of(group.method)
     bars = spreads if any(number > 0 for number in spreads) else None
     panel.errorbar(
-        x, means, yerr=bars, fmt=marker, linestyle="-", color=colour, markersize=4, linewidth=0.9, elinewidth=0.8,
+        x,
+        means,
+        yerr=bars,
+        fmt=marker,
+        linestyle="-",
+        color=colour,
+        markersize=4,
+        linewidth=0.9,
+        elinewidth=0.8,
         label=assistant_title(group),
-    )  # fmt: skip
+    )
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:

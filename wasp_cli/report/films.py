@@ -1,7 +1,9 @@
-"""The films of a report: on each task one episode under every method, side by side, each with the timeline of its gates.
+"""The films of a report: on each task one episode under every method, side by side, each with the
+timeline of its gates.
 
-Which episode: of the first operator at its severity `moderate` (or its first one) and the first seed, the one whose cost under Human-only
-is the median, so that neither the best nor the worst one is picked. Worlds and the operator's mistakes are the same for all methods.
+Which episode: of the first operator at its severity `moderate` (or its first one) and the first
+seed, the one whose cost under Human-only is the median, so that neither the best nor the worst one
+is picked. Worlds and the operator's mistakes are the same for all methods.
 """
 
 from __future__ import annotations
@@ -40,11 +42,13 @@ class Sprite(NamedTuple):
     mime: str
     columns: int
     size: int  # side of a frame in px
-    decisions: list[int]  # how many decisions had been made at each frame: 0, every, 2 every, ..., T
+    # how many decisions had been made at each frame: 0, every, 2 every, ..., T
+    decisions: list[int]
     things: tuple[tuple[str, str], ...] = ()  # what its map shows, each with its colour `#rrggbb`
 
 
-Draw = Callable[..., Sprite]  # draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it
+# draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it
+Draw = Callable[..., Sprite]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,32 +75,76 @@ class TaskFilms:
         return max(film.episode.decisions for film in self.films)
 
 
-def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
-    """Yield the films of every task of which a map can be drawn; `tell` is told what is being drawn."""
+def films_of(
+    layout: Layout,
+    frame: Frame,
+    keys: dict[CellIdentity, str],
+    draw: Draw,
+    tell: Callable[[str], None],
+) -> Iterator[TaskFilms]:
+    """Yield the films of every task of which a map can be drawn; `tell` is told what is being
+    drawn.
+    """
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
-        # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
-        if task in TASKS and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
+        # Nothing else is drawn: its environment would be imported, and the results may be
+        # untrusted.
+        if (
+            task in TASKS
+            and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None
+        ):
             yield films
 
 
 def _of_task(
-    layout: Layout, task: str, cells: Sequence[CellNumbers], keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]
+    layout: Layout,
+    task: str,
+    cells: Sequence[CellNumbers],
+    keys: dict[CellIdentity, str],
+    draw: Draw,
+    tell: Callable[[str], None],
 ) -> TaskFilms | None:
-    full = [cell for cell in cells if cell.identity.task == task and cell.identity.variant == "full"]
-    impaired = [cell for cell in full if METHODS[cell.identity.method].impaired and cell.identity.operator != UNIMPAIRED]
+    full = [
+        cell for cell in cells if cell.identity.task == task and cell.identity.variant == "full"
+    ]
+    impaired = [
+        cell
+        for cell in full
+        if METHODS[cell.identity.method].impaired and cell.identity.operator != UNIMPAIRED
+    ]
     if not impaired:
         return None
     variant = impaired[0].identity.operator
-    first = next((cell for cell in impaired if cell.identity.operator == variant and cell.severity == MODERATE), impaired[0])
+    first = next(
+        (
+            cell
+            for cell in impaired
+            if cell.identity.operator == variant and cell.severity == MODERATE
+        ),
+        impaired[0],
+    )
     condition = (variant, first.identity.value, first.identity.seed)
-    chosen = [cell for cell in impaired if (cell.identity.operator, cell.identity.value, cell.identity.seed) == condition]
-    chosen += [cell for cell in full if cell.identity.operator == UNIMPAIRED and cell.identity.seed == first.identity.seed]
+    chosen = [
+        cell
+        for cell in impaired
+        if (cell.identity.operator, cell.identity.value, cell.identity.seed) == condition
+    ]
+    chosen += [
+        cell
+        for cell in full
+        if cell.identity.operator == UNIMPAIRED and cell.identity.seed == first.identity.seed
+    ]
     alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
     episodes = (alone or first).episodes
     costs = episodes["cost"]
-    number = int(np.flatnonzero(costs == np.sort(costs)[len(costs) // 2])[0])  # the first one whose cost is the (upper) median
-    number = int(episodes["episode"][number]) if "episode" in episodes else number  # where some are left out, it numbers the others
-    how = "the one whose cost is the median under Human-only" if alone is not None else "the one of median cost"
+    # the first one whose cost is the (upper) median
+    number = int(np.flatnonzero(costs == np.sort(costs)[len(costs) // 2])[0])
+    # where some are left out, it numbers the others
+    number = int(episodes["episode"][number]) if "episode" in episodes else number
+    how = (
+        "the one whose cost is the median under Human-only"
+        if alone is not None
+        else "the one of median cost"
+    )
     if any(_is_slim(layout, keys[cell.identity]) for cell in chosen):
         number, how = 0, "the first, since what is published has the steps of no other"
     films = []
@@ -107,7 +155,9 @@ def _of_task(
             films.append(film)
     if not films:
         return None
-    return TaskFilms(task, variant, first.identity.value, first.identity.seed, number, how, tuple(films))
+    return TaskFilms(
+        task, variant, first.identity.value, first.identity.seed, number, how, tuple(films)
+    )
 
 
 def _is_slim(layout: Layout, key: str) -> bool:
@@ -117,7 +167,9 @@ def _is_slim(layout: Layout, key: str) -> bool:
         return False
 
 
-def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:
+def _film(
+    layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw
+) -> MethodFilm | None:
     try:
         path: Path = layout.within(cell_file(layout.artifact(KIND, key)))
         episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)
@@ -125,8 +177,15 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
-    if repeat is None or repeat > TASKS[identity.task].env_steps:  # an untrusted decision might last for hours here
-        return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
+    # an untrusted decision might last for hours here
+    if repeat is None or repeat > TASKS[identity.task].env_steps:
+        return MethodFilm(
+            identity.method,
+            episode,
+            None,
+            every,
+            "its manifest does not say how long a decision is",
+        )
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:
         sprite = draw(identity.task, repeat, seed, episode.a, episode.a_h, rewards, every, SIZE)
@@ -139,11 +198,19 @@ def film_page(films: TaskFilms) -> Markup:
     operator = operator_title(films.operator) + ("" if films.value is None else f" {films.value:g}")
     told = (
         f"Episode {films.number} of seed {films.seed} under the operator {operator}: {films.how}. "
-        "Every method meets the same world and the same mistakes; the Expert is the unimpaired operator."
+        "Every method meets the same world and the same mistakes; the Expert is the "
+        "unimpaired operator."
     )
     seconds = films.films[0].episode.constants.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
     things = next((film.sprite.things for film in films.films if film.sprite is not None), ())
     return rendered(
-        "films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline, looks=LOOKS.values()
+        "films.html",
+        films=films,
+        things=things,
+        told=told,
+        seconds=shown,
+        methods=METHODS,
+        timeline=timeline,
+        looks=LOOKS.values(),
     )

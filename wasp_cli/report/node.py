@@ -1,4 +1,6 @@
-"""What the manifest of a node says, and the same as text: what it is, where it came from, its inputs, whether its files are undamaged."""
+"""What the manifest of a node says, and the same as text: what it is, where it came from, its
+inputs, whether its files are undamaged.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
-HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")  # provenance that is told in lines of its own
+# provenance that is told in lines of its own
+HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 
 Facts = dict[str, Any]  # as `wasp show --json` prints them
 
@@ -30,21 +33,39 @@ Facts = dict[str, Any]  # as `wasp show --json` prints them
 def node_facts(layout: Layout, node: FoundNode) -> Facts:
     """Collect what is known of a node; of one that has only failed its label, kind and failure.
 
-    Its files are read: `state` says whether they still have the SHA-256 that they were published with. An input that is `not brought in`
-    is one of a published node: nothing here needed it. `changed` is the configuration as far as it is not the default; a default is None
-    where this version has none. `pictures` are the folders of reports with pictures of the node (see `trained.evidence`).
+    Its files are read: `state` says whether they still have the SHA-256 that they were published
+    with. An input that is `not brought in` is one of a published node: nothing here needed it.
+    `changed` is the configuration as far as it is not the default; a default is None where this
+    version has none. `pictures` are the folders of reports with pictures of the node (see
+    `trained.evidence`).
     """
     provenance = mapping(node.setting("provenance"))
-    seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
-    drawn = layout.root.glob(f"reports/*/trained/*-{node.key[:8]}") if node.key is not None and is_key(node.key) else ()
+    seconds, attempt = (
+        provenance.get("seconds"),
+        provenance.get("attempt", node.failure.get("attempt")),
+    )
+    drawn = (
+        layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")
+        if node.key is not None and is_key(node.key)
+        else ()
+    )
     return {
-        "key": node.key or "", "kind": node.kind, "label": node.label or "", "folder": str(node.path), "started_at": node.started_at,
+        "key": node.key or "",
+        "kind": node.kind,
+        "label": node.label or "",
+        "folder": str(node.path),
+        "started_at": node.started_at,
         "seconds": float(seconds) if isinstance(seconds, int | float) else None,
-        "attempt": attempt if isinstance(attempt, int) else None, "summary": mapping(node.setting("summary")),
-        "changed": list(_changed(node)), "settings": mapping(node.setting("settings")), "upstream": list(_upstream(layout, node)),
-        "files": list(_files(layout, node)), "pictures": sorted(printable(str(path)) for path in drawn), "provenance": provenance,
+        "attempt": attempt if isinstance(attempt, int) else None,
+        "summary": mapping(node.setting("summary")),
+        "changed": list(_changed(node)),
+        "settings": mapping(node.setting("settings")),
+        "upstream": list(_upstream(layout, node)),
+        "files": list(_files(layout, node)),
+        "pictures": sorted(printable(str(path)) for path in drawn),
+        "provenance": provenance,
         "failure": node.failure,
-    }  # fmt: skip
+    }
 
 
 def _changed(node: FoundNode) -> Iterator[Facts]:
@@ -53,14 +74,18 @@ def _changed(node: FoundNode) -> Iterator[Facts]:
     method = node.setting("axes", "method")
     if isinstance(method, str):
         section = METHODS[method].config_model() if method in METHODS else None
-        yield from _differences(f"{method}.", mapping(node.setting("axes", "method_config")), _defaults(section))
+        yield from _differences(
+            f"{method}.", mapping(node.setting("axes", "method_config")), _defaults(section)
+        )
 
 
 def _defaults(section: type[Config] | None) -> dict[str, Any]:
     return {} if section is None else section().model_dump(mode="json")
 
 
-def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[Facts]:
+def _differences(
+    prefix: str, values: Mapping[str, Any], defaults: Mapping[str, Any]
+) -> Iterator[Facts]:
     for name, value in values.items():
         default = defaults.get(name)
         if isinstance(value, dict) and isinstance(default, dict):
@@ -92,7 +117,9 @@ def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
         return "not of the artifact"
     try:
         with open_plain(layout.within(node.path / name)) as file:
-            return "whole" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "changed"
+            return (
+                "whole" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "changed"
+            )
     except FileNotFoundError:
         return "gone"
     except (OSError, StoreError):  # a link, a pipe, a folder
@@ -104,10 +131,18 @@ def mapping(value: Any) -> Mapping[str, Any]:
 
 
 def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return kind and key of what an artifact was computed from, by the name under which it was read; the valid ones."""
+    """Return kind and key of what an artifact was computed from, by the name under which it was
+    read; the valid ones.
+    """
     kinds = mapping(manifest.get("upstream_kinds"))
-    read = {name: (kinds.get(name, ""), key) for name, key in mapping(manifest.get("upstream")).items()}
-    return {name: one for name, one in read.items() if all(isinstance(text, str) for text in one) and is_name(one[0]) and is_key(one[1])}
+    read = {
+        name: (kinds.get(name, ""), key) for name, key in mapping(manifest.get("upstream")).items()
+    }
+    return {
+        name: one
+        for name, one in read.items()
+        if all(isinstance(text, str) for text in one) and is_name(one[0]) and is_key(one[1])
+    }
 
 
 def node_lines(facts: Facts) -> Iterator[Text]:
@@ -121,14 +156,30 @@ def node_lines(facts: Facts) -> Iterator[Text]:
         yield _entry("attempt", str(facts["attempt"]))
     yield _entry("folder", facts["folder"])
     yield from _failure(facts["failure"])
-    yield from _section("Numbers", [(name, short(value)) for name, value in scalars(facts["summary"])])
-    defaults = [f"  (default {_value(one['default'])})" if one["default"] is not None else "" for one in facts["changed"]]
-    changed = [(one["name"], _value(one["value"]) + default) for one, default in zip(facts["changed"], defaults, strict=True)]
+    yield from _section(
+        "Numbers", [(name, short(value)) for name, value in scalars(facts["summary"])]
+    )
+    defaults = [
+        f"  (default {_value(one['default'])})" if one["default"] is not None else ""
+        for one in facts["changed"]
+    ]
+    changed = [
+        (one["name"], _value(one["value"]) + default)
+        for one, default in zip(facts["changed"], defaults, strict=True)
+    ]
     yield from _section("Configuration (without defaults)", changed)
-    yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(facts["settings"])])
-    inputs = [(one["name"], f"{one['key'][:8]}  {one['label']}  {_unless('present', one['state'])}") for one in facts["upstream"]]
+    yield from _section(
+        "Shared settings", [(name, short(value)) for name, value in scalars(facts["settings"])]
+    )
+    inputs = [
+        (one["name"], f"{one['key'][:8]}  {one['label']}  {_unless('present', one['state'])}")
+        for one in facts["upstream"]
+    ]
     yield from _section("Inputs", inputs)
-    files = [(one["name"], f"{size(one['size'])}  {_unless('whole', one['state'])}") for one in facts["files"]]
+    files = [
+        (one["name"], f"{size(one['size'])}  {_unless('whole', one['state'])}")
+        for one in facts["files"]
+    ]
     yield from _section("Files (SHA-256 checked)", files)
     yield from _section("Drawn by wasp report", [("in", folder) for folder in facts["pictures"]])
     yield from _section("Provenance", list(_provenance(facts["provenance"])))
@@ -147,14 +198,21 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
 def _provenance(provenance: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     git = provenance.get("git")
     if isinstance(git, dict):
-        state = f"with uncommitted changes ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
+        state = (
+            f"with uncommitted changes ({git.get('changes') or 'outside of the package'})"
+            if git.get("dirty")
+            else "as committed"
+        )
         yield "git", f"{git.get('sha')}, {state}"
     for name, value in provenance.items():
         if name not in HIDDEN:
             yield name, value if isinstance(value, str) else _value(value)
     versions = provenance.get("versions")
     if isinstance(versions, dict):
-        yield "versions", ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+        yield (
+            "versions",
+            ", ".join(f"{name} {version}" for name, version in versions.items() if version),
+        )
 
 
 def _section(heading: str, entries: list[tuple[str, str]]) -> Iterator[Text]:

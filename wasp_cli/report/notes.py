@@ -1,6 +1,8 @@
-"""Notes on cells and episodes, and marks of what is invalid: one line each in `notes.jsonl` beside the store, never in a result's bytes.
+"""Notes on cells and episodes, and marks of what is invalid: one line each in `notes.jsonl` beside
+the store, never in a result's bytes.
 
-The file is only appended to: a later `valid` takes back an earlier `invalid`. It may be untrusted, as everything in a results folder.
+The file is only appended to: a later `valid` takes back an earlier `invalid`. It may be untrusted,
+as everything in a results folder.
 """
 
 from __future__ import annotations
@@ -50,7 +52,10 @@ def one_line(note: Note, *, past: bool = False) -> str:
 
 def lines_of(notes: Sequence[Note]) -> list[str]:
     held = invalid(notes)
-    return [one_line(note, past=note.mark == "invalid" and (note.key, note.episode) not in held) for note in notes]
+    return [
+        one_line(note, past=note.mark == "invalid" and (note.key, note.episode) not in held)
+        for note in notes
+    ]
 
 
 def author_name() -> str:
@@ -61,15 +66,21 @@ def author_name() -> str:
 
 
 def add_note(layout: Layout, note: Note) -> Note:
-    text, author = printable(note.text).strip(), printable(note.author).strip()[:80] or author_name()
+    text, author = (
+        printable(note.text).strip(),
+        printable(note.author).strip()[:80] or author_name(),
+    )
     if not text and not note.mark:
         raise UsageError("the note says nothing", "write what there is to know")
     if len(text) > LONGEST:
         raise UsageError(f"the note has {len(text)} characters, and may have {LONGEST}")
-    note = replace(note, text=text, author=author, at=datetime.now(UTC).isoformat(timespec="seconds"))
+    note = replace(
+        note, text=text, author=author, at=datetime.now(UTC).isoformat(timespec="seconds")
+    )
     path = layout.within(layout.root / FILE)
     try:
-        # One write, so that lines of two who note something at once do not mix; never through a link.
+        # One write, so that lines of two who note something at once do not mix; never through a
+        # link.
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         file = os.open(path, flags, 0o666)
         try:
@@ -77,7 +88,9 @@ def add_note(layout: Layout, note: Note) -> Note:
         finally:
             os.close(file)
     except OSError as error:
-        raise StoreError(f"the note cannot be written to '{path}': {refusal(error).message}") from error
+        raise StoreError(
+            f"the note cannot be written to '{path}': {refusal(error).message}"
+        ) from error
     return note
 
 
@@ -98,7 +111,9 @@ def notes_of(layout: Layout) -> list[Note]:
 
 
 def _note(record: dict[str, Any]) -> Note | None:
-    texts = {name: record.get(name, "") for name in ("key", "label", "text", "mark", "author", "at")}
+    texts = {
+        name: record.get(name, "") for name in ("key", "label", "text", "mark", "author", "at")
+    }
     episode = record.get("episode")
     if not all(isinstance(text, str) for text in texts.values()) or not is_key(texts["key"]):
         return None
@@ -109,7 +124,9 @@ def _note(record: dict[str, Any]) -> Note | None:
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
-    """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
+    """Return what is marked as invalid, by key and episode (None: the whole cell), each with
+    the note that says so.
+    """
     marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
         if note.mark == "invalid":
@@ -122,7 +139,9 @@ def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
 def without_invalid(
     frame: Frame, keys: Mapping[CellIdentity, str], marked: Mapping[tuple[str, int | None], Note]
 ) -> tuple[Frame, tuple[str, ...]]:
-    """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence for each thing that was left out, too."""
+    """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence
+    for each thing that was left out, too.
+    """
     if not marked:
         return frame, ()
     kept: list[CellNumbers] = []
@@ -131,35 +150,70 @@ def without_invalid(
     said: list[str] = []
     for cell in frame.cells:
         key = keys.get(cell.identity, "")
-        out = {episode for other, episode in marked if other == key and episode is not None and episode < cell.count}
+        out = {
+            episode
+            for other, episode in marked
+            if other == key and episode is not None and episode < cell.count
+        }
         whole = marked.get((key, None))
-        rest = None if whole is not None else of_episodes(cell, ~np.isin(np.arange(cell.count), list(out)))
+        rest = (
+            None
+            if whole is not None
+            else of_episodes(cell, ~np.isin(np.arange(cell.count), list(out)))
+        )
         if rest is None:
             first = whole or next(note for (other, _), note in marked.items() if other == key)
-            missing.append(Missing(cell.identity, first.label, f"marked as invalid by {first.author}: {first.text}", key, invalid=True))
+            missing.append(
+                Missing(
+                    cell.identity,
+                    first.label,
+                    f"marked as invalid by {first.author}: {first.text}",
+                    key,
+                    invalid=True,
+                )
+            )
             judged.pop(cell.identity, None)
             said.append(f"The cell {first.label} is left out: {_why(first)}.")
             continue
         if out:
             said += [
-                f"Episode {episode} of {marked[key, episode].label} is left out: {_why(marked[key, episode])}." for episode in sorted(out)
+                f"Episode {episode} of {marked[key, episode].label} is left out: "
+                f"{_why(marked[key, episode])}."
+                for episode in sorted(out)
             ]
             if cell.identity in judged:
                 judged[cell.identity] = _without(judged[cell.identity], out)
         kept.append(rest)
     if said:
         cells, episodes = len(missing), len(said) - len(missing)
-        counts = [f"{count} {name}{'' if count == 1 else 's'}" for count, name in ((episodes, "episode"), (cells, "cell")) if count]
-        said.insert(0, f"{' and '.join(counts)} marked as invalid {'is' if len(said) == 1 else 'are'} in no number here.")
-    return replace(frame, cells=tuple(kept), missing=(*frame.missing, *missing), judged=judged), tuple(said)
+        counts = [
+            f"{count} {name}{'' if count == 1 else 's'}"
+            for count, name in ((episodes, "episode"), (cells, "cell"))
+            if count
+        ]
+        said.insert(
+            0,
+            f"{' and '.join(counts)} marked as invalid {'is' if len(said) == 1 else 'are'} "
+            "in no number here.",
+        )
+    return replace(
+        frame, cells=tuple(kept), missing=(*frame.missing, *missing), judged=judged
+    ), tuple(said)
 
 
 def _without(judged: Judged, out: Collection[int]) -> Judged:
     rest = ~np.isin(judged.episode, list(out))
     episode = judged.episode[rest]
-    episode = episode - np.searchsorted(sorted(out), episode)  # episodes are numbered anew, as the rows of the cell are
-    return replace(judged, worth=Necessity(**{name: part[rest] for name, part in judged.worth._asdict().items()}), episode=episode)
+    # episodes are numbered anew, as the rows of the cell are
+    episode = episode - np.searchsorted(sorted(out), episode)
+    return replace(
+        judged,
+        worth=Necessity(**{name: part[rest] for name, part in judged.worth._asdict().items()}),
+        episode=episode,
+    )
 
 
 def _why(note: Note) -> str:
-    return f"marked as invalid by {note.author} on {note.at[:10]}" + (f", {note.text.rstrip('.')}" if note.text else "")
+    return f"marked as invalid by {note.author} on {note.at[:10]}" + (
+        f", {note.text.rstrip('.')}" if note.text else ""
+    )

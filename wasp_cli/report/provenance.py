@@ -1,7 +1,8 @@
 """What stands behind the numbers of a report, said from the store alone.
 
-The runs that it is about, the published results among its cells and how far the code has moved on since, and the values in force that
-the paper does not state; and whether the files are those that were stored.
+The runs that it is about, the published results among its cells and how far the code has moved on
+since, and the values in force that the paper does not state; and whether the files are those that
+were stored.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ Assumption = tuple[str, Any, str]  # dotted name, value, why
 
 
 def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs
+    whose plan does not read.
+    """
     runs: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
@@ -80,12 +83,22 @@ class Origins:
         for (version, commit), manifests in versions.items():
             kinds = Counter(str(manifest.get("kind")) for manifest in manifests)
             counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-            changes = [change for manifest in manifests for change in (*changed_since(_modules(manifest)), *library_changes(manifest))]
+            changes = [
+                change
+                for manifest in manifests
+                for change in (*changed_since(_modules(manifest)), *library_changes(manifest))
+            ]
             since = f"since then has changed: {few(list(dict.fromkeys(changes)))}"
             since = since if changes else "their own code and libraries are the present ones"
-            results = f"{len(manifests)} of {self.total} results here are published ones ({counted})"
+            results = (
+                f"{len(manifests)} of {self.total} results here are published ones ({counted})"
+            )
             yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {since}."
-        cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
+        cells = [
+            str(manifest.get("label"))
+            for manifest in self.published
+            if manifest.get("kind") == "evaluate"
+        ]
         if 0 < len(self.published) < self.total and cells:
             yield f"Published cells: {few(cells, NAMED)}."
 
@@ -94,7 +107,11 @@ class Origins:
         mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
         if mixed:
             said = [
-                f"{name} " + ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
+                f"{name} "
+                + ", ".join(
+                    f"{version} ({count} cell{'s' if count > 1 else ''})"
+                    for version, count in counts.most_common()
+                )
                 for name, counts in mixed.items()
             ]
             yield f"The cells were not computed with the same versions: {'; '.join(said)}."
@@ -102,9 +119,15 @@ class Origins:
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     provenance = manifest["provenance"]
-    git, python, libraries, processor = (provenance.get(name) for name in ("git", "python", "versions", "processor"))
+    git, python, libraries, processor = (
+        provenance.get(name) for name in ("git", "python", "versions", "processor")
+    )
     if isinstance(git, Mapping) and isinstance(git.get("sha"), str):
-        changes = f" with changes {str(git.get('changes') or '')[:SHA_LENGTH]}".rstrip() if git.get("dirty") else ""
+        changes = (
+            f" with changes {str(git.get('changes') or '')[:SHA_LENGTH]}".rstrip()
+            if git.get("dirty")
+            else ""
+        )
         yield "commit", printable(f"{git['sha'][:SHA_LENGTH]}{changes}")
     if isinstance(python, str):
         yield "Python", printable(python)
@@ -127,17 +150,28 @@ def _when(manifests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Hash by module; a name that is none, which untrusted files may hold, would be looked up as a path."""
+    """Hash by module; a name that is none, which untrusted files may hold, would be looked up
+    as a path.
+    """
     sources = manifest.get("sources")
     known = sources.items() if isinstance(sources, Mapping) else ()
-    return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
+    return {
+        name: str(known_hash)
+        for name, known_hash in known
+        if all(part.isidentifier() for part in name.split("."))
+    }
 
 
-MOST_CELLS = 500  # a page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any
+# a page lists as many cells at most: in a grid of thousands nobody reads them, and
+# `wasp_cli.results` finds any
+MOST_CELLS = 500
 
 
-def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[tuple[str, int, str, str, str]]:
-    """Read label, episodes, day, commit and key of each cell of a report; none of them where there are too many to list.
+def cell_sources(
+    layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]
+) -> list[tuple[str, int, str, str, str]]:
+    """Read label, episodes, day, commit and key of each cell of a report; none of them where there
+    are too many to list.
 
     Day and commit are empty where they are unknown.
     """
@@ -148,32 +182,55 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
             manifest = read_manifest(layout, KIND, key)
             provenance = manifest["provenance"]
             label, day, git = manifest["label"], provenance.get("started_at"), provenance.get("git")
-        except (ArtifactError, KeyError, AttributeError):  # of another version, or damaged, as the report says elsewhere
+        except (ArtifactError, KeyError, AttributeError):
+            # of another version, or damaged, as the report says elsewhere
             continue
         sha = git.get("sha") if isinstance(git, Mapping) else None
-        shown, when, commit = (printable(each) if isinstance(each, str) else "" for each in (label, day, sha))
+        shown, when, commit = (
+            printable(each) if isinstance(each, str) else "" for each in (label, day, sha)
+        )
         sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
     return sources
 
 
-def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
-    """List the trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are."""
+def absent_parts(
+    layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]
+) -> list[Part]:
+    """List the trained parts that are not there, and that nothing needs: what a spec trains by
+    name is there, as its cells are.
+    """
     absent = [part for part, key in parts if not layout.manifest(part.kind, key).is_file()]
     return [] if any(part.kind in targets for part in absent) else absent
 
 
-POSTERIOR = (  # an assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from
+# an assumption that cannot be a choice: operators, filter and task share no random stream that a
+# sample could come from
+POSTERIOR = (
     "the filter",
     "mode",
-    "no setting: z_t is the mode of the posterior q(z_t | h_t, o_t), not a sample, so that filtering draws nothing and all methods see "
+    "no setting: z_t is the mode of the posterior q(z_t | h_t, o_t), not a sample, so that "
+    "filtering draws nothing and all methods see "
     "the same latent",
 )
 READINGS = (
-    ("wasp: an ended episode", "gamma p", "no setting: Eq. 8 has no ends; gamma is multiplied by the probability that the imagined "
-     "episode goes on"),
-    ("wasp: step k", "k + 1", "no setting: reward and cost of an imagined step are read at the state that it arrives in"),
-    ("wasp: residuals", "[-2, 2]", "no setting: samples are cut where a residual to a command within ±1 stops making a difference"),
-)  # fmt: skip
+    (
+        "wasp: an ended episode",
+        "gamma p",
+        "no setting: Eq. 8 has no ends; gamma is multiplied by the probability that the imagined "
+        "episode goes on",
+    ),
+    (
+        "wasp: step k",
+        "k + 1",
+        "no setting: reward and cost of an imagined step are read at the state that it arrives in",
+    ),
+    (
+        "wasp: residuals",
+        "[-2, 2]",
+        "no setting: samples are cut where a residual to a command within ±1 stops making "
+        "a difference",
+    ),
+)
 """What section 4 leaves to the reader, and no field says."""
 
 
@@ -190,7 +247,11 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
     in_force: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
-        idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
+        idle = (
+            section not in kinds
+            if section in STAGES
+            else section in METHODS and section not in spec.methods
+        )
         if not idle:
             in_force.append((name, value, why))
     if "world_model" in kinds:
@@ -204,7 +265,10 @@ def _of_single_tasks(spec: Spec) -> list[Assumption]:
     differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
-            base, own = ((spec.stage if section in STAGES else spec.method)(section, task=which) for which in (None, task))
+            base, own = (
+                (spec.stage if section in STAGES else spec.method)(section, task=which)
+                for which in (None, task)
+            )
             same = {name: value for name, value, _ in assumptions(base)}
             differing += [
                 (f"{section}.{name}", value, f"{why} (on {task} alone)")
@@ -215,15 +279,30 @@ def _of_single_tasks(spec: Spec) -> list[Assumption]:
 
 
 def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
-    said = "Values that differ from the paper, then those that it leaves open. A spec can change each that is a setting."
-    lines = ["## Assumptions in force", "", said, "", "| Field | Value | Why |", "| --- | --- | --- |"]
+    said = (
+        "Values that differ from the paper, then those that it leaves open. A spec can change "
+        "each that is a setting."
+    )
+    lines = [
+        "## Assumptions in force",
+        "",
+        said,
+        "",
+        "| Field | Value | Why |",
+        "| --- | --- | --- |",
+    ]
     for name, value, why in assumed:
-        lines.append(markdown_row((f"`{name}`", f"`{json.dumps(value, default=str, ensure_ascii=False)}`", why)))
+        lines.append(
+            markdown_row(
+                (f"`{name}`", f"`{json.dumps(value, default=str, ensure_ascii=False)}`", why)
+            )
+        )
     return "\n".join(lines) + "\n"
 
 
 def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
-    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those that are not there are left out.
+    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those
+    that are not there are left out.
 
     Returns how many were read, and what is wrong with each that differs.
     """

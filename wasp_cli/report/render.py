@@ -1,18 +1,21 @@
-r"""A table in every format, and the files of a report: Markdown, CSV, LaTeX, HTML from templates, and for a terminal.
+r"""A table in every format, and the files of a report: Markdown, CSV, LaTeX, HTML from templates,
+and for a terminal.
 
-All text in HTML is escaped unless it is markup already. A table is a fragment for a page that brings the style, and may bring a script that
-sorts (`page/templates/table.html`):
+All text in HTML is escaped unless it is markup already. A table is a fragment for a page that
+brings the style, and may bring a script that sorts (`page/templates/table.html`):
 
     <figure class="table" id="table1">
       <table>  thead, and one tbody per group of rows
         <th scope="col" class="number" data-better="up">
         <th scope="row">, with class "again" where the row above has the same label of its group
-        <td class="number" data-value="6.5">6.50 ± 0.28</td>    unscaled, as in data files; empty where it is undefined
+        <td class="number" data-value="6.5">6.50 ± 0.28</td>    unscaled, as in data files; empty
+        where it is undefined
       <ul class="notes">, <ul class="meanings">
 
 The best value of a group stands in <strong>, the second best in <u>.
 
-LaTeX compiles with pdfLaTeX and any class, after `\usepackage{booktabs}`; what is optional is left out of it, data files have it.
+LaTeX compiles with pdfLaTeX and any class, after `\usepackage{booktabs}`; what is optional is left
+out of it, data files have it.
 """
 
 from __future__ import annotations
@@ -47,33 +50,49 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 WHOLE = re.compile(r"(\d+) of \1 planned cells are")
-"""A note that nothing is missing: a caption goes without, and the comments above the table have it."""
+"""A note that nothing is missing: a caption goes without, and the comments above the table have
+it.
+"""
 
 
 def markdown_row(cells: Iterable[object]) -> str:
     """Write a row of a Markdown table, each cell on one line; what would end a cell is escaped."""
-    return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+    return (
+        "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+    )
 
 
 def markdown_text(text: str) -> str:
-    """Write what somebody has written so that Markdown shows it as it is: no HTML, no link, no picture."""
+    """Write what somebody has written so that Markdown shows it as it is: no HTML, no link, no
+    picture.
+    """
     return re.sub(r"([\\\[\]])", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
 
 
 def markdown(table: Table) -> str:
-    lines = [f"## {table.title}", "", markdown_row([*table.labels, *(column.heading for column in table.columns)])]
+    lines = [
+        f"## {table.title}",
+        "",
+        markdown_row([*table.labels, *(column.heading for column in table.columns)]),
+    ]
     lines.append("|" + " --- |" * len(table.labels) + " ---: |" * len(table.columns))
     for r in range(len(table.rows)):
         cells = [table.text(r, c) for c in range(len(table.columns))]
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
         lines.append(markdown_row([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
-        lines += ["", *(f"- {markdown_text(note)}" for note in table.notes), *(f"- {meaning}" for meaning in table.meanings)]
+        lines += [
+            "",
+            *(f"- {markdown_text(note)}" for note in table.notes),
+            *(f"- {meaning}" for meaning in table.meanings),
+        ]
     return "\n".join(lines) + "\n"
 
 
 def csv_text(table: Table) -> str:
-    """Render CSV: unscaled numbers, a line per row; `_sd`, `_low`, `_high` and `_delta` columns where the table has any, `seeds` last."""
+    """Render CSV: unscaled numbers, a line per row; `_sd`, `_low`, `_high` and `_delta` columns
+    where the table has any, `seeds` last.
+    """
     columns = data_columns(table)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -85,30 +104,44 @@ def csv_text(table: Table) -> str:
 
 
 def data_columns(table: Table) -> dict[str, list[Any]]:
-    """Return the columns of a data file by name: labels as texts, unscaled numbers, None where they are undefined; `seeds` last."""
+    """Return the columns of a data file by name: labels as texts, unscaled numbers, None where
+    they are undefined; `seeds` last.
+    """
     parts = [_parts(row) for row in table.rows]
     columns: dict[str, list[Any]] = {}
     for i, label in enumerate(table.labels):
-        columns[label.lower().replace(" ", "_")] = [(row.names or row.labels)[i] for row in table.rows]
+        columns[label.lower().replace(" ", "_")] = [
+            (row.names or row.labels)[i] for row in table.rows
+        ]
     for c, column in enumerate(table.columns):
-        for name in ("", *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts))):
+        for name in (
+            "",
+            *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts)),
+        ):
             columns[column.key + name] = [row[c][name] for row in parts]
     columns["seeds"] = [max((value.n for value in row.values), default=0) for row in table.rows]
     return columns
 
 
-PARTS = ("", "_sd", "_low", "_high", "_delta")  # what a data file may say of a value: endings of its column's key
+# what a data file may say of a value: endings of its column's key
+PARTS = ("", "_sd", "_low", "_high", "_delta")
 
 
 def _parts(row: Row) -> list[dict[str, float | None]]:
-    spans = ((None, None) if value.interval is None else (value.interval.low, value.interval.high) for value in row.values)
+    spans = (
+        (None, None) if value.interval is None else (value.interval.low, value.interval.high)
+        for value in row.values
+    )
     return [
-        dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True)) for value, span in zip(row.values, spans, strict=True)
+        dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True))
+        for value, span in zip(row.values, spans, strict=True)
     ]
 
 
 def plain(number: float | None) -> str | float:
-    """Return a number for a data file, empty where it is undefined. Twelve decimals: the last bits of a sum differ between machines."""
+    """Return a number for a data file, empty where it is undefined. Twelve decimals: the last
+    bits of a sum differ between machines.
+    """
     if number is None or not math.isfinite(number):
         return ""
     return round(number, 12) + (0.0 if isinstance(number, float) else 0)
@@ -117,46 +150,81 @@ def plain(number: float | None) -> str | float:
 def terminal(table: Table, width: int = 120) -> Group:
     """Render for a console of `width` characters; best values are bold, second best underlined.
 
-    What does not fit is left out: spreads, then optional columns from the last one on, then brackets.
+    What does not fit is left out: spreads, then optional columns from the last one on, then
+    brackets.
     """
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
     spare = [c for c in every if table.columns[c].optional]
     fewer = [tuple(c for c in every if c not in spare[kept:]) for kept in range(len(spare), -1, -1)]
-    attempts = ((every, True, True), *((shown, False, True) for shown in fewer), (fewer[-1], False, False))
+    attempts = (
+        (every, True, True),
+        *((shown, False, True) for shown in fewer),
+        (fewer[-1], False, False),
+    )
     for attempt in attempts:
         rich, least = _rich(table, width, *attempt)
         if least <= width:
             break
     shown, *parts = attempt
-    cut = any(table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown)
+    cut = any(
+        table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown
+    )
     hidden = " and ".join(["columns"] * (len(shown) < len(every)) + ["spreads and brackets"] * cut)
     if hidden:
-        notes.append(f"{hidden[0].upper()}{hidden[1:]} hidden; widen the terminal, or see the files.")
+        notes.append(
+            f"{hidden[0].upper()}{hidden[1:]} hidden; widen the terminal, or see the files."
+        )
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 
-def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta: bool) -> tuple[RichTable, int]:
+def _rich(
+    table: Table, width: int, shown: tuple[int, ...], spread: bool, delta: bool
+) -> tuple[RichTable, int]:
     """A table of some columns, and the least width at which only its headings wrap."""
     texts = [[table.text(r, c, spread, delta) for c in shown] for r in range(len(table.rows))]
     headings = [table.columns[c].heading for c in shown]
-    labels = [max(map(len, column)) for column in zip(table.labels, *(row.labels for row in table.rows), strict=True)]
+    labels = [
+        max(map(len, column))
+        for column in zip(table.labels, *(row.labels for row in table.rows), strict=True)
+    ]
     numbers = [max(map(len, column)) for column in zip(*texts, strict=True)] or [0] * len(shown)
     loose = [max(number, len(heading)) for number, heading in zip(numbers, headings, strict=True)]
-    tight = [max(number, *map(len, heading.split())) for number, heading in zip(numbers, headings, strict=True)]
-    frame = sum(labels) + 2 * (len(labels) + len(shown))  # each column has a space and a rule beside it
-    rich = RichTable(title=escape(table.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    tight = [
+        max(number, *map(len, heading.split()))
+        for number, heading in zip(numbers, headings, strict=True)
+    ]
+    # each column has a space and a rule beside it
+    frame = sum(labels) + 2 * (len(labels) + len(shown))
+    rich = RichTable(
+        title=escape(table.title),
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
     rich.padding = (0, 1, 0, 0)
     fits = frame + sum(tight) <= width
     for label, size in zip(table.labels, labels, strict=True):
-        rich.add_column(escape(label), width=size if fits else None)  # a label may wrap, a number may not
-    for heading, size in zip(headings, loose if frame + sum(loose) <= width else tight, strict=True):
+        # a label may wrap, a number may not
+        rich.add_column(escape(label), width=size if fits else None)
+    for heading, size in zip(
+        headings, loose if frame + sum(loose) <= width else tight, strict=True
+    ):
         rich.add_column(escape(heading), justify="right", width=size)
     for r, line in enumerate(texts):
         if r and table.starts_group(r):
             rich.add_section()
-        styles = ("bold green" if (r, c) in table.marks else "underline" if (r, c) in table.seconds else "" for c in shown)
-        cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]  # as a part: the blanks beside it have no style
+        styles = (
+            "bold green"
+            if (r, c) in table.marks
+            else "underline"
+            if (r, c) in table.seconds
+            else ""
+            for c in shown
+        )
+        # as a part: the blanks beside it have no style
+        cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]
         rich.add_row(*(Text(label) for label in table.shown_labels(r)), *cells)
     return rich, frame + sum(tight)
 
@@ -164,35 +232,98 @@ def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta:
 WIDE = 5  # columns of numbers from which on a table spans both columns of a page
 
 SPECIAL = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
-    "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}",
-    '"': "''", "`": "{}`", "[": "{[}", "]": "{]}", "*": "{*}",
-    "±": r"$\pm$", "↑": r"$\uparrow$", "↓": r"$\downarrow$", "→": r"$\rightarrow$", "×": r"$\times$", "·": r"$\cdot$", "²": "$^2$",
-    "≤": r"$\leq$", "≥": r"$\geq$", "≠": r"$\neq$", "≈": r"$\approx$", "∞": r"$\infty$", "‖": r"$\|$", "−": "$-$",
-    "α": r"$\alpha$", "β": r"$\beta$", "γ": r"$\gamma$", "δ": r"$\delta$", "ε": r"$\epsilon$", "κ": r"$\kappa$", "λ": r"$\lambda$",
-    "μ": r"$\mu$", "π": r"$\pi$", "ρ": r"$\rho$", "σ": r"$\sigma$", "τ": r"$\tau$", "Δ": r"$\Delta$", "Σ": r"$\Sigma$",
-    "–": "--", "—": "---", "‘": "`", "’": "'", "“": "``", "”": "''", "…": r"\dots{}",
-}  # fmt: skip
-"""What stands for a character. In braces, `[` and `*` do not belong to the end of the line above."""
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "#": r"\#",
+    "_": r"\_",
+    "%": r"\%",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': "''",
+    "`": "{}`",
+    "[": "{[}",
+    "]": "{]}",
+    "*": "{*}",
+    "±": r"$\pm$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "→": r"$\rightarrow$",
+    "×": r"$\times$",
+    "·": r"$\cdot$",
+    "²": "$^2$",
+    "≤": r"$\leq$",
+    "≥": r"$\geq$",
+    "≠": r"$\neq$",
+    "≈": r"$\approx$",
+    "∞": r"$\infty$",
+    "‖": r"$\|$",
+    "−": "$-$",
+    "α": r"$\alpha$",
+    "β": r"$\beta$",
+    "γ": r"$\gamma$",
+    "δ": r"$\delta$",
+    "ε": r"$\epsilon$",
+    "κ": r"$\kappa$",
+    "λ": r"$\lambda$",
+    "μ": r"$\mu$",
+    "π": r"$\pi$",
+    "ρ": r"$\rho$",
+    "σ": r"$\sigma$",
+    "τ": r"$\tau$",
+    "Δ": r"$\Delta$",
+    "Σ": r"$\Sigma$",
+    "–": "--",
+    "—": "---",
+    "‘": "`",
+    "’": "'",
+    "“": "``",
+    "”": "''",
+    "…": r"\dots{}",
+}
+"""What stands for a character. In braces, `[` and `*` do not belong to the end of the line
+above.
+"""
 
 JOINED = re.compile(r"([-,'`])(?=\1)")  # neighbours that LaTeX would print as one character
 
 ACCENTS = {
-    "\u0300": "`", "\u0301": "'", "\u0302": "^", "\u0303": "~", "\u0304": "=", "\u0306": "u", "\u0307": ".", "\u0308": '"',
-    "\u030a": "r", "\u030b": "H", "\u030c": "v", "\u0327": "c",
-}  # fmt: skip
+    "\u0300": "`",
+    "\u0301": "'",
+    "\u0302": "^",
+    "\u0303": "~",
+    "\u0304": "=",
+    "\u0306": "u",
+    "\u0307": ".",
+    "\u0308": '"',
+    "\u030a": "r",
+    "\u030b": "H",
+    "\u030c": "v",
+    "\u0327": "c",
+}
 """Commands of combining characters."""
 
 
 def latex(table: Table) -> str:
-    """Render a `table` environment, `table*` for a wide one, with the notes in its caption and in comments above it."""
+    """Render a `table` environment, `table*` for a wide one, with the notes in its caption and
+    in comments above it.
+    """
     return "\n".join(_lines(table)) + "\n"
 
 
 def escaped(text: str) -> str:
-    """Return any text on one line, as LaTeX prints it; a character that plain pdfLaTeX does not have is named by its code point."""
+    """Return any text on one line, as LaTeX prints it; a character that plain pdfLaTeX does not
+    have is named by its code point.
+    """
     pieces = JOINED.split(unicodedata.normalize("NFC", " ".join(text.split())))
-    return "".join(f"{piece}{{}}" if i % 2 else "".join(map(_escaped, piece)) for i, piece in enumerate(pieces))
+    return "".join(
+        f"{piece}{{}}" if i % 2 else "".join(map(_escaped, piece)) for i, piece in enumerate(pieces)
+    )
 
 
 def _escaped(character: str) -> str:
@@ -209,12 +340,19 @@ def _escaped(character: str) -> str:
 def _lines(table: Table) -> Iterator[str]:
     shown = [c for c, column in enumerate(table.columns) if not column.optional]
     absent = ", ".join(column.title for column in table.columns if column.optional)
-    comments = [r"Needs \usepackage{booktabs}.", *table.notes, *table.meanings, *[f"Left out: {absent}."] * bool(absent)]
+    comments = [
+        r"Needs \usepackage{booktabs}.",
+        *table.notes,
+        *table.meanings,
+        *[f"Left out: {absent}."] * bool(absent),
+    ]
     yield from (f"% {' '.join(comment.split())}" for comment in comments)
     environment = "table*" if len(shown) > WIDE else "table"
     yield rf"\begin{{{environment}}}"
     yield r"\centering\small"
-    marks = ["Best values are bold."] * bool(table.marks) + ["Second best values are underlined."] * bool(table.seconds)
+    marks = ["Best values are bold."] * bool(table.marks) + [
+        "Second best values are underlined."
+    ] * bool(table.seconds)
     title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
     notes = [note for note in table.notes if not WHOLE.match(note)]
     yield rf"\caption{{{escaped(' '.join([title, *marks, *notes]))}}}"
@@ -227,8 +365,21 @@ def _lines(table: Table) -> Iterator[str]:
             yield r"\midrule"
         cells = []
         for c in shown:
-            text = table.text(r, c).replace("-", "$-$").replace("+", "$+$").replace("±", r"$\pm$").replace("[", "{[}").replace("]", "{]}")
-            command = r"\textbf" if (r, c) in table.marks else r"\underline" if (r, c) in table.seconds else None
+            text = (
+                table.text(r, c)
+                .replace("-", "$-$")
+                .replace("+", "$+$")
+                .replace("±", r"$\pm$")
+                .replace("[", "{[}")
+                .replace("]", "{]}")
+            )
+            command = (
+                r"\textbf"
+                if (r, c) in table.marks
+                else r"\underline"
+                if (r, c) in table.seconds
+                else None
+            )
             cells.append(text if command is None else f"{command}{{{text}}}")
         yield _line([*map(escaped, table.shown_labels(r)), *cells])
     yield r"\bottomrule"
@@ -251,7 +402,8 @@ def rendered(template: str, /, **values: Any) -> Markup:
     """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
-    return Markup(templates(TEMPLATES).get_template(template).render(values))  # every value in it has been escaped
+    # every value in it has been escaped
+    return Markup(templates(TEMPLATES).get_template(template).render(values))
 
 
 def trusted(name: str) -> Markup:
@@ -262,14 +414,20 @@ def trusted(name: str) -> Markup:
 
 @cache
 def templates(*folders: tuple[str, str]) -> Environment:
-    """Return the templates in some folders of packages, which escape; of one name the first folder's."""
+    """Return the templates in some folders of packages, which escape; of one name the first
+    folder's.
+    """
     # Imported here: most commands write no HTML.
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=ChoiceLoader(list(starmap(PackageLoader, folders))), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip
+        loader=ChoiceLoader(list(starmap(PackageLoader, folders))),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
     environment.globals |= {"plain": plain, "data_uri": data_uri}
     return environment
 
@@ -278,11 +436,18 @@ def data_uri(data: bytes, mime: str) -> str:
     return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text, "tex": latex, "html": html}
+RENDERERS: dict[str, Callable[[Table], str]] = {
+    "md": markdown,
+    "csv": csv_text,
+    "tex": latex,
+    "html": html,
+}
 
 
 def make_own(folder: Path, names: Iterable[str] = ()) -> None:
-    """Make the folder of a report, without links of these names, which would pass for files of its own; a StoreError where it is one."""
+    """Make the folder of a report, without links of these names, which would pass for files of
+    its own; a StoreError where it is one.
+    """
     if folder.is_symlink():
         raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
     folder.mkdir(parents=True, exist_ok=True)
@@ -292,19 +457,28 @@ def make_own(folder: Path, names: Iterable[str] = ()) -> None:
 
 
 def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table]) -> list[Path]:
-    """Write pages (name: text) and every table in every format; returns the files, the pages first."""
+    """Write pages (name: text) and every table in every format; returns the files, the pages
+    first.
+    """
     texts = dict(pages)
-    texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
+    texts |= {
+        f"{table.name}.{ending}": render(table)
+        for table in tables
+        for ending, render in RENDERERS.items()
+    }
     for name, text in texts.items():
         replace_file(folder / name, text)
     return [folder / name for name in texts]
 
 
-READABLE = "/ =+"  # characters that stand in an address as they are; a browser is given %20 for a space
+# characters that stand in an address as they are; a browser is given %20 for a space
+READABLE = "/ =+"
 
 
 def cell_address(cell: str, episode: int | None = None, step: int | None = None) -> str:
-    """Return where a cell (its label or key), an episode of it or a decision stands: `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`."""
+    """Return where a cell (its label or key), an episode of it or a decision stands:
+    `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
+    """
     place = f"/cell/{quote(cell, READABLE)}"
     place += "" if episode is None else f"/episode/{episode}"
     return place if step is None else f"{place}?step={step}"

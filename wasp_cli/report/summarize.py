@@ -1,4 +1,6 @@
-"""The report of a run as one value: made from a results folder, printed, or written as Markdown, HTML and single files."""
+"""The report of a run as one value: made from a results folder, printed, or written as
+Markdown, HTML and single files.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,48 @@ from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan
 from wasp_cli.report import provenance
 from wasp_cli.report.claims import VerdictReport, judge
-from wasp_cli.report.claims_text import numbers_table, verdict_html, verdict_markdown, verdict_terminal
-from wasp_cli.report.figures import CAPTIONS, ENDINGS, cost_return_figure, figure_files, necessity_figure, profile_figure, severity_figure
+from wasp_cli.report.claims_text import (
+    numbers_table,
+    verdict_html,
+    verdict_markdown,
+    verdict_terminal,
+)
+from wasp_cli.report.figures import (
+    CAPTIONS,
+    ENDINGS,
+    cost_return_figure,
+    figure_files,
+    necessity_figure,
+    profile_figure,
+    severity_figure,
+)
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
-from wasp_cli.report.render import RENDERERS, cell_address, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
+from wasp_cli.report.render import (
+    RENDERERS,
+    cell_address,
+    make_own,
+    markdown,
+    markdown_text,
+    rendered,
+    terminal,
+    trusted,
+    write_pages,
+)
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.main import FURTHER, ablation_table, in_words, main_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.trained import Trained, duration, numbers_text, trained_artifacts, trained_markdown, training_tables, with_warnings
+from wasp_cli.report.trained import (
+    Trained,
+    duration,
+    numbers_text,
+    trained_artifacts,
+    trained_markdown,
+    training_tables,
+    with_warnings,
+)
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
@@ -39,12 +72,35 @@ from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "operators", "severity",
-    "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
-)  # fmt: skip
+    "table1",
+    "table2",
+    "figure3",
+    "paper",
+    "training",
+    "world_model",
+    "statistics",
+    "operators",
+    "severity",
+    "autonomy",
+    "details",
+    "latency",
+    "thresholds",
+    "people",
+    "questionnaires",
+    "order",
+    "timing",
+)
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(  # every file that a report can write
-    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+    {
+        *PAGES,
+        *(
+            f"{name}.{ending}"
+            for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS))
+            for name in names
+            for ending in endings
+        ),
+    }
 )
 TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 """Tables and figures that stand on the page of what was trained."""
@@ -61,12 +117,16 @@ class Report:
     assumptions: tuple[provenance.Assumption, ...]
     damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
     published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
-    remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
+    # what else a reader of the tables has to know; `facts` has it too
+    remarks: tuple[str, ...] = ()
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
-    notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
-    judging: Callable[[], VerdictReport] | None = None  # of the paper's claims; None where nothing was evaluated
+    # what somebody noted about the cells; `facts` says what is left out for it
+    notes: tuple[Note, ...] = ()
+    # of the paper's claims; None where nothing was evaluated
+    judging: Callable[[], VerdictReport] | None = None
 
-    # Both are made when they are first asked for: the terminal's tables need not wait for their intervals.
+    # Both are made when they are first asked for: the terminal's tables need not wait for their
+    # intervals.
     @cached_property
     def verdict(self) -> VerdictReport | None:
         return None if self.judging is None else self.judging()
@@ -86,7 +146,9 @@ class Report:
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
-        """Print the front tables, and name what is missing. The main results come last: they are what stays on a small screen."""
+        """Print the front tables, and name what is missing. The main results come last: they
+        are what stays on a small screen.
+        """
         for table in self.shown[:0:-1]:
             console.print(terminal(table, console.width))
         for fact in (*self.published, *self.remarks):
@@ -112,18 +174,28 @@ class Report:
         evidence: bool = False,
         redraw: bool = True,
     ) -> list[Path]:
-        """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
+        """Write every table in every format, the figures, `report.md` and `report.html`; returns
+        the files, the pages first.
 
-        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with `evidence` trained parts are drawn too. Unless
-        asked to `redraw`, figures stay where an earlier report says the same: they take most of the time.
+        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with
+        `evidence` trained parts are drawn too. Unless asked to `redraw`, figures stay where an
+        earlier report says the same: they take most of the time.
         """
         make_own(folder, (*KNOWN, "trained"))
         page = folder / PAGES[0]
-        ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")  # else what is there already is a person's
+        # else what is there already is a person's
+        ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
         figures = [] if redraw else self._kept(folder)
         figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
-        films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
-        texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
+        films = (
+            ()
+            if draw is None
+            else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
+        )
+        texts = {
+            "report.md": self.markdown([path.name for path in figures]),
+            "report.html": self.html(figures, films),
+        }
         pages = write_pages(folder, texts, self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
         for name in KNOWN - {path.name for path in (*pages, *figures)} if ours else ():
@@ -132,27 +204,58 @@ class Report:
             return [*pages, *figures]
         from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
 
-        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"), anew=ours)]
+        return [
+            *pages,
+            *figures,
+            *write_evidence(
+                self.layout,
+                self.trained,
+                folder,
+                lambda part: tell(f"pictures of {part}"),
+                anew=ours,
+            ),
+        ]
 
     def _kept(self, folder: Path) -> list[Path]:
-        figures = [path for stem in CAPTIONS for path in (folder / f"{stem}.{ending}" for ending in ENDINGS) if path.is_file()]
+        figures = [
+            path
+            for stem in CAPTIONS
+            for path in (folder / f"{stem}.{ending}" for ending in ENDINGS)
+            if path.is_file()
+        ]
         page = folder / "report.md"
-        return figures if page.is_file() and page.read_bytes() == self.markdown([path.name for path in figures]).encode() else []
+        return (
+            figures
+            if page.is_file()
+            and page.read_bytes() == self.markdown([path.name for path in figures]).encode()
+            else []
+        )
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
+        parts = [
+            f"# Report: {self.name}\n",
+            "".join(f"- {markdown_text(fact)}\n" for fact in self.facts),
+        ]
         if self.missing:
-            lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
+            lines = "".join(
+                f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing
+            )
             parts.append(
-                f"## Missing cells\n\n{missing_words(self.frame)}. Their rows are marked, and nothing stands in for them.\n\n{lines}"
+                f"## Missing cells\n\n{missing_words(self.frame)}. Their rows are marked, "
+                f"and nothing stands in for them.\n\n{lines}"
             )
         if self.verdict is not None:
             parts.append(verdict_markdown(self.verdict))
         parts += [markdown(table) for table in self.shown]
-        parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
+        parts += [
+            f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")
+        ]
         parts += [markdown(table) for table in self.further]
         if self.notes:
-            parts.append("## Notes\n\n" + "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes)))
+            parts.append(
+                "## Notes\n\n"
+                + "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes))
+            )
         if self.trained:
             parts.append(trained_markdown(self.trained))
         parts.append(provenance.assumptions_markdown(self.assumptions))
@@ -160,20 +263,35 @@ class Report:
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
-        shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
+        shown = [
+            {"name": stem, "data": svgs[stem].read_bytes(), "caption": caption}
+            for stem, caption in CAPTIONS.items()
+            if stem in svgs
+        ]
         page = rendered(
-            "page.html", report=self, verdict=None if self.verdict is None else verdict_html(self.verdict),
+            "page.html",
+            report=self,
+            verdict=None if self.verdict is None else verdict_html(self.verdict),
             gaps=missing_words(self.frame) if self.missing else None,
-            tables=[table for table in self.shown if table.name not in TRAINING], further=self.further,
+            tables=[table for table in self.shown if table.name not in TRAINING],
+            further=self.further,
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
-            films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
+            films=[
+                {"task": each.task, "title": task_title(each.task), "content": film_page(each)}
+                for each in films
+            ],
             training_tables=[table for table in self.shown if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys), notes=lines_of(self.notes),
-            style=trusted("style.css"), script=trusted("sort.js") + trusted("script.js"), task_title=task_title,
-            cell_address=cell_address, duration=duration, numbers_text=numbers_text,
+            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
+            notes=lines_of(self.notes),
+            style=trusted("style.css"),
+            script=trusted("sort.js") + trusted("script.js"),
+            task_title=task_title,
+            cell_address=cell_address,
+            duration=duration,
+            numbers_text=numbers_text,
             as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
-        )  # fmt: skip
+        )
         return str(page)
 
 
@@ -182,8 +300,14 @@ def missing_words(frame: Frame) -> str:
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
     if frame.unbranched:
-        parts.append(f"{len(frame.unbranched)} of {len(frame.judged) + len(frame.unbranched)} sets of counterfactual branches")
-    return f"{' and '.join(parts)} {'is' if len(frame.missing) + len(frame.unbranched) == 1 else 'are'} missing"
+        parts.append(
+            f"{len(frame.unbranched)} of {len(frame.judged) + len(frame.unbranched)} sets "
+            "of counterfactual branches"
+        )
+    return (
+        f"{' and '.join(parts)} "
+        f"{'is' if len(frame.missing) + len(frame.unbranched) == 1 else 'are'} missing"
+    )
 
 
 def name_missing(console: Console, missing: Sequence[Missing]) -> None:
@@ -193,10 +317,15 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
         console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
 
 
-def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
+def draw_figures(
+    layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path
+) -> list[Path]:
     of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
-    for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
+    for name, figure in (
+        ("learning", draw_learning(layout, trained)),
+        ("reliability", draw_reliability(layout, trained)),
+    ):
         files += [] if figure is None else figure_files(figure, folder, name)
     return files
 
@@ -211,10 +340,12 @@ def report_run(
     unknown: Sequence[str] = (),
     absent: Sequence[str] = (),
 ) -> Report:
-    """Summarise the cells and the trained parts of a run, each with the key of its artifact, against the numbers and claims of a paper.
+    """Summarise the cells and the trained parts of a run, each with the key of its artifact,
+    against the numbers and claims of a paper.
 
-    `branched` are the cells whose interventions are judged, with the keys of their counterfactual branches. `unknown` is what the record of
-    the run has that this version does not know, and `absent` whose cells are left out, since it is not installed here, each as a sentence.
+    `branched` are the cells whose interventions are judged, with the keys of their counterfactual
+    branches. `unknown` is what the record of the run has that this version does not know, and
+    `absent` whose cells are left out, since it is not installed here, each as a sentence.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
@@ -223,44 +354,86 @@ def report_run(
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
-    roots = [(kind, key) for kind, things in ((KIND, cells), (COUNTERFACTUAL, branched)) for _, key in things]
+    roots = [
+        (kind, key)
+        for kind, things in ((KIND, cells), (COUNTERFACTUAL, branched))
+        for _, key in things
+    ]
     roots += [(part.kind, key) for part, key in parts]
     origins = provenance.Origins()
     trained, unreadable = trained_artifacts(layout, roots, origins)
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
-    # What nothing needs is no gap in a run that took published results; in any other one it once was there.
-    gone = provenance.absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
+    # What nothing needs is no gap in a run that took published results; in any other one it once
+    # was there.
+    gone = (
+        provenance.absent_parts(layout, parts, spec.stages)
+        if published and not stored.missing
+        else []
+    )
     if gone:
         why = "since published results were used in place of what reads them"
-        published.append(f"{len(gone)} trained parts were not computed, {why}: {', '.join(dict.fromkeys(part.kind for part in gone))}.")
-        # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
+        published.append(
+            f"{len(gone)} trained parts were not computed, {why}: "
+            f"{', '.join(dict.fromkeys(part.kind for part in gone))}."
+        )
+        # Of a stage that is there for other seeds the absent part stays: a mean over some of the
+        # seeds has to say so.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
         parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
     remarks = (*left_out, *origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
-    judged = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.operator != PERSON for cell in frame.cells)
+    judged = (
+        paper is not None
+        and paper.tasks & {*spec.tasks}
+        and any(cell.identity.operator != PERSON for cell in frame.cells)
+    )
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
     front += people_tables(sittings)
-    front += [table for table in (ablation_table(frame), necessity_table(frame)) if table is not None]
-    front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
+    front += [
+        table for table in (ablation_table(frame), necessity_table(frame)) if table is not None
+    ]
+    front += training_tables(
+        parts, trained, {key: f"failed: {text}" for key, text in failures.items()}
+    )
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
-    facts = (*([people_fact(sittings)] if sittings else ()), *_facts(spec, frame), *published, *remarks, *unknown, *damaged)
+    facts = (
+        *([people_fact(sittings)] if sittings else ()),
+        *_facts(spec, frame),
+        *published,
+        *remarks,
+        *unknown,
+        *damaged,
+    )
     return Report(
-        name=spec.name, layout=layout, facts=facts, shown=tuple(front), frame=frame, trained=trained,
-        assumptions=tuple(provenance.assumptions_in_force(spec)), damaged=tuple(damaged), published=tuple(published), remarks=remarks,
-        judging=partial(judge, frame, paper, spec) if paper is not None and judged else None, keys=keys, notes=tuple(notes),
-    )  # fmt: skip
+        name=spec.name,
+        layout=layout,
+        facts=facts,
+        shown=tuple(front),
+        frame=frame,
+        trained=trained,
+        assumptions=tuple(provenance.assumptions_in_force(spec)),
+        damaged=tuple(damaged),
+        published=tuple(published),
+        remarks=remarks,
+        judging=partial(judge, frame, paper, spec) if paper is not None and judged else None,
+        keys=keys,
+        notes=tuple(notes),
+    )
 
 
 def wanted_cells(
-    layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
+    layout: Layout,
+    spec: Spec,
+    cells: Sequence[tuple[Cell, str]],
+    branched: Sequence[tuple[Cell, str]] = (),
 ) -> tuple[list[Wanted], list[str]]:
-    """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
+    """List the cells of a run with their places, and with what is known of why they are not there;
+    and which records do not read.
 
     `branched` are those with counterfactual branches, each with the key of these.
     """
@@ -271,7 +444,12 @@ def wanted_cells(
 
     def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
-        known = {"severity": cell.severity, "blocked": blocked.get(key), "branches": branches, "chain_seed": spec.training_seed}
+        known = {
+            "severity": cell.severity,
+            "blocked": blocked.get(key),
+            "branches": branches,
+            "chain_seed": spec.training_seed,
+        }
         failure = _failure(layout, key, damaged) if key in failed else None
         return Wanted.stored(layout, kind, key, identity_of(cell), label, failure=failure, **known)
 
@@ -289,30 +467,48 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 
 
 def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -> dict[str, str]:
-    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
+    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the
+    last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
+    Not as the spec would be laid out now: that imports the environments that it names, and these
+    results may be untrusted.
     """
     nodes = last_plan(layout, spec.name) if failed else {}
     causes: dict[str, str] = {}
     for node in nodes.values():
-        upstream = [needed for needed in node.needs if needed in nodes and (needed in failed or needed in causes)]
+        upstream = [
+            needed
+            for needed in node.needs
+            if needed in nodes and (needed in failed or needed in causes)
+        ]
         if upstream:
             first = nodes[upstream[0]]
-            causes[node.key] = causes.get(first.key) or f"{first.label}, which failed: {_failure(layout, first.key, damaged)}"
+            causes[node.key] = (
+                causes.get(first.key)
+                or f"{first.label}, which failed: {_failure(layout, first.key, damaged)}"
+            )
     return causes
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+    return CellIdentity(
+        cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
+    )
 
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
     episodes = sum(cell.count for cell in frame.cells)
-    yield f"{len(frame.cells)} of {total} cells, {episodes} episodes." if total else "Training only: the spec lists no methods."
+    yield (
+        f"{len(frame.cells)} of {total} cells, {episodes} episodes."
+        if total
+        else "Training only: the spec lists no methods."
+    )
     yield f"Preset `{spec.preset}`, {spec.action_repeat} env steps per decision step."
     if spec.training_seed is not None:
-        yield f"All evaluation seeds share the models of training seed {spec.training_seed}: ± does not contain the spread of training."
+        yield (
+            f"All evaluation seeds share the models of training seed {spec.training_seed}: ± "
+            "does not contain the spread of training."
+        )
     elif len(spec.seeds) > 1 and total:
         yield "Every seed has its own models, so ± contains the spread of training."

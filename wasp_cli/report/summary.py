@@ -1,6 +1,8 @@
-"""From cells to a row of a table: means over cells, spread over seeds, and how coarse that spread is.
+"""From cells to a row of a table: means over cells, spread over seeds, and how coarse that spread
+is.
 
-Episodes of one seed share its trained models, so they are not independent: the unit of every spread is the seed.
+Episodes of one seed share its trained models, so they are not independent: the unit of every spread
+is the seed.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pair
 from wasp_cli.store.tables import ADDED
 
 HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
-"""Columns of an episode that say what happened and what was corrected, not why; without those that only rows of late versions have."""
+"""Columns of an episode that say what happened and what was corrected, not why; without those
+that only rows of late versions have.
+"""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,9 @@ class Interval:
 
     @property
     def words(self) -> str:
-        """Return what it is: of two or three clusters no more than their range, since one resample in 27 draws the same of three."""
+        """Return what it is: of two or three clusters no more than their range, since one
+        resample in 27 draws the same of three.
+        """
         if self.clusters <= FEW:
             return f"range of {'two' if self.clusters == 2 else 'three'} {self.unit}s"
         return f"95 % interval over {self.clusters} {self.unit}s"
@@ -53,7 +59,9 @@ UNDEFINED = Value(None, ranked=False)
 
 
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
-    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
+    """Return per seed the mean of a pooled column over its cells; cells without it, or that
+    leave it undefined, are left out.
+    """
     by_seed: dict[int, list[float]] = {}
     for cell in defining(cells, key):
         by_seed.setdefault(cell.identity.seed, []).append(cell.pooled[key])
@@ -70,7 +78,9 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
 
 
 def summarise(cells: Sequence[CellNumbers], key: str) -> Value:
-    """Return the mean over seeds; it has no spread where seeds have cells under other conditions, which differ by more than chance."""
+    """Return the mean over seeds; it has no spread where seeds have cells under other
+    conditions, which differ by more than chance.
+    """
     value = over_seeds(seed_means(cells, key).values())
     return value if even(defining(cells, key)) else replace(value, sd=None)
 
@@ -83,27 +93,47 @@ def even(cells: Iterable[CellNumbers]) -> bool:
     return len({frozenset(conditions) for conditions in by_seed.values()}) <= 1
 
 
-def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
+def over_episodes(
+    cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]
+) -> Value:
     """Reduce a column [E] over the episodes of all cells together; the value has no spread."""
     columns = [cell.episodes[key] for cell in cells]
-    defined = np.concatenate([column[~np.isnan(column)] for column in columns]) if columns else np.empty(0)
+    defined = (
+        np.concatenate([column[~np.isnan(column)] for column in columns])
+        if columns
+        else np.empty(0)
+    )
     if not len(defined):
         return UNDEFINED
-    return Value(float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False)
+    return Value(
+        float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False
+    )
 
 
-def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
-    """Return the mean difference to the reference over the cells and worlds that both have (`pairs_of`)."""
+def paired_difference(
+    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str
+) -> float | None:
+    """Return the mean difference to the reference over the cells and worlds that both have
+    (`pairs_of`).
+    """
     differences: dict[int, list[float]] = {}
     for cell, other in pairs_of(cells, reference, key):
         differences.setdefault(cell.identity.seed, []).append(cell.pooled[key] - other.pooled[key])
-    return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
+    return (
+        float(np.mean([np.mean(numbers) for numbers in differences.values()]))
+        if differences
+        else None
+    )
 
 
-def same_episodes(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]) -> tuple[int, int]:
-    """Count the episodes that went as the reference's did in the same world, and all that both have.
+def same_episodes(
+    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
+) -> tuple[int, int]:
+    """Count the episodes that went as the reference's did in the same world, and all that both
+    have.
 
-    They went alike when what happened and what was corrected is equal to the bit. Gates may differ, and times do.
+    They went alike when what happened and what was corrected is equal to the bit. Gates may differ,
+    and times do.
     """
     same = total = 0
     for cell, other in pairs_of(cells, reference, "cost"):
@@ -121,5 +151,8 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
     if not seeds:
         return "No cell has been computed yet."
     if seeds == 1:
-        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; more seeds say more."
+        return (
+            "One seed: no ±, and nothing is marked as best. Differences between methods may be "
+            "chance; more seeds say more."
+        )
     return f"± is the standard deviation over the means of {seeds} seeds, not over episodes."

@@ -1,4 +1,6 @@
-"""The report of a sweep: a table with a row for each assistant and value, printed, written, or for machines."""
+"""The report of a sweep: a table with a row for each assistant and value, printed, written, or
+for machines.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,23 @@ from wasp_cli.spec.load import Sweep
 from wasp_cli.store.tables import CellIdentity
 
 REFERENCE = "human"
-COLUMNS = (*main.PAPER_COLUMNS, *(column for column in main.MORE_COLUMNS if column.key == "mag_int"))
+COLUMNS = (
+    *main.PAPER_COLUMNS,
+    *(column for column in main.MORE_COLUMNS if column.key == "mag_int"),
+)
 UNTOUCHED = "-"  # the value of a method whose cells are the same for every value
-UNTOUCHED_NOTE = f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are the same for every value."
-DIFFERENCE = "In brackets: mean difference to Human-only over the operators, severities and seeds that both have."
-CHOICE = "The best of several values looks better than it is: choose on seeds that no table uses, and report on others."
+UNTOUCHED_NOTE = (
+    f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are "
+    "the same for every value."
+)
+DIFFERENCE = (
+    "In brackets: mean difference to Human-only over the operators, severities and seeds that "
+    "both have."
+)
+CHOICE = (
+    "The best of several values looks better than it is: choose on seeds that no table uses, "
+    "and report on others."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +47,16 @@ class Swept:
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
     frame: Frame
-    keys: Mapping[CellIdentity, str]  # the key of each wanted cell; two values share a cell when its key is the same
+    # the key of each wanted cell; two values share a cell when its key is the same
+    keys: Mapping[CellIdentity, str]
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
-    reference: tuple[CellNumbers, ...]  # the cells of Human-only under the same value; empty for itself, and where it does not run
+    # the cells of Human-only under the same value; empty for itself, and where it does not run
+    reference: tuple[CellNumbers, ...]
 
     @property
     def text(self) -> str:
@@ -48,29 +64,49 @@ class Line:
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """Return the numbers of the row. Human-only corrects nothing, so the columns of autonomy have no difference to it."""
+        """Return the numbers of the row. Human-only corrects nothing, so the columns of
+        autonomy have no difference to it.
+        """
         pairs = zip(main.values(self.group, COLUMNS), COLUMNS, strict=True)
         return tuple(
-            value if column.key in main.AUTONOMY else replace(value, delta=paired_difference(self.group.cells, self.reference, column.key))
+            value
+            if column.key in main.AUTONOMY
+            else replace(
+                value, delta=paired_difference(self.group.cells, self.reference, column.key)
+            )
             for value, column in pairs
         )
 
     def as_json(self) -> dict[str, Any]:
         facts: dict[str, Any] = {
-            "task": self.group.task, "method": self.group.method, "variant": self.group.variant,
-            "touched": self.swept is not None, "value": None if self.swept is None else self.swept.value,
-            "cells": len(self.group.cells), "missing": self.group.absent,
-        }  # fmt: skip
+            "task": self.group.task,
+            "method": self.group.method,
+            "variant": self.group.variant,
+            "touched": self.swept is not None,
+            "value": None if self.swept is None else self.swept.value,
+            "cells": len(self.group.cells),
+            "missing": self.group.absent,
+        }
         numbers = zip(COLUMNS, self.values, strict=True)
-        return facts | {c.key: {"mean": v.mean, "sd": v.sd, "difference": v.delta, "seeds": v.n} for c, v in numbers}
+        return facts | {
+            c.key: {"mean": v.mean, "sd": v.sd, "difference": v.delta, "seeds": v.n}
+            for c, v in numbers
+        }
 
 
 def lines(swept: Sequence[Swept]) -> list[Line]:
-    """List a line for each assistant and value, in the order of the spec; one for an assistant that the setting does not touch."""
+    """List a line for each assistant and value, in the order of the spec; one for an assistant
+    that the setting does not touch.
+    """
     by_value = [{group.assistant: group for group in groups(point.frame)} for point in swept]
     result = []
-    for assistant in dict.fromkeys(assistant for by_assistant in by_value for assistant in by_assistant):
-        keys = [frozenset(key for identity, key in point.keys.items() if row_of(identity) == assistant) for point in swept]
+    for assistant in dict.fromkeys(
+        assistant for by_assistant in by_value for assistant in by_assistant
+    ):
+        keys = [
+            frozenset(key for identity, key in point.keys.items() if row_of(identity) == assistant)
+            for point in swept
+        ]
         same = len(set(keys)) == 1
         for point, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
             if assistant in by_assistant:
@@ -83,7 +119,9 @@ def lines(swept: Sequence[Swept]) -> list[Line]:
 
 
 def combined(key: str, swept: Sequence[Swept]) -> Frame:
-    """Join the cells of all values, each once; a missing cell is named with the value that it belongs to."""
+    """Join the cells of all values, each once; a missing cell is named with the value that it
+    belongs to.
+    """
     cells: dict[str, CellNumbers] = {}
     missing: dict[str, Missing] = {}
     order: dict[str, CellIdentity] = {}
@@ -91,8 +129,12 @@ def combined(key: str, swept: Sequence[Swept]) -> Frame:
         order |= {point.keys[identity]: identity for identity in point.frame.order}
         cells |= {point.keys[cell.identity]: cell for cell in point.frame.cells}
         for gap in point.frame.missing:
-            shared = all(other.keys.get(gap.identity) == point.keys[gap.identity] for other in swept)
-            missing[point.keys[gap.identity]] = gap if shared else replace(gap, label=f"{gap.label} [{key}={point.text}]")
+            shared = all(
+                other.keys.get(gap.identity) == point.keys[gap.identity] for other in swept
+            )
+            missing[point.keys[gap.identity]] = (
+                gap if shared else replace(gap, label=f"{gap.label} [{key}={point.text}]")
+            )
     return Frame(tuple(cells.values()), tuple(missing.values()), tuple(order.values()))
 
 
@@ -103,7 +145,8 @@ class SweepReport:
     key: str
     swept: tuple[Swept, ...]
     damaged: tuple[str, ...] = ()  # records that do not read
-    remarks: tuple[str, ...] = ()  # what was published or left out, and what else a reader of the table has to know
+    # what was published or left out, and what else a reader of the table has to know
+    remarks: tuple[str, ...] = ()
 
     @cached_property
     def frame(self) -> Frame:
@@ -123,7 +166,15 @@ class SweepReport:
             *[DIFFERENCE] * any(line.reference for line in rows_of),
             *[UNTOUCHED_NOTE] * any(line.swept is None for line in rows_of),
         )
-        return Table("sweep", f"Values of {self.key}", ("Task", "Method", self.key), COLUMNS, tuple(rows), notes, meanings)
+        return Table(
+            "sweep",
+            f"Values of {self.key}",
+            ("Task", "Method", self.key),
+            COLUMNS,
+            tuple(rows),
+            notes,
+            meanings,
+        )
 
     def terminal(self, console: Console) -> None:
         console.print(terminal(self.table, console.width))
@@ -139,30 +190,55 @@ class SweepReport:
         values = ", ".join(f"`{point.text}`" for point in self.swept)
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
-            f"{len(self.frame.cells)} of {len(self.frame.order)} different cells, {sum(cell.count for cell in self.frame.cells)} episodes.",
+            f"{len(self.frame.cells)} of {len(self.frame.order)} different cells, "
+            f"{sum(cell.count for cell in self.frame.cells)} episodes.",
             *map(markdown_text, (*self.remarks, *self.damaged)),
         ]
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
         if self.missing:
-            lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
+            lines = "".join(
+                f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing
+            )
             parts.append(f"## Missing cells\n\n{lines}")
         return "\n".join([*parts, markdown(self.table)])
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "name": self.name, "spec": self.spec, "setting": self.key, "values": [point.value for point in self.swept],
-            "rows": [line.as_json() for line in lines(self.swept)], "remarks": [*self.remarks],
+            "name": self.name,
+            "spec": self.spec,
+            "setting": self.key,
+            "values": [point.value for point in self.swept],
+            "rows": [line.as_json() for line in lines(self.swept)],
+            "remarks": [*self.remarks],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
-        }  # fmt: skip
+        }
 
 
-def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
+def report_sweep(
+    results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]
+) -> SweepReport:
     swept: list[Swept] = []
     damaged: list[str] = []
     remarks: list[str] = []
     for point, asked in zip(sweep.points, cells, strict=True):
         report = report_run(results, point.loaded.spec, asked)
         damaged += report.damaged
-        remarks += [f"{sweep.key} = {point.text}: {fact}" for fact in (*report.published, *report.remarks)]
-        swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in asked}))
-    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(remarks))
+        remarks += [
+            f"{sweep.key} = {point.text}: {fact}" for fact in (*report.published, *report.remarks)
+        ]
+        swept.append(
+            Swept(
+                point.text,
+                point.value,
+                report.frame,
+                {identity_of(cell): key for cell, key in asked},
+            )
+        )
+    return SweepReport(
+        sweep.name,
+        sweep.spec,
+        sweep.key,
+        tuple(swept),
+        tuple(dict.fromkeys(damaged)),
+        tuple(remarks),
+    )

@@ -1,6 +1,8 @@
-"""What travels to a worker and what comes back (names and plain values, never tensors), and what a running node says of itself.
+"""What travels to a worker and what comes back (names and plain values, never tensors), and what a
+running node says of itself.
 
-And how a run and its nodes are ended early: Ctrl-C and SIGTERM for the run; a time limit, and being taken back, for each node.
+And how a run and its nodes are ended early: Ctrl-C and SIGTERM for the run; a time limit, and being
+taken back, for each node.
 """
 
 from __future__ import annotations
@@ -38,9 +40,11 @@ class NodeJob:
     axes: Mapping[str, Any]
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    inputs: Mapping[str, tuple[str, str]]  # kind and key of the upstream artifacts, by the name under which the stage reads them
+    # kind and key of the upstream artifacts, by the name under which the stage reads them
+    inputs: Mapping[str, tuple[str, str]]
     sources: Mapping[str, str]  # hash by module of the code that decides the result
-    earlier: str | None = None  # key of the same artifact with fewer episodes, whose rows may be taken over
+    # key of the same artifact with fewer episodes, whose rows may be taken over
+    earlier: str | None = None
     attempt: int = 1
     threads: int = 1
     limit: float | None = None  # seconds that it may take; None for no limit
@@ -56,33 +60,48 @@ class NodeResult:
 
     key: str
     state: State
-    """`shared`: another run computed it; `busy`: another one computes it now; `skipped`: the run is to end; `unseen`: no results folder."""
+    """`shared`: another run computed it; `busy`: another one computes it now; `skipped`: the
+    run is to end; `unseen`: no results folder.
+    """
     seconds: float
     summary: Mapping[str, Any] = field(default_factory=dict)
     message: str = ""
     hint: str | None = None
     log: str = ""
     by_chance: bool = False
-    """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck), so that another attempt may succeed."""
+    """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck),
+    so that another attempt may succeed.
+    """
 
 
 SECONDS = 1.0
 
 
 class Heartbeat:
-    """Keeps the file of a running node until the node ends, however it does. After a kill the file stays, and tells who was running."""
+    """Keeps the file of a running node until the node ends, however it does. After a kill the
+    file stays, and tells who was running.
+    """
 
     def __init__(self, path: Path, job: NodeJob) -> None:
         self._path = path
         self.deaths = 0
-        """Processes that died in this run while they computed the node. A scheduler of somebody else's gives it to the next one."""
+        """Processes that died in this run while they computed the node. A scheduler of somebody
+        else's gives it to the next one.
+        """
         try:
-            if (left := read_record(path)) is not None:  # an earlier attempt did not live to remove it
+            # an earlier attempt did not live to remove it
+            if (left := read_record(path)) is not None:
                 self.deaths = 1 + int(left.get("deaths", 0))
         except ArtifactError:
             self.deaths = 1
         # What does not change while it runs.
-        self.fixed: dict[str, object] = {"label": job.label, "kind": job.kind, **this_process(), "started": _now(), "deaths": self.deaths}
+        self.fixed: dict[str, object] = {
+            "label": job.label,
+            "kind": job.kind,
+            **this_process(),
+            "started": _now(),
+            "deaths": self.deaths,
+        }
         self._share, self._text = 0.0, ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")
@@ -92,8 +111,16 @@ class Heartbeat:
         self._share, self._text = min(max(float(share), 0.0), 1.0), text
 
     def write(self) -> None:
-        """Write it now. A full disk, or a folder that was moved, must not end the node here: its own writing will."""
-        record = {**self.fixed, "share": self._share, "text": self._text, "at": _now(), "memory_mb": memory_mb()}
+        """Write it now. A full disk, or a folder that was moved, must not end the node here:
+        its own writing will.
+        """
+        record = {
+            **self.fixed,
+            "share": self._share,
+            "text": self._text,
+            "at": _now(),
+            "memory_mb": memory_mb(),
+        }
         with suppress(OSError):
             replace_file(self._path, dumps(record))
 
@@ -119,10 +146,19 @@ def forget(path: Path) -> None:
 
 
 def memory_mb() -> float:
-    """Return the memory of this process that is in use, in MB; where the system does not tell, the most that it ever was."""
-    with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as file:
+    """Return the memory of this process that is in use, in MB; where the system does not tell,
+    the most that it ever was.
+    """
+    with (
+        suppress(OSError, ValueError, IndexError),
+        open("/proc/self/statm", encoding="ascii") as file,
+    ):
         return round(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3), 1)
+    return round(
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        / (1e6 if sys.platform == "darwin" else 1e3),
+        1,
+    )
 
 
 def _now() -> str:
@@ -135,9 +171,12 @@ def this_process() -> dict[str, object]:
 
 
 def boot_id() -> str | None:
-    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
+    """Name the time since this machine started, so that a process id can be told from an older
+    one; None where unknown.
+    """
     with suppress(OSError, ValueError):
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
+        # Linux only
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None
     return None
 
 
@@ -162,7 +201,9 @@ class Stop:
 
 @contextmanager
 def listening(stop: Stop) -> Iterator[None]:
-    """Turn signals into requests to stop. One that this process was started to ignore (`nohup`) stays ignored."""
+    """Turn signals into requests to stop. One that this process was started to ignore (`nohup`)
+    stays ignored.
+    """
 
     def ask(number: int, frame: object) -> None:
         stop.ask()
@@ -183,16 +224,19 @@ HINT = "allow more time with --timeout; the log shows where it was"
 
 
 class _Overdue(BaseException):
-    """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
+    """Python raises a class in another thread, not an instance; what it means is said where it
+    arrives.
+    """
 
 
 @contextmanager
 def interruptible(limit: float | None, marker: Path, own_process: bool) -> Iterator[None]:
     """Raise TimeLimitExceeded in the block after `limit` seconds.
 
-    In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
-    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours;
-    `marker` then has text, so that whoever finds it gone knows why.
+    In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's
+    process (a dask worker) hears of it between two Python instructions. Code that never comes back
+    to Python is ended with its process, where that is ours; `marker` then has text, so that whoever
+    finds it gone knows why.
     """
     if limit is None:
         yield
@@ -206,7 +250,9 @@ def interruptible(limit: float | None, marker: Path, own_process: bool) -> Itera
         if main:
             signal.pthread_kill(thread, signal.SIGUSR1)
         else:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(_Overdue))
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                ctypes.c_ulong(thread), ctypes.py_object(_Overdue)
+            )
 
     def ring(number: int, frame: object) -> None:
         if not over.is_set():
@@ -219,7 +265,9 @@ def interruptible(limit: float | None, marker: Path, own_process: bool) -> Itera
         with _ended_over(limit, marker) if own_process else nullcontext():
             yield
     except _Overdue:
-        raise TimeLimitExceeded(f"it took longer than the limit of {duration(limit)}", HINT) from None
+        raise TimeLimitExceeded(
+            f"it took longer than the limit of {duration(limit)}", HINT
+        ) from None
     finally:
         over.set()
         watcher.join()

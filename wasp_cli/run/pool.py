@@ -1,7 +1,9 @@
-"""The workers of a run: processes of loky, this process, those of a dask scheduler or a ray cluster, or Slurm jobs.
+"""The workers of a run: processes of loky, this process, those of a dask scheduler or a ray
+cluster, or Slurm jobs.
 
-Only jobs travel: keys, paths and plain values. Each node is a task of its own, since what it needs is only there when another one ends.
-Every machine has to see the results folder under the same path and to run the same source: a worker that does not refuses to publish.
+Only jobs travel: keys, paths and plain values. Each node is a task of its own, since what it needs
+is only there when another one ends. Every machine has to see the results folder under the same path
+and to run the same source: a worker that does not refuses to publish.
 """
 
 from __future__ import annotations
@@ -31,7 +33,11 @@ from wasp_cli.store.layout import Layout
 
 PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
 BACKENDS = ("loky", *PACKAGES)
-EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379", "slurm": "--scheduler partition=cpu,time=720,mem=8GB"}
+EXAMPLES = {
+    "dask": "--scheduler tcp://HOST:8786",
+    "ray": "--scheduler HOST:6379",
+    "slurm": "--scheduler partition=cpu,time=720,mem=8GB",
+}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 CONNECT_SECONDS = 20
 CLOSE_SECONDS = 5
@@ -40,18 +46,25 @@ COUNT_SECONDS = 2.0  # between two looks at the workers of a dask scheduler
 
 
 class WorkersDied(Exception):
-    """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
+    """A worker process was killed; the results that were not yet given are lost, artifacts are
+    not.
+    """
 
 
 class Pool(ABC):
     jobs = 1  # nodes at once
     name = ""
-    local = False  # whether nodes share this machine, and one process that is killed takes the others along
-    gone: str | None = None  # how to start workers, where all have gone and what was given to them waits; None as long as there are some
+    # whether nodes share this machine, and one process that is killed takes the others along
+    local = False
+    # how to start workers, where all have gone and what was given to them waits; None as long as
+    # there are some
+    gone: str | None = None
 
     @abstractmethod
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node; nobody submits more than `jobs` at a time. It ends with WorkersDied where any worker was killed."""
+        """Begin to compute a node; nobody submits more than `jobs` at a time. It ends with
+        WorkersDied where any worker was killed.
+        """
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
         return self.submit(job)
@@ -64,9 +77,15 @@ class Pool(ABC):
 def require_backend(backend: str, scheduler: str | None) -> None:
     package = PACKAGES.get(backend)
     if package is None and scheduler is not None:
-        raise UsageError("--scheduler is for the backends dask, ray and slurm", f"wasp run SPEC --backend dask {EXAMPLES['dask']}")
+        raise UsageError(
+            "--scheduler is for the backends dask, ray and slurm",
+            f"wasp run SPEC --backend dask {EXAMPLES['dask']}",
+        )
     if package is not None and find_spec(package) is None:
-        raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
+        raise UsageError(
+            f"the backend {backend} needs the package '{package}'",
+            f"pip install 'wasp-cli[{backend}]'",
+        )
     if backend == "slurm":
         require_slurm(scheduler)
     elif scheduler is not None:
@@ -76,7 +95,9 @@ def require_backend(backend: str, scheduler: str | None) -> None:
 
 
 def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
-    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. dask and ray bring their own number."""
+    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. dask and
+    ray bring their own number.
+    """
     if backend == "dask":
         return DaskPool(scheduler)
     if backend == "ray":
@@ -86,7 +107,9 @@ def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
     return LokyPool(jobs) if jobs else InlinePool()
 
 
-def _passed_on(running: Future[NodeResult], translated: Callable[[BaseException], BaseException]) -> Future[NodeResult]:
+def _passed_on(
+    running: Future[NodeResult], translated: Callable[[BaseException], BaseException]
+) -> Future[NodeResult]:
     result: Future[NodeResult] = Future()
 
     def told(ended: Future[NodeResult]) -> None:
@@ -120,8 +143,11 @@ class LokyPool(Pool):
         self.jobs = jobs
         self._workers: Any = None
         self._single: list[Any] = []  # executors of nodes alone
-        # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
-        warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
+        # loky takes a loaded world model for a memory leak, replaces the worker and says so;
+        # nothing is lost.
+        warnings.filterwarnings(
+            "ignore", message="A worker stopped while some jobs", category=UserWarning
+        )
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         if self._workers is None:
@@ -168,12 +194,15 @@ def _new_workers(count: int) -> Any:
 
 @contextmanager
 def signals_wait() -> Iterator[None]:
-    """Hold back signals while processes start. They begin with this thread's mask; one that is not ready would end with a traceback."""
+    """Hold back signals while processes start. They begin with this thread's mask; one that is
+    not ready would end with a traceback.
+    """
     from multiprocessing import resource_tracker as of_python
 
     from joblib.externals.loky.backend import resource_tracker
 
-    for tracker in (resource_tracker, of_python):  # a worker needs both, and each lifts the mask when it starts
+    # a worker needs both, and each lifts the mask when it starts
+    for tracker in (resource_tracker, of_python):
         tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -183,10 +212,13 @@ def signals_wait() -> Iterator[None]:
 
 
 def start_worker(parent: int) -> None:
-    """Prepare a worker process: being stopped is the parent's business, and without a parent there is nobody to work for."""
+    """Prepare a worker process: being stopped is the parent's business, and without a parent
+    there is nobody to work for.
+    """
     for number in SIGNALS:  # a terminal and a service manager send theirs to the whole group
         signal.signal(number, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # children of this process begin with its mask
+    # children of this process begin with its mask
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_end_with, args=(parent,), daemon=True, name="parent-watch").start()
 
 
@@ -210,8 +242,14 @@ class DaskPool(Pool):
         threads = self._client.nthreads().values()
         if not threads or max(threads) > 1:
             self._client.close()
-            several = "a dask worker has several threads; nodes set threads, logs and memory of their whole process"
-            raise UsageError(several if threads else f"the dask scheduler at '{scheduler}' has no workers", self._starts)
+            several = (
+                "a dask worker has several threads; nodes set threads, logs and memory of "
+                "their whole process"
+            )
+            raise UsageError(
+                several if threads else f"the dask scheduler at '{scheduler}' has no workers",
+                self._starts,
+            )
         self.jobs = len(threads)
         self._pending: set[Future[NodeResult]] = set()
         self._number = count()
@@ -234,15 +272,20 @@ class DaskPool(Pool):
                         result.set_exception(WorkersDied(str(error)))
                     else:
                         result.set_exception(_lost(described(error) if error else ended.status))
-                except Exception as error:  # the scheduler died just now: what a worker computed cannot be fetched
+                except Exception as error:
+                    # the scheduler died just now: what a worker computed cannot be fetched
                     result.set_exception(_lost(described(error)))
             self._pending.discard(result)
 
-        self._client.submit(execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False).add_done_callback(told)
+        self._client.submit(
+            execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False
+        ).add_done_callback(told)
         return result
 
     def _watch(self) -> None:
-        """Give up what is pending where the scheduler is gone: its futures would wait for ever. Look whether there are workers."""
+        """Give up what is pending where the scheduler is gone: its futures would wait for ever.
+        Look whether there are workers.
+        """
         looked = time.monotonic()
         while not self._closed.wait(POLL_SECONDS):
             status = self._client.status
@@ -252,7 +295,8 @@ class DaskPool(Pool):
                     with suppress(InvalidStateError):
                         result.set_exception(_lost(status))
             elif status == "running" and time.monotonic() - looked > COUNT_SECONDS:
-                with suppress(Exception):  # whatever it says of a scheduler that goes away just now: the next look tells
+                # whatever it says of a scheduler that goes away just now: the next look tells
+                with suppress(Exception):
                     self.gone = None if self._client.nthreads() else self._starts
                 looked = time.monotonic()
 
@@ -263,14 +307,21 @@ class DaskPool(Pool):
 
 
 def _lost(reason: str) -> WaspError:
-    return WaspError(f"the dask scheduler is lost ({reason})", "start it again, then run again: finished nodes are kept")
+    return WaspError(
+        f"the dask scheduler is lost ({reason})",
+        "start it again, then run again: finished nodes are kept",
+    )
 
 
 def _require_answer(backend: str, address: str) -> None:
-    """See that something listens at an address: the libraries' own attempts take minutes, and print what helps nobody."""
+    """See that something listens at an address: the libraries' own attempts take minutes, and
+    print what helps nobody.
+    """
     match = re.fullmatch(r"(?:\w+://)?\[?([^/\]]+)\]?:(\d+)/?", address)
     if match is None:
-        raise UsageError(f"'{address}' is not the address of a {backend} scheduler", EXAMPLES[backend])
+        raise UsageError(
+            f"'{address}' is not the address of a {backend} scheduler", EXAMPLES[backend]
+        )
     try:
         socket.create_connection((match[1], int(match[2])), timeout=CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
@@ -278,8 +329,12 @@ def _require_answer(backend: str, address: str) -> None:
 
 
 def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
-    reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
-    return UsageError(f"no {backend} scheduler answers at '{address}': {reason[:200].lower()}", STARTS[backend])
+    reason = " ".join(
+        (getattr(error, "strerror", None) or str(error) or type(error).__name__).split()
+    )
+    return UsageError(
+        f"no {backend} scheduler answers at '{address}': {reason[:200].lower()}", STARTS[backend]
+    )
 
 
 class RayPool(Pool):
@@ -300,7 +355,11 @@ class RayPool(Pool):
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         def translated(error: BaseException) -> BaseException:
             # ray has many ways to say that a worker or its machine is gone
-            return error if isinstance(error, self._ray.exceptions.RayTaskError) else WorkersDied(str(error))
+            return (
+                error
+                if isinstance(error, self._ray.exceptions.RayTaskError)
+                else WorkersDied(str(error))
+            )
 
         return _passed_on(self._execute.remote(job).future(), translated)
 
@@ -309,7 +368,9 @@ class RayPool(Pool):
 
 
 def slurm_options(text: str | None) -> dict[str, str | int]:
-    """Parse `KEY=VALUE,...`, options of sbatch as submitit names them: `partition=cpu,time=720` (minutes). Raises UsageError."""
+    """Parse `KEY=VALUE,...`, options of sbatch as submitit names them: `partition=cpu,time=720`
+    (minutes). Raises UsageError.
+    """
     options: dict[str, str | int] = {}
     for part in filter(None, (text or "").split(",")):
         match = re.fullmatch(r"\s*([a-z_]+)=(\S+)\s*", part)
@@ -324,12 +385,17 @@ def require_slurm(text: str | None) -> None:
     from submitit import SlurmExecutor
 
     if None in (shutil.which("sbatch"), shutil.which("srun")):
-        raise UsageError("the backend slurm needs sbatch and srun, which are not on this machine", "run it on a login node of the cluster")
+        raise UsageError(
+            "the backend slurm needs sbatch and srun, which are not on this machine",
+            "run it on a login node of the cluster",
+        )
     try:
         SlurmExecutor("slurm").update_parameters(**slurm_options(text))
     except ValueError as error:
         said, *known = re.split(r"\n\s+- (\w+) .*", str(error))
-        raise UsageError(said.partition("\n")[0], f"it knows {', '.join(filter(str.strip, known))}") from error
+        raise UsageError(
+            said.partition("\n")[0], f"it knows {', '.join(filter(str.strip, known))}"
+        ) from error
 
 
 class SlurmPool(Pool):
@@ -339,7 +405,8 @@ class SlurmPool(Pool):
         self.jobs = max(jobs, 1)
         self._options = slurm_options(options)
         self._executor: Any = None
-        self._pending: dict[Future[NodeResult], Any] = {}  # the Slurm job of each result that has not come yet
+        # the Slurm job of each result that has not come yet
+        self._pending: dict[Future[NodeResult], Any] = {}
         self._closed = threading.Event()
         threading.Thread(target=self._watch, daemon=True, name="slurm-watch").start()
 
@@ -349,13 +416,20 @@ class SlurmPool(Pool):
         result: Future[NodeResult] = Future()
         try:
             if self._executor is None:
-                self._executor = SlurmExecutor(Layout(Path(job.root)).run(job.run_id) / "slurm", max_num_timeout=0)
+                self._executor = SlurmExecutor(
+                    Layout(Path(job.root)).run(job.run_id) / "slurm", max_num_timeout=0
+                )
             threads = int(self._options.get("cpus_per_task", job.threads))
-            self._executor.update_parameters(job_name="wasp", **{**self._options, "cpus_per_task": threads})
-            self._pending[result] = self._executor.submit(execute_here, replace(job, threads=threads))
+            self._executor.update_parameters(
+                job_name="wasp", **{**self._options, "cpus_per_task": threads}
+            )
+            self._pending[result] = self._executor.submit(
+                execute_here, replace(job, threads=threads)
+            )
         except Exception as error:  # sbatch refuses in many ways
             reason = " ".join(str(error).split())[-300:]
-            result.set_exception(WorkersDied(f"Slurm takes no job: {reason}"))  # it may take the next one, and others run
+            # it may take the next one, and others run
+            result.set_exception(WorkersDied(f"Slurm takes no job: {reason}"))
         return result
 
     def _watch(self) -> None:
@@ -366,8 +440,11 @@ class SlurmPool(Pool):
                 del self._pending[result]
                 try:
                     result.set_result(job.result())
-                except Exception as error:  # submitit raises one kind for a killed job, another for one that could not begin
-                    result.set_exception(WorkersDied(" ".join(str(error).split())[-300:]))  # its last words, which name the cause
+                except Exception as error:
+                    # submitit raises one kind for a killed job, another for one that could not
+                    # begin
+                    # its last words, which name the cause
+                    result.set_exception(WorkersDied(" ".join(str(error).split())[-300:]))
 
     def close(self, *, kill: bool = False) -> None:
         self._closed.set()

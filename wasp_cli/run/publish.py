@@ -1,7 +1,8 @@
-"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read; and from there to an archive.
+"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone
+may read; and from there to an archive.
 
-What is copied is whole, small, and says where it came from without naming a person's machine. The same layer gives an archive of the same
-bytes.
+What is copied is whole, small, and says where it came from without naming a person's machine. The
+same layer gives an archive of the same bytes.
 """
 
 from __future__ import annotations
@@ -47,10 +48,23 @@ from wasp_cli.store.slim import SLIM, Slimming, slim, steps_kept
 from wasp_cli.tasks.registry import TASKS
 
 PUBLIC = (
-    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "cuda", "started_at", "seconds",
+    "wasp",
+    "git",
+    "python",
+    "versions",
+    "platform",
+    "processor",
+    "cores",
+    "memory_gb",
+    "threads",
+    "cuda",
+    "started_at",
+    "seconds",
     EARLIER,
-)  # fmt: skip
-"""What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
+)
+"""What a published manifest keeps of its provenance. Left out are the host, the command, the
+run and the log.
+"""
 SHORTEST = 4  # characters of a private name at least: a shorter one is found everywhere by chance
 STAGED = "publish"  # where in `tmp/` copies are made
 NAMED = 12  # nodes that a refusal names
@@ -71,45 +85,97 @@ class Publication:
     large: tuple[Item, ...]
     absent: tuple[Node, ...]  # what was not computed because nothing needs it
     reports: tuple[Path, ...]
-    other: bool  # whether the report that is here is of another run than what is published, and left out
+    # whether the report that is here is of another run than what is published, and left out
+    other: bool
 
 
-def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
-    """Return what of a spec can be published: artifacts of at most `largest` bytes, chosen by `--select`; nothing is written.
+def publication(
+    spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str
+) -> Publication:
+    """Return what of a spec can be published: artifacts of at most `largest` bytes, chosen by
+    `--select`; nothing is written.
 
-    With the `reuse` of `none` results of this code alone. An ArtifactError where something is not computed, damaged, or names this machine.
+    With the `reuse` of `none` results of this code alone. An ArtifactError where something is not
+    computed, damaged, or names this machine.
     """
     if not all(recipes_in(target)):
-        raise UsageError(f"'{target.root}' is no folder of published results", "name a new folder, or one that wasp publish has filled")
+        raise UsageError(
+            f"'{target.root}' is no folder of published results",
+            "name a new folder, or one that wasp publish has filled",
+        )
     grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
     refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
     reused = [step.node for step in steps if step.state == "published"]
-    elsewhere = [node for node in reused if artifact.damage(target, node.kind, node.key) is not None]
-    refused += [f"{node.label}: it was published elsewhere, and is not in '{layout.root}'" for node in elsewhere]
-    sources = [(step.node, layout if step.state == "cached" else target) for step in steps if step.state in ("cached", "published")]
+    elsewhere = [
+        node for node in reused if artifact.damage(target, node.kind, node.key) is not None
+    ]
+    refused += [
+        f"{node.label}: it was published elsewhere, and is not in '{layout.root}'"
+        for node in elsewhere
+    ]
+    sources = [
+        (step.node, layout if step.state == "cached" else target)
+        for step in steps
+        if step.state in ("cached", "published")
+    ]
     behind = _behind(grid)
-    items = [_item(node, source, behind[node.key]) for node, source in sources if node not in elsewhere]
+    items = [
+        _item(node, source, behind[node.key]) for node, source in sources if node not in elsewhere
+    ]
     small = [item for item in items if item.size <= largest]
-    there = [item for item in small if artifact.corruption(target, item.node.kind, item.node.key) is None]
+    there = [
+        item for item in small if artifact.corruption(target, item.node.kind, item.node.key) is None
+    ]
     new = [item for item in small if item not in there]
-    old = {path.name: path.read_bytes() for path in target.reports(spec.name).glob("*") if path.is_file()}
+    old = {
+        path.name: path.read_bytes()
+        for path in target.reports(spec.name).glob("*")
+        if path.is_file()
+    }
     folder = layout.within(layout.reports(spec.name))
-    written = [path for path in sorted(folder.glob("*")) if is_name(path.name) and path.is_file() and not path.is_symlink()]
-    last = next((run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name), None)
+    written = [
+        path
+        for path in sorted(folder.glob("*"))
+        if is_name(path.name) and path.is_file() and not path.is_symlink()
+    ]
+    last = next(
+        (
+            run
+            for run_id in run_ids(layout)
+            if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name
+        ),
+        None,
+    )
     # Until the newest run has written its report, what lies there is that of an earlier one.
-    of_last = last is not None and last.nodes.keys() == {node.key for node in grid.nodes} and not layout.reporting(last.run_id).exists()
+    of_last = (
+        last is not None
+        and last.nodes.keys() == {node.key for node in grid.nodes}
+        and not layout.reporting(last.run_id).exists()
+    )
     other = bool(written) and not of_last
     reports = [path for path in written if not other and old.get(path.name) != path.read_bytes()]
     private = _private(layout)
     refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
-    refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
+    refused += [
+        f"'{path}': it names {named}"
+        for path in reports
+        if (named := _named(path.read_bytes(), private))
+    ]
     if refused:
-        lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
+        lines = [
+            f"{len(refused)} results cannot be published:",
+            *first([f"  {text}" for text in refused], NAMED),
+        ]
         lacking = not all(": it names " in text for text in refused)
-        raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code" if lacking else None)
+        raise ArtifactError(
+            "\n".join(lines),
+            "wasp run SPEC --reuse none computes what is missing, with this code"
+            if lacking
+            else None,
+        )
     large = tuple(item for item in items if item.size > largest)
     absent = tuple(step.node for step in steps if step.state == "unneeded")
     return Publication(tuple(new), tuple(there), large, absent, tuple(reports), other)
@@ -119,7 +185,12 @@ def _item(node: Node, source: Layout, behind: Mapping[str, str]) -> Item:
     manifest = artifact.read_manifest(source, node.kind, node.key)
     size = sum(artifact.listed_files(manifest, source.manifest(node.kind, node.key)).values())
     provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
-    return Item(node, source, size, {**manifest, "provenance": provenance, RECIPE: node.recipe, BEHIND: behind})
+    return Item(
+        node,
+        source,
+        size,
+        {**manifest, "provenance": provenance, RECIPE: node.recipe, BEHIND: behind},
+    )
 
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
@@ -140,7 +211,10 @@ def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
     if (wrong := artifact.corruption(item.source, kind, key)) is not None:
         return wrong
     folder = item.source.artifact(kind, key)
-    texts = [artifact.dumps(item.manifest).encode(), *((folder / name).read_bytes() for name in item.manifest["files"])]
+    texts = [
+        artifact.dumps(item.manifest).encode(),
+        *((folder / name).read_bytes() for name in item.manifest["files"]),
+    ]
     named = next(filter(None, (_named(text, private) for text in texts)), None)
     return None if named is None else f"it names {named}"
 
@@ -155,27 +229,40 @@ def _private(layout: Layout) -> dict[str, str]:
         "the home folder": str(Path.home()),
         "this machine": platform.node(),
     }
-    words = {"localhost", "wasp", *METHODS, *OPERATORS, *TASKS, *STAGES}  # a machine of such a name is not told by it
-    return {what: text for what, text in named.items() if len(text) >= SHORTEST and text not in words}
+    # a machine of such a name is not told by it
+    words = {"localhost", "wasp", *METHODS, *OPERATORS, *TASKS, *STAGES}
+    return {
+        what: text for what, text in named.items() if len(text) >= SHORTEST and text not in words
+    }
 
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
     for what, text in private.items():
-        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))  # JSON escapes what is not ASCII, also just before a name
-        if re.search(rf"(?:(?<!\w)|(?<=\\[bfnrt])|(?<=\\u[0-9a-f]{{4}}))({forms})(?!\w)".encode(), data):
+        # JSON escapes what is not ASCII, also just before a name
+        forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))
+        if re.search(
+            rf"(?:(?<!\w)|(?<=\\[bfnrt])|(?<=\\u[0-9a-f]{{4}}))({forms})(?!\w)".encode(), data
+        ):
             return what
     return None
 
 
-def carry_publication(publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed. `slimming` says what the copies leave out."""
+def carry_publication(
+    publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming
+) -> None:
+    """Copy what is new; what is there already stays as it is, and nothing is removed.
+    `slimming` says what the copies leave out.
+    """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
     if not publication.new and not publication.reports:
         return
     target.root.mkdir(parents=True, exist_ok=True)
-    with held(target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")):
-        # What lies there was left by one that was killed: nobody else has the lock. No sweep of a run or of gc touches this folder.
+    with held(
+        target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")
+    ):
+        # What lies there was left by one that was killed: nobody else has the lock. No sweep of a
+        # run or of gc touches this folder.
         staged = target.tmp / STAGED
         artifact.discard(staged)
         try:
@@ -206,17 +293,28 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     staging.mkdir()
     copy_files(layout, kind, key, item.manifest, staging)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
-    artifact.commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
+    artifact.commit(
+        target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})}
+    )
 
 
 def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> int:
-    """Count the cells that were published with the steps of fewer episodes than are asked for, and are here."""
-    pairs = [(item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key)) for item in publication.there]
-    return sum(steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps) for here, there in pairs)
+    """Count the cells that were published with the steps of fewer episodes than are asked for,
+    and are here.
+    """
+    pairs = [
+        (item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key))
+        for item in publication.there
+    ]
+    return sum(
+        steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps)
+        for here, there in pairs
+    )
 
 
 def show_publication(publication: Publication, largest: float) -> None:
-    table = count_table("kind", "new", "size here", "there already")  # copies without steps or images are smaller
+    # copies without steps or images are smaller
+    table = count_table("kind", "new", "size here", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]
         there = sum(item.node.kind == kind for item in publication.there)
@@ -225,21 +323,43 @@ def show_publication(publication: Publication, largest: float) -> None:
     table.add_row("report", str(len(reports)), size(sum(reports)), "-")
     table.add_section()
     total = sum(item.size for item in publication.new) + sum(reports)
-    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
+    table.add_row(
+        "total",
+        str(len(publication.new) + len(reports)),
+        size(total),
+        str(len(publication.there)),
+        style="bold",
+    )
     out().print(table)
     if publication.other:
-        say("left out: the report is not that of the newest run of this spec (wasp run SPEC, then publish again)")
+        say(
+            "left out: the report is not that of the newest run of this spec (wasp run "
+            "SPEC, then publish again)"
+        )
     for item in publication.large:
-        say(f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)")
+        say(
+            f"left out: {item.node.label} has {size(item.size)}, more than "
+            f"{size(round(largest))} (--largest)"
+        )
     if publication.absent:
         kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
-        say(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}")
+        say(
+            f"left out: {len(publication.absent)} nodes that were not computed, since "
+            f"nothing needs them: {kinds}"
+        )
 
 
 def require_archive(file: Path) -> None:
-    """See that an archive can have this name, which is that of the folder in it. Raises UsageError."""
-    if not file.name.endswith(".tar.gz") or not artifact.is_file_name(file.name.removesuffix(".tar.gz")):
-        raise UsageError(f"'{file}' is no name of an archive", f"it ends with .tar.gz: {file.name.partition('.')[0] or 'mine'}.tar.gz")
+    """See that an archive can have this name, which is that of the folder in it. Raises
+    UsageError.
+    """
+    if not file.name.endswith(".tar.gz") or not artifact.is_file_name(
+        file.name.removesuffix(".tar.gz")
+    ):
+        raise UsageError(
+            f"'{file}' is no name of an archive",
+            f"it ends with .tar.gz: {file.name.partition('.')[0] or 'mine'}.tar.gz",
+        )
     if not file.parent.is_dir():
         raise UsageError(f"'{file.parent}' is no folder", "make it, or name another file")
     if file.exists():
@@ -251,16 +371,36 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     if not target.store.is_dir():
         raise StoreError(f"nothing is published in '{target.root}'")
     folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
-    paths = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    paths = sorted(
+        path
+        for folder in folders
+        for path in folder.rglob("*")
+        if path.is_file() and not path.is_symlink()
+    )
     members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
-    again = any(why_not(target, key) is None for key in sorted(artifact.stored_keys(target, EVALUATE)))
-    template = Template(files("wasp_cli.run").joinpath("card.md").read_text(encoding="utf-8"), trim_blocks=True, keep_trailing_newline=True)
+    again = any(
+        why_not(target, key) is None for key in sorted(artifact.stored_keys(target, EVALUATE))
+    )
+    template = Template(
+        files("wasp_cli.run").joinpath("card.md").read_text(encoding="utf-8"),
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
     card = template.render(name=name, version=wasp_cli.__version__, rows=_rows(target), again=again)
     root = Path(__file__).parents[2]
     checkout = (root / "pyproject.toml").is_file()  # else the installed package has it
-    path = root / "LICENSE" if checkout else next(file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE")
+    path = (
+        root / "LICENSE"
+        if checkout
+        else next(
+            file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE"
+        )
+    )
     members |= {"README.md": card.encode(), "LICENSE": Path(str(path)).read_bytes()}
-    sums = "".join(f"{hashlib.sha256(data).hexdigest()}  {member}\n" for member, data in sorted(members.items()))
+    sums = "".join(
+        f"{hashlib.sha256(data).hexdigest()}  {member}\n"
+        for member, data in sorted(members.items())
+    )
     members["SHA256SUMS"] = sums.encode()
     folder = file.name.removesuffix(".tar.gz")
     archive = tar_of({f"{folder}/{member}": data for member, data in sorted(members.items())})

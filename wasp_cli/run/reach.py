@@ -1,7 +1,7 @@
 """`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
 
-That is what the newest run of each spec reaches (see `reach_of_runs`), what the runs reach that are not over, and what a person did: nobody
-can compute it.
+That is what the newest run of each spec reaches (see `reach_of_runs`), what the runs reach that are
+not over, and what a person did: nobody can compute it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,28 @@ from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
 from wasp_cli.run.watch import is_gone, state_of
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, read_record, stored_kinds
+from wasp_cli.store.artifact import (
+    artifact_keys,
+    discard,
+    left_behind,
+    read_manifest,
+    read_record,
+    stored_kinds,
+)
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
 from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.reached import reached
 
-BEGINS_SECONDS = 3600.0  # how long a run may take from making its folder to the first line of its journal
-WORK, FAILURES, RUNS, TMP, LOCKS = LAST = ("work of nodes", "records of failures", "runs", "left in tmp", "locks")
+# how long a run may take from making its folder to the first line of its journal
+BEGINS_SECONDS = 3600.0
+WORK, FAILURES, RUNS, TMP, LOCKS = LAST = (
+    "work of nodes",
+    "records of failures",
+    "runs",
+    "left in tmp",
+    "locks",
+)
 """What can go besides artifacts, as people read it."""
 
 
@@ -44,32 +58,52 @@ class Rubbish:
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
-    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without."""
+    """Return the keys of everything that specs ask for now, with published results in the place
+    of nodes and without.
+    """
     loaded = [load(path, ()).spec for path in specs]
-    return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
+    return {
+        node.key
+        for spec in loaded
+        for reuse in {NONE, spec.reuse}
+        for node in lay_out_over(spec, layout, reuse).nodes
+    }
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """Return what of a results folder can go now; folders of `runs` too, and nothing that was written after `before` (seconds).
+    """Return what of a results folder can go now; folders of `runs` too, and nothing that was
+    written after `before` (seconds).
 
-    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run does not say what it reaches.
+    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run
+    does not say what it reaches.
     """
     kinds: dict[str, list[str]] = {}  # by key those under which it has a folder in the store
     for kind in stored_kinds(layout):
         for key in artifact_keys(layout, kind):
             kinds.setdefault(key, []).append(kind)
-    upstream = {key: [needed for kind in kinds[key] for needed in _upstream(layout, kind, key)] for key in kinds}
+    upstream = {
+        key: [needed for kind in kinds[key] for needed in _upstream(layout, kind, key)]
+        for key in kinds
+    }
     driven = {key for key in kinds if _is_of_people(layout, key, kinds[key])}
-    sessions = {key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)}
+    sessions = {
+        key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)
+    }
     computing = {key for key in _keys(layout.locks) if is_held(layout.lock(key))}
     keys, other_runs = reach_of_runs(layout, driven | sessions)
     readers: dict[str, list[str]] = {}
     for reader, read in upstream.items():
         for key in read:
             readers.setdefault(key, []).append(reader)
-    wanted = {*keys, *keep, *computing, *reached(driven, lambda key: readers.get(key, ()))}  # what people did, and what was made of it
+    # what people did, and what was made of it
+    wanted = {*keys, *keep, *computing, *reached(driven, lambda key: readers.get(key, ()))}
     needed = reached(wanted, lambda key: upstream.get(key, ()))
-    items = [_rubbish(kind, layout.artifact(kind, key), key) for key in kinds if key not in needed for kind in kinds[key]]
+    items = [
+        _rubbish(kind, layout.artifact(kind, key), key)
+        for key in kinds
+        if key not in needed
+        for kind in kinds[key]
+    ]
     items += _leavings(layout, kinds, needed, sessions)
     items = [item for item in items if item.key is None or not is_held(layout.lock(item.key))]
     items += [_rubbish(RUNS, layout.run(run_id), None) for run_id in other_runs if runs]
@@ -79,8 +113,8 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
 def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[str]]:
     """Return the keys that count, and the runs that do not.
 
-    Those are reached by the newest whole run of each spec name, by restricted ones that came later, by the runs that are not over, and by
-    what people did.
+    Those are reached by the newest whole run of each spec name, by restricted ones that came later,
+    by the runs that are not over, and by what people did.
     """
     counting: dict[str, PlannedRun] = {}
     of_people: set[str] = set()
@@ -101,9 +135,12 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
             counting[run_id] = run
         if not run.restricted:
             newest.add(run.spec)
-        if sessions := by_people & run.nodes.keys():  # a report finds a session by the run that asked for it
+        # a report finds a session by the run that asked for it
+        if sessions := by_people & run.nodes.keys():
             of_people.add(run_id)
-            keys |= reached(sessions, lambda key, nodes=run.nodes: nodes[key].needs if key in nodes else ())  # type: ignore[misc]
+            keys |= reached(
+                sessions, lambda key, nodes=run.nodes: nodes[key].needs if key in nodes else ()
+            )  # type: ignore[misc]
     # A sweep that counts keeps the runs of its values: its reports are made from them.
     kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
     keys |= {key for run in counting.values() for key in run.nodes}
@@ -113,10 +150,16 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
     state = state_of(layout, run).state
     with suppress(ArtifactError):  # a full disk
-        record = read_record(layout.reporting(run.run_id)) if state not in ("died", "interrupted") else None
+        record = (
+            read_record(layout.reporting(run.run_id))
+            if state not in ("died", "interrupted")
+            else None
+        )
         if record is not None and not is_gone(record):
             return True
-    return state == "running" or (state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS)
+    return state == "running" or (
+        state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS
+    )
 
 
 def _age(layout: Layout, run_id: str) -> float:
@@ -128,11 +171,17 @@ def _upstream(layout: Layout, kind: str, key: str) -> list[str]:
         upstream = read_manifest(layout, kind, key).get("upstream")
     except ArtifactError:  # it is damaged, and will be computed again from what the plan says
         return []
-    return [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
+    return (
+        [needed for needed in upstream.values() if isinstance(needed, str)]
+        if isinstance(upstream, dict)
+        else []
+    )
 
 
 def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
-    """Whether an artifact is the clone of a person, or a cell that a person drove, a damaged one too."""
+    """Whether an artifact is the clone of a person, or a cell that a person drove, a damaged
+    one too.
+    """
     if KIND not in kinds:
         return "clone" in kinds
     if os.path.lexists(layout.artifact(KIND, key) / SESSION_FILE):
@@ -144,8 +193,12 @@ def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
     return isinstance(axes, dict) and axes.get("operator") == PERSON
 
 
-def _leavings(layout: Layout, stored: Container[str], needed: set[str], sessions: set[str]) -> Iterator[Rubbish]:
-    """What nodes have left beside artifacts. The work of a finished node goes too, unless a person does it."""
+def _leavings(
+    layout: Layout, stored: Container[str], needed: set[str], sessions: set[str]
+) -> Iterator[Rubbish]:
+    """What nodes have left beside artifacts. The work of a finished node goes too, unless a
+    person does it.
+    """
     for key in _keys(layout.works):
         if (key in stored or key not in needed) and key not in sessions:
             yield _rubbish(WORK, layout.work(key), key)
@@ -158,10 +211,16 @@ def _leavings(layout: Layout, stored: Container[str], needed: set[str], sessions
         yield _rubbish(LOCKS, layout.lock(key), key)
 
 
-def _keys(folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = "") -> Iterator[str]:
+def _keys(
+    folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = ""
+) -> Iterator[str]:
     with suppress(FileNotFoundError), os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.endswith(ending) and is_key(entry.name.removesuffix(ending)) and fits(entry):
+            if (
+                entry.name.endswith(ending)
+                and is_key(entry.name.removesuffix(ending))
+                and fits(entry)
+            ):
                 yield entry.name.removesuffix(ending)
 
 
@@ -185,21 +244,35 @@ def _written(path: Path, otherwise: float = 0.0) -> float:
     return otherwise
 
 
-def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:
+def remove_unreached(
+    layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None
+) -> tuple[int, int]:
     """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
 
-    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many things went, and their bytes.
+    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many
+    things went, and their bytes.
     """
     agreed = {item.path for item in shown}
-    # While it is held, no run looks for what is there; what has looked before has written down what it reaches.
+    # While it is held, no run looks for what is there; what has looked before has written down what
+    # it reaches.
     with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
-        return remove(layout, [item for item in unreached(layout, keep, runs=runs, before=before) if item.path in agreed])
+        return remove(
+            layout,
+            [
+                item
+                for item in unreached(layout, keep, runs=runs, before=before)
+                if item.path in agreed
+            ],
+        )
 
 
 def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
-    """Remove what can go, each thing in one step, unless a process has taken its lock meanwhile; how many went, and their bytes."""
+    """Remove what can go, each thing in one step, unless a process has taken its lock
+    meanwhile; how many went, and their bytes.
+    """
     count = freed = 0
-    for item in sorted(items, key=lambda item: item.what == LOCKS):  # locks last: to take one makes its file
+    # locks last: to take one makes its file
+    for item in sorted(items, key=lambda item: item.what == LOCKS):
         if item.what == LOCKS:
             gone = remove_lock(item.path)
         elif item.key is None:
@@ -213,7 +286,9 @@ def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
 
 
 def _remove(layout: Layout, path: Path) -> bool:
-    """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a killed removal is swept by the next run."""
+    """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a
+    killed removal is swept by the next run.
+    """
     layout.tmp.mkdir(exist_ok=True)  # somebody may have removed it
     aside = layout.tmp / f"{uuid.uuid4().hex}-removed"
     try:
@@ -229,10 +304,14 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
         console.print("there is nothing to remove")
         return
     table = count_table("what can go", "count", "size")
-    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [what for what in LAST if any(item.what == what for item in rubbish)]
+    kinds = sorted({item.what for item in rubbish} - set(LAST)) + [
+        what for what in LAST if any(item.what == what for item in rubbish)
+    ]
     for kind in kinds:
         sizes = [item.size for item in rubbish if item.what == kind]
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
     table.add_section()
-    table.add_row("total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold")
+    table.add_row(
+        "total", str(len(rubbish)), size(sum(item.size for item in rubbish)), style="bold"
+    )
     console.print(table)

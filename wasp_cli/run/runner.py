@@ -1,4 +1,6 @@
-"""Carries out a plan: each node once, as soon as what it needs is there; what failed takes only its dependents along."""
+"""Carries out a plan: each node once, as soon as what it needs is there; what failed takes only
+its dependents along.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,13 @@ UNEXPLAINED = 5  # deaths of idle workers that a run lives with
 DEATH_SECONDS = 2.0  # within which the whole pool learns that one of its workers was killed
 LOOK_SECONDS = 0.5
 POLL_SECONDS = 0.1
-ARRIVAL_SECONDS = 60.0  # within which an artifact of another machine is seen here: file systems keep for so long that a name was not there
-ELSEWHERE = "the worker writes to another folder of this name: every machine needs the same one; then run again"
+# within which an artifact of another machine is seen here: file systems keep for so long that a
+# name was not there
+ARRIVAL_SECONDS = 60.0
+ELSEWHERE = (
+    "the worker writes to another folder of this name: every machine needs the same one; then "
+    "run again"
+)
 
 
 @dataclass(frozen=True)
@@ -62,19 +69,33 @@ class Summary:
 
 
 class Runner:
-    def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, limit: float | None = None, retries: int = 0) -> None:
-        """`cores` of this machine that nodes side by side leave free go to physics and cameras; `limit` is in seconds for each node."""
+    def __init__(
+        self,
+        layout: Layout,
+        run_id: str,
+        pool: Pool,
+        *,
+        cores: int = 1,
+        limit: float | None = None,
+        retries: int = 0,
+    ) -> None:
+        """`cores` of this machine that nodes side by side leave free go to physics and cameras;
+        `limit` is in seconds for each node.
+        """
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._limit, self._retries = cores, limit, retries
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0  # deaths of workers that computed nothing
-        self._flying: dict[Future[NodeResult], Flight] = {}  # what workers compute now, in the order in which it began
+        # what workers compute now, in the order in which it began
+        self._flying: dict[Future[NodeResult], Flight] = {}
         self._elsewhere: list[Flight] = []  # what another run computes
         self._suspects: list[Flight] = []  # what ran when a worker was killed
         self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
-        self._deaths: list[tuple[Flight, bool, str]] = []  # lost with workers, not in the journal yet: whether it is a suspect, and why
-        self._begun: Mapping[str, str] = {}  # by key of a cell the key of another one that has its first episodes
+        # lost with workers, not in the journal yet: whether it is a suspect, and why
+        self._deaths: list[tuple[Flight, bool, str]] = []
+        # by key of a cell the key of another one that has its first episodes
+        self._begun: Mapping[str, str] = {}
         self._deserted = self._waits = False
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
@@ -84,15 +105,27 @@ class Runner:
         nodes = plan.to_run()
         self._begun = plan.begun
         self.summary.workers = self._pool.jobs
-        facts = {"nodes": len(nodes), "jobs": self._pool.jobs, "backend": self._pool.name, "locked": self._journal.locked}
+        facts = {
+            "nodes": len(nodes),
+            "jobs": self._pool.jobs,
+            "backend": self._pool.name,
+            "locked": self._journal.locked,
+        }
         self._journal.write("run started", **facts, **this_process())
         try:
             self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
             if self.stop.asked:
                 raise KeyboardInterrupt
-            self._journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
+            self._journal.write(
+                "run ended",
+                done=self.summary.done,
+                failed=len(self.summary.failed),
+                blocked=len(self.summary.blocked),
+            )
         except BaseException as error:
-            self._journal.write("run interrupted", cause=type(error).__name__, done=self.summary.done)
+            self._journal.write(
+                "run interrupted", cause=type(error).__name__, done=self.summary.done
+            )
             raise
         finally:
             self.summary.seconds = time.monotonic() - started
@@ -101,7 +134,9 @@ class Runner:
         return self.summary
 
     def _carry_out(self, schedule: Schedule) -> None:
-        """Keep every worker busy until nothing is left: what ends makes room, and makes ready what has waited for it."""
+        """Keep every worker busy until nothing is left: what ends makes room, and makes ready
+        what has waited for it.
+        """
         while True:
             self._begin(schedule)
             if not self._flying and (self.stop.asked or not (self._elsewhere or len(schedule))):
@@ -109,28 +144,56 @@ class Runner:
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
             if self._deaths:
-                suspects, reason = [flight for flight, suspected, _ in self._deaths if suspected], self._deaths[0][2]
-                held, labels = {flight.node.key: flight.memory for flight in suspects}, [flight.node.label for flight in suspects]
-                self._journal.write("worker killed", suspects=list(held), labels=labels, memory_mb=held, reason=reason)
+                suspects, reason = (
+                    [flight for flight, suspected, _ in self._deaths if suspected],
+                    self._deaths[0][2],
+                )
+                held, labels = (
+                    {flight.node.key: flight.memory for flight in suspects},
+                    [flight.node.label for flight in suspects],
+                )
+                self._journal.write(
+                    "worker killed",
+                    suspects=list(held),
+                    labels=labels,
+                    memory_mb=held,
+                    reason=reason,
+                )
                 self._deaths = []
-            gone = self._pool.gone  # the last worker of a cluster: nothing goes on until one comes back
+            # the last worker of a cluster: nothing goes on until one comes back
+            gone = self._pool.gone
             if (gone is None) == self._deserted:
                 self._deserted = gone is not None
-                self._journal.write("workers gone" if self._deserted else "workers back", backend=self._pool.name, start=gone)
+                self._journal.write(
+                    "workers gone" if self._deserted else "workers back",
+                    backend=self._pool.name,
+                    start=gone,
+                )
 
     def _begin(self, schedule: Schedule) -> None:
         jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked:
-            if self._pool.local and self._flying and (self._suspects or any(flight.alone for flight in self._flying.values())):
+            if (
+                self._pool.local
+                and self._flying
+                and (self._suspects or any(flight.alone for flight in self._flying.values()))
+            ):
                 return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
-                self._flying[self._pool.alone(flight.job)] = replace(flight, alone=True, since=time.monotonic())
+                self._flying[self._pool.alone(flight.job)] = replace(
+                    flight, alone=True, since=time.monotonic()
+                )
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
                 job = self._jobs.pop(node.key, None) or job_of(self._layout, self._run_id, node)
-                job = replace(job, earlier=self._begun.get(node.key), threads=max(1, self._cores // together), limit=self._limit)
+                job = replace(
+                    job,
+                    earlier=self._begun.get(node.key),
+                    threads=max(1, self._cores // together),
+                    limit=self._limit,
+                )
                 self._flying[self._pool.submit(job)] = Flight(node, job)
             elif (waited := self._waited()) is not None:
                 self._flying[self._pool.submit(waited.job)] = waited
@@ -138,8 +201,14 @@ class Runner:
                 return
 
     def _waited(self) -> Flight | None:
-        """A node that another run has computed, or given up: no worker is asked before, which on Slurm is a job each time."""
-        free = (place for place, flight in enumerate(self._elsewhere) if not is_held(self._layout.lock(flight.node.key)))
+        """A node that another run has computed, or given up: no worker is asked before, which
+        on Slurm is a job each time.
+        """
+        free = (
+            place
+            for place, flight in enumerate(self._elsewhere)
+            if not is_held(self._layout.lock(flight.node.key))
+        )
         return self._elsewhere.pop(place) if (place := next(free, None)) is not None else None
 
     def _landed(self) -> list[tuple[Flight, NodeResult | WorkersDied]]:
@@ -152,7 +221,8 @@ class Runner:
             return []
         done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
         if any(map(_death, done)):
-            # A worker that is killed takes its pool along: what else was in flight there is lost in the same moment.
+            # A worker that is killed takes its pool along: what else was in flight there is lost in
+            # the same moment.
             done, _ = wait(self._flying, DEATH_SECONDS)
         # In the order in which they began, so that one machine's luck does not order a journal.
         ended = [future for future in self._flying if future in done]
@@ -160,19 +230,33 @@ class Runner:
 
     def _handle(self, schedule: Schedule, flight: Flight, end: NodeResult | WorkersDied) -> None:
         node, job = flight.node, flight.job
-        result = self._after_death(schedule, flight, str(end)) if isinstance(end, WorkersDied) else end
+        result = (
+            self._after_death(schedule, flight, str(end)) if isinstance(end, WorkersDied) else end
+        )
         if result is None or result.state == "skipped":
             return
         if result.state == "unseen":
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
-            result = self._killed(flight, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
+            result = self._killed(
+                flight, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE
+            )
         if result.state == "busy":
             self._elsewhere.append(replace(flight, alone=False))
-        elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
+        elif (
+            result.state == "failed"
+            and result.by_chance
+            and self._tries.setdefault(node.key, self._retries)
+        ):
             self._tries[node.key] -= 1
             self._jobs[node.key] = replace(job, attempt=job.attempt + 1)
-            self._journal.write("retry", key=job.key, label=job.label, message=result.message, attempt=job.attempt + 1)
+            self._journal.write(
+                "retry",
+                key=job.key,
+                label=job.label,
+                message=result.message,
+                attempt=job.attempt + 1,
+            )
             schedule.put(node)
         else:
             self._ended(node, result)
@@ -182,7 +266,9 @@ class Runner:
                 schedule.ended(node)
 
     def _arrived(self, job: NodeJob) -> bool:
-        """Whether an artifact is here. A shared file system may show it later than on the machine of its worker."""
+        """Whether an artifact is here. A shared file system may show it later than on the
+        machine of its worker.
+        """
         end = time.monotonic() + ARRIVAL_SECONDS
         while not exists(self._layout, job.kind, job.key):
             if not is_seen(self._layout, self._run_id):
@@ -195,8 +281,8 @@ class Runner:
     def _after_death(self, schedule: Schedule, flight: Flight, reason: str) -> NodeResult | None:
         """What became of a node whose worker was killed; None where it runs again.
 
-        One that said that it ran is a suspect, and so is one that had a process for itself. It runs again in a process of its own, so that
-        the one that kills is named and the others finish.
+        One that said that it ran is a suspect, and so is one that had a process for itself. It runs
+        again in a process of its own, so that the one that kills is named and the others finish.
         """
         job, local = flight.job, self._pool.local
         running = self._layout.running(self._run_id, job.key)
@@ -206,16 +292,32 @@ class Runner:
         forget(running)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
-            return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"])
+            return NodeResult(
+                job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"]
+            )
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
-            return self._killed(flight, "it exceeded its time limit and did not stop, so its process was ended", HINT)
+            return self._killed(
+                flight,
+                "it exceeded its time limit and did not stop, so its process was ended",
+                HINT,
+            )
         if flight.alone:
-            memory, message = memory or flight.memory, KILLED if local else f"its process ended twice: {reason}"
-            return self._killed(flight, message + (f"; it last held {memory:.0f} MB" if memory else ""), None)
+            memory, message = (
+                memory or flight.memory,
+                KILLED if local else f"its process ended twice: {reason}",
+            )
+            return self._killed(
+                flight, message + (f"; it last held {memory:.0f} MB" if memory else ""), None
+            )
         self._unexplained += not was_running
-        # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
-        if suspected := was_running or not local or self._unexplained > UNEXPLAINED * self._pool.jobs:
+        # Where workers die again and again before a node can say that it runs, the one that kills
+        # is found one by one.
+        if (
+            suspected := was_running
+            or not local
+            or self._unexplained > UNEXPLAINED * self._pool.jobs
+        ):
             self._suspects.append(replace(flight, memory=memory))
         else:
             self._jobs[job.key] = job
@@ -245,17 +347,30 @@ class Runner:
     def _block(self, lost: Iterable[Node], cause: Node) -> None:
         for node in lost:
             self.summary.blocked.append((node, cause))
-            self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
+            self._journal.write(
+                "blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label
+            )
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
     """Return what is to be known of a node to compute it, in one thread and without a limit."""
     return NodeJob(
-        root=str(layout.root), run_id=run_id, kind=node.kind, key=node.key, label=node.label, task=node.task, seed=node.seed,
-        stage=STAGES[node.kind].target, axes=node.axes, config=node.config, settings=node.settings,
-        inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()}, sources=source_hashes(node.modules),
-        attempt=attempts(layout, node.key) + 1, provenance=provenance(),
-    )  # fmt: skip
+        root=str(layout.root),
+        run_id=run_id,
+        kind=node.kind,
+        key=node.key,
+        label=node.label,
+        task=node.task,
+        seed=node.seed,
+        stage=STAGES[node.kind].target,
+        axes=node.axes,
+        config=node.config,
+        settings=node.settings,
+        inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
+        sources=source_hashes(node.modules),
+        attempt=attempts(layout, node.key) + 1,
+        provenance=provenance(),
+    )
 
 
 def _death(future: Future[NodeResult]) -> WorkersDied | None:

@@ -1,4 +1,5 @@
-"""One `wasp run`, or one `wasp sweep`, from a valid spec to a filled store: plan, pool, board, signals, summary.
+"""One `wasp run`, or one `wasp sweep`, from a valid spec to a filled store: plan, pool, board,
+signals, summary.
 
 A sweep is one run with one plan over all values, so that what they share is computed once.
 """
@@ -37,17 +38,26 @@ CGROUP = Path("/sys/fs/cgroup")  # what limits a container, on Linux
 
 
 def limits(*names: str) -> list[int]:
-    """Return the numbers in files of the container's limits; none where a file is not there, or says that there is no limit."""
+    """Return the numbers in files of the container's limits; none where a file is not there, or
+    says that there is no limit.
+    """
     with suppress(OSError, ValueError):
-        return [int(word) for name in names for word in (CGROUP / name).read_text(encoding="ascii").split()]
+        return [
+            int(word)
+            for name in names
+            for word in (CGROUP / name).read_text(encoding="ascii").split()
+        ]
     return []
 
 
 def cores() -> int:
-    """Return how many cores this process may use: by its affinity, and by the share of time that its container has."""
+    """Return how many cores this process may use: by its affinity, and by the share of time
+    that its container has.
+    """
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     count = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
-    share = limits("cpu.max") or limits("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")  # without a limit: "max", or -1
+    # without a limit: "max", or -1
+    share = limits("cpu.max") or limits("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
     return min(count, math.ceil(share[0] / share[1])) if len(share) == 2 and share[0] > 0 else count
 
 
@@ -60,7 +70,9 @@ class Session:
     names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
 
     def require_complete(self, *also: str) -> None:
-        """Raise CellsFailed when a node failed, which says `also` what else is wrong; StoreError when the journal could not be written."""
+        """Raise CellsFailed when a node failed, which says `also` what else is wrong;
+        StoreError when the journal could not be written.
+        """
         if self.summary.untold is not None:
             raise self.summary.untold
         if not self.summary.complete:
@@ -68,9 +80,19 @@ class Session:
             lines = [f"{len(self.summary.failed)} failed:"] if self.summary.failed else []
             for node, result in self.summary.failed:
                 lines.append(f"  {self.names.get(node.key, node.label)}: {result.message}")
-                lines += [f"      {text}" for text in (result.hint, result.log and f"log: {result.log}") if text]
-            if blocked := [(self.names.get(node.key, node.label), cause) for node, cause in self.summary.blocked]:
-                named = [f"  {name} (needs {self.names.get(cause.key, cause.label)})" for name, cause in blocked]
+                lines += [
+                    f"      {text}"
+                    for text in (result.hint, result.log and f"log: {result.log}")
+                    if text
+                ]
+            if blocked := [
+                (self.names.get(node.key, node.label), cause)
+                for node, cause in self.summary.blocked
+            ]:
+                named = [
+                    f"  {name} (needs {self.names.get(cause.key, cause.label)})"
+                    for name, cause in blocked
+                ]
                 lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
             raise CellsFailed("\n".join([*lines, *also]), f"run the same command again {again}")
 
@@ -84,11 +106,18 @@ class RunOptions:
     retries: int = 0
     backend: str = "loky"
     scheduler: str | None = None
-    reports: bool = False  # whether this process writes a report afterwards, and then removes `Layout.reporting`
+    # whether this process writes a report afterwards, and then removes `Layout.reporting`
+    reports: bool = False
 
 
 def run_spec(
-    loaded: Loaded, results: Path, options: RunOptions, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
+    loaded: Loaded,
+    results: Path,
+    options: RunOptions,
+    chosen: Sequence[str] = (),
+    reuse: str | None = None,
+    *,
+    failed: bool = False,
 ) -> Session:
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
@@ -100,14 +129,23 @@ def run_spec(
 
 
 def _take_back(plan: Plan, layout: Layout) -> None:
-    """Take cells out of use whose steps are needed now, and were left out when they were published."""
+    """Take cells out of use whose steps are needed now, and were left out when they were
+    published.
+    """
     for node in (step.node for step in plan.steps if step.state == "damaged"):
         with suppress(ArtifactError):  # what is damaged otherwise may have been repaired since
             if without_steps(read_manifest(layout, node.kind, node.key)):
                 invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
-def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
+def planned(
+    spec: Spec,
+    results: Path,
+    chosen: Sequence[str] = (),
+    reuse: str | None = None,
+    *,
+    failed: bool = False,
+) -> Plan:
     """Return the plan that `run_spec` would carry out; the results folder need not be there."""
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
@@ -116,7 +154,8 @@ def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | 
 
 @contextmanager
 def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
-    """Yield a results folder that can be written, without what killed runs have left, for workers that are there.
+    """Yield a results folder that can be written, without what killed runs have left, for workers
+    that are there.
 
     Until the plan is written `wasp gc` waits: nothing is removed that no plan reaches.
     """
@@ -128,31 +167,64 @@ def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
         yield layout
 
 
-def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Session:
+def carry_out(
+    plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
+) -> Session:
     for note in plan.grid.notes:
         plain(note)
     # Into the store, so that no worker has to know of them.
-    offers = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
+    offers = [
+        plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"
+    ]
     for offer in offers:
-        import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
+        import_artifact(
+            layout,
+            offer,
+            waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"),
+        )
     if offers:
-        plain("\n  ".join([f"{len(offers)} published results are used:", *reason_lines(plan, "published")]))
+        plain(
+            "\n  ".join(
+                [f"{len(offers)} published results are used:", *reason_lines(plan, "published")]
+            )
+        )
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
-    parts += [f"{len(ended)} {how}" for how, ended in (("failed", summary.failed), ("blocked", summary.blocked)) if ended]
-    busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
+    parts += [
+        f"{len(ended)} {how}"
+        for how, ended in (("failed", summary.failed), ("blocked", summary.blocked))
+        if ended
+    ]
+    busy = (
+        f", workers busy {summary.busy_share:.0%} of it"
+        if summary.done and summary.workers > 1
+        else ""
+    )
     plain(f"{', '.join(parts)} in {duration(summary.seconds)}{busy}")
     return Session(layout, run_id, plan, summary, names)
 
 
-def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:
+def _compute(
+    plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
+) -> Summary:
     nodes = len(plan.to_run())
     side_by_side = simulated(plan.to_run(), durations(plan.to_run(), plan.seconds), None)[1]
-    pool = pool_of(options.backend, min(options.jobs, side_by_side), options.scheduler)  # an idle worker costs memory too
+    # an idle worker costs memory too
+    pool = pool_of(options.backend, min(options.jobs, side_by_side), options.scheduler)
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
-    plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    runner = Runner(layout, run_id, pool, cores=cores() if pool.local else 1, limit=options.limit, retries=options.retries)
+    plain(
+        f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in "
+        f"{layout.run(run_id) / 'logs'}"
+    )
+    runner = Runner(
+        layout,
+        run_id,
+        pool,
+        cores=cores() if pool.local else 1,
+        limit=options.limit,
+        retries=options.retries,
+    )
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
@@ -164,15 +236,23 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
         pool.close(kill=True)
         if not isinstance(error, KeyboardInterrupt):
             raise
-        kept = f"{runner.summary.done + runner.summary.shared} of {nodes} nodes were finished and are kept"
-        raise Interrupted(f"interrupted: {kept}", "run the same command again to continue") from None
+        kept = (
+            f"{runner.summary.done + runner.summary.shared} of {nodes} nodes were finished and "
+            "are kept"
+        )
+        raise Interrupted(
+            f"interrupted: {kept}", "run the same command again to continue"
+        ) from None
     pool.close()
     return summary
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
     published = plan.count("published")
-    return [f"{plan.count('cached') + shared} computed before", *([f"{published} published"] if published else [])]
+    return [
+        f"{plan.count('cached') + shared} computed before",
+        *([f"{published} published"] if published else []),
+    ]
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
@@ -180,10 +260,14 @@ def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Pla
     return plan_against(together(_grids(sweep, layout, reuse)), layout)
 
 
-def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> tuple[Session, tuple[Grid, ...]]:
-    """Compute what is missing of a spec under every value of a setting, in one run over the nodes of all values.
+def run_sweep(
+    sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None
+) -> tuple[Session, tuple[Grid, ...]]:
+    """Compute what is missing of a spec under every value of a setting, in one run over the nodes
+    of all values.
 
-    Returns the run, and what each value asks for. A UsageError where there are no cells, or they are the same under every value.
+    Returns the run, and what each value asks for. A UsageError where there are no cells, or they
+    are the same under every value.
     """
     grids = _grids(sweep, Layout(results.absolute()), reuse)
     with planning(results, options) as layout:
@@ -196,10 +280,18 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | Non
             users.setdefault(node.key, []).append(index)
     for_some = [node for node in plan.grid.nodes if len(users[node.key]) < len(grids)]
     # What is trained for each value is what takes time.
-    trained = ", ".join(dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain")))
+    trained = ", ".join(
+        dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain"))
+    )
     shared = f"{len(users) - len(for_some)} of {len(users)} nodes are the same for all of them"
-    plain(f"{len(grids)} values of {sweep.key}: {shared}" + (f"; trained for each: {trained}" if trained else ""))
-    values = {node.key: ", ".join(sweep.points[index].text for index in users[node.key]) for node in for_some}
+    plain(
+        f"{len(grids)} values of {sweep.key}: {shared}"
+        + (f"; trained for each: {trained}" if trained else "")
+    )
+    values = {
+        node.key: ", ".join(sweep.points[index].text for index in users[node.key])
+        for node in for_some
+    }
     names = {node.key: f"{node.label} [{sweep.key}={values[node.key]}]" for node in for_some}
     return carry_out(plan, layout, run_id, options, names), grids
 
@@ -208,8 +300,14 @@ def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
     grids = tuple(lay_out_over(point.loaded.spec, layout, reuse) for point in sweep.points)
     cells = [frozenset(node.key for _, node in grid.cells) for grid in grids]
     if not any(cells):
-        raise UsageError("there is nothing to compare: the spec evaluates no method", "list methods and operators in the spec")
+        raise UsageError(
+            "there is nothing to compare: the spec evaluates no method",
+            "list methods and operators in the spec",
+        )
     if len(set(cells)) == 1:
         methods = ", ".join(sweep.points[0].loaded.spec.methods)
-        raise UsageError(f"'{sweep.key}' changes no cell of {methods}: every value would have the same rows", "choose others with --method")
+        raise UsageError(
+            f"'{sweep.key}' changes no cell of {methods}: every value would have the same rows",
+            "choose others with --method",
+        )
     return grids

@@ -1,6 +1,8 @@
-"""What a run shows while it goes on, a live board on a terminal and plain lines elsewhere, and what commands print of runs and of logs.
+"""What a run shows while it goes on, a live board on a terminal and plain lines elsewhere, and what
+commands print of runs and of logs.
 
-The board goes to stderr; all of it is read from the journal, the plan, and the small files of running nodes.
+The board goes to stderr; all of it is read from the journal, the plan, and the small files of
+running nodes.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ SHARE = 0.05  # of one core, that drawing the board may take: a long journal is 
 
 
 class Lines:
-    """One line for each event of a run, as the journal gets it. Starts come from the running files, so short nodes show their end only."""
+    """One line for each event of a run, as the journal gets it. Starts come from the running
+    files, so short nodes show their end only.
+    """
 
     starts = True  # whether a node's start is worth a line
 
@@ -80,18 +84,35 @@ class Lines:
             self._shown.add(key)
             detail = event.get("message" if kind == "failed" else "numbers")
             what = "FAILED" if kind == "failed" else kind
-            plain(f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}" + (f"  {detail}" if detail else ""))
+            plain(
+                f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}"
+                + (f"  {detail}" if detail else "")
+            )
         elif kind == "blocked":
-            plain(f"{self._counter()} blocked {name}  (needs {self._names.get(event['by'], event['by_label'])})")
+            plain(
+                f"{self._counter()} blocked {name}  (needs "
+                f"{self._names.get(event['by'], event['by_label'])})"
+            )
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
-            labels = [self._names.get(suspect, label) for suspect, label in zip(event["suspects"], event["labels"], strict=True)]
+            labels = [
+                self._names.get(suspect, label)
+                for suspect, label in zip(event["suspects"], event["labels"], strict=True)
+            ]
             reason = event.get("reason")
-            after = f"; these nodes run again{'' if reason else ', one at a time'}: {', '.join(labels)}" if labels else " while it was idle"
-            self._note((f"a worker ended ({reason})" if reason else "a worker process was killed") + after)
+            after = (
+                f"; these nodes run again{'' if reason else ', one at a time'}: {', '.join(labels)}"
+                if labels
+                else " while it was idle"
+            )
+            self._note(
+                (f"a worker ended ({reason})" if reason else "a worker process was killed") + after
+            )
         elif kind == "workers gone":
-            self._note(f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
+            self._note(
+                f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept"
+            )
         elif kind in NOTES:
             self._note(NOTES[kind])
 
@@ -111,7 +132,9 @@ class Lines:
 
 
 class Live(Lines):
-    """A board that redraws itself under the lines: a bar, the pace, what remains, and the running nodes with their share."""
+    """A board that redraws itself under the lines: a bar, the pace, what remains, and the
+    running nodes with their share.
+    """
 
     starts = False
 
@@ -120,7 +143,13 @@ class Live(Lines):
         self._run = planned_run(layout, run_id)
         self._drawn: RenderableType = ""
         self._next = 0.0
-        self._live = RichLive(console=err(), get_renderable=self._draw, refresh_per_second=2, transient=True, redirect_stdout=False)
+        self._live = RichLive(
+            console=err(),
+            get_renderable=self._draw,
+            refresh_per_second=2,
+            transient=True,
+            redirect_stdout=False,
+        )
 
     def __enter__(self) -> Live:
         super().__enter__()
@@ -141,14 +170,19 @@ class Live(Lines):
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
-    """Return the board that fits where stderr goes; `names` are what people call a node, by its key, where that is not its label."""
+    """Return the board that fits where stderr goes; `names` are what people call a node, by its
+    key, where that is not its label.
+    """
     fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
     return fitting(layout, run_id, total, names)
 
 
 def numbers(summary: Mapping[str, Any]) -> str:
     values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
-    return ", ".join(f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}" for name, value in values[:6])
+    return ", ".join(
+        f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}"
+        for name, value in values[:6]
+    )
 
 
 BAR = 40
@@ -164,23 +198,35 @@ def show_status(states: list[RunState], console: Console) -> None:
 
 
 def progress_of(state: RunState, names: Mapping[str, str]) -> Group:
-    """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
+    """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key,
+    where a label does not say enough.
+    """
     named = tuple(replace(node, label=names.get(node.key, node.label)) for node in state.active)
     table = _running_table(replace(state, active=named), datetime.now(UTC))
-    return Group(_progress(state), *(Text(line) for line in (pace(state), state.deserted) if line), table)
+    return Group(
+        _progress(state), *(Text(line) for line in (pace(state), state.deserted) if line), table
+    )
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
     counts = ("finished", "running", "waiting")
-    rows = [{**asdict(state), **{name: getattr(state, name) for name in counts}} for state in states]
-    told: list[dict[str, Any]] = json.loads(json.dumps(rows, default=lambda moment: moment.isoformat(timespec="seconds")))
+    rows = [
+        {**asdict(state), **{name: getattr(state, name) for name in counts}} for state in states
+    ]
+    told: list[dict[str, Any]] = json.loads(
+        json.dumps(rows, default=lambda moment: moment.isoformat(timespec="seconds"))
+    )
     return told
 
 
 def _block(state: RunState, now: datetime) -> Group:
     title = Text.assemble((state.spec, "bold"), f"  {life(state, now)}")
     parts: list[Text | Table] = [title, Text(f"run {state.run_id}", style="dim"), _progress(state)]
-    parts += [Text(words, style=style) for words, style in ((pace(state), ""), (state.deserted, "yellow")) if words]
+    parts += [
+        Text(words, style=style)
+        for words, style in ((pace(state), ""), (state.deserted, "yellow"))
+        if words
+    ]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
     for failure in state.failed[:LISTED]:
@@ -199,7 +245,13 @@ def life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = "finishing running nodes" if state.draining else "no worker is left" if state.deserted else ""
+        ending = (
+            "finishing running nodes"
+            if state.draining
+            else "no worker is left"
+            if state.deserted
+            else ""
+        )
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
@@ -223,8 +275,12 @@ def _progress(state: RunState) -> Text:
     others = {"failed": len(state.failed), "blocked": state.blocked, "retried": state.retried}
     counts += [f"{count} {how}" for how, count in others.items() if count]
     if state.waiting:
-        counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
-    return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
+        counts.append(
+            f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}"
+        )
+    return Text.assemble(
+        "[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}"
+    )
 
 
 def pace(state: RunState) -> str:
@@ -266,32 +322,54 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
         # A label may have had another key in an older run; there it is another node's.
         keys = {log.key for log in matches if log.run_id == matches[0].run_id}
         matches = [log for log in matches if log.key in keys]
-    matches.sort(key=lambda log: log.path.stat().st_size == 0)  # the log of a run that found a node computed by another is empty
+    # the log of a run that found a node computed by another is empty
+    matches.sort(key=lambda log: log.path.stat().st_size == 0)
     newest = {log.key: log for log in reversed(matches)}
     if (log := only(list(newest.values()), name, "nodes")) is not None:
         return log
     try:
         node = find_node(layout, name)
     except WaspError:
-        message, hint = f"no log of '{name}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
-        raise UnknownName("node", name, {log.label for log in logs}, message, otherwise=hint) from None
+        message, hint = (
+            f"no log of '{name}' in '{layout.root}'",
+            "give a key or a label, as wasp status shows them",
+        )
+        raise UnknownName(
+            "node", name, {log.label for log in logs}, message, otherwise=hint
+        ) from None
     published = node.setting("provenance", FROM_PUBLISHED) is True
-    how = "it is a published result, computed elsewhere" if published else "it was not computed in a run of this folder"
-    raise UsageError(f"'{printable(node.label or name)}' has no log: {how}", f"wasp show {(node.key or '')[:8]} shows what is known of it")
+    how = (
+        "it is a published result, computed elsewhere"
+        if published
+        else "it was not computed in a run of this folder"
+    )
+    raise UsageError(
+        f"'{printable(node.label or name)}' has no log: {how}",
+        f"wasp show {(node.key or '')[:8]} shows what is known of it",
+    )
 
 
 def write_log(log: Log, stream: TextIO) -> None:
-    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it."""
+    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would
+    command it.
+    """
     try:
         file = open_plain(log.path)
     except OSError as error:
-        raise StoreError(f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}") from error
+        raise StoreError(
+            f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}"
+        ) from error
     terminal = stream.isatty()
     with io.TextIOWrapper(file, encoding="utf-8", errors="replace", newline="\n") as lines:
         for line in lines:
-            if terminal:  # of a bar that redraws itself, the last state; colours, and nothing else that a terminal obeys
+            # of a bar that redraws itself, the last state; colours, and nothing else that a
+            # terminal obeys
+            if terminal:
                 last = line.rstrip("\r\n").rpartition("\r")[2]
-                parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
+                parts = [
+                    part if index % 2 else printable(part)
+                    for index, part in enumerate(_COLOUR.split(last))
+                ]
                 line = "".join(parts) + ("\n" if line.endswith("\n") else "")
             stream.write(line)
 
@@ -303,4 +381,6 @@ def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
     except (OSError, StoreError):
         return []
     paths = [(node, layout.log(run.run_id, node.label, node.key)) for node in run.nodes.values()]
-    return [Log(run.run_id, node.key, node.label, path) for node, path in paths if path.name in there]
+    return [
+        Log(run.run_id, node.key, node.label, path) for node, path in paths if path.name in there
+    ]

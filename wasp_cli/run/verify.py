@@ -1,9 +1,11 @@
 """Cells computed again from what lies beside them: do the rows follow from the models, to the bit?
 
-A cell can be computed again where every artifact that it was computed from is whole in the same folder. Nothing of the folder is changed:
-each cell is written to an empty folder elsewhere, by today's code. Wall times are not compared, and steps only of the episodes whose steps
-ship. Processors of several makers round differently, and then an episode may go another way: bits are those of one kind of processor. So do
-the vector instructions of one: a cell that differs with AVX512 is computed once more with AVX2.
+A cell can be computed again where every artifact that it was computed from is whole in the same
+folder. Nothing of the folder is changed: each cell is written to an empty folder elsewhere, by
+today's code. Wall times are not compared, and steps only of the episodes whose steps ship.
+Processors of several makers round differently, and then an episode may go another way: bits are
+those of one kind of processor. So do the vector instructions of one: a cell that differs with
+AVX512 is computed once more with AVX2.
 """
 
 from __future__ import annotations
@@ -36,36 +38,55 @@ CAPABILITY, AVX2 = "ATEN_CPU_CAPABILITY", "avx2"  # torch reads it when it is im
 class Drawn:
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
-    elsewhere: int  # of these, cells that another kind of processor computed, and that were left out for that
-    others: int  # cells of the folder that cannot: something that they were computed from is not there
+    # of these, cells that another kind of processor computed, and that were left out for that
+    elsewhere: int
+    # cells of the folder that cannot: something that they were computed from is not there
+    others: int
 
 
 @dataclass(frozen=True)
 class Answer:
     key: str
     label: str
-    differing: tuple[str, ...]  # names of the columns that are not the same; `error: ...` where it could not be computed
-    libraries: tuple[str, ...]  # libraries of another version than then, which may round differently
+    # names of the columns that are not the same; `error: ...` where it could not be computed
+    differing: tuple[str, ...]
+    # libraries of another version than then, which may round differently
+    libraries: tuple[str, ...]
     seconds: float
     then: str  # the processor on which the cell was computed; empty where its manifest does not say
     here: str  # that on which it was computed again
-    means: tuple[tuple[str, float, float], ...] = ()  # of a cell that differs: return and cost of an episode, then and now
+    # of a cell that differs: return and cost of an episode, then and now
+    means: tuple[tuple[str, float, float], ...] = ()
     with_avx2: bool = False
 
 
 def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Drawn:
-    """Draw from the cells that this kind of processor computed; from all where there is none, or with `anywhere`."""
+    """Draw from the cells that this kind of processor computed; from all where there is none,
+    or with `anywhere`.
+    """
     import numpy as np
 
     keys = sorted(stored_keys(layout, EVALUATE))
     possible = [key for key in keys if why_not(layout, key) is None]
     if not possible:
         reason = f": {why_not(layout, keys[0])}" if keys else ""
-        raise UsageError(f"'{layout.root}' has no cell that can be computed again from what is there{reason}", "name a folder with models")
-    own = [key for key in possible if kind(computed_on(read_manifest(layout, EVALUATE, key))) == kind(processor())]
+        raise UsageError(
+            f"'{layout.root}' has no cell that can be computed again from what is there{reason}",
+            "name a folder with models",
+        )
+    own = [
+        key
+        for key in possible
+        if kind(computed_on(read_manifest(layout, EVALUATE, key))) == kind(processor())
+    ]
     among = possible if anywhere or not own else own
     drawn = np.random.default_rng(seed).choice(len(among), min(cells, len(among)), replace=False)
-    return Drawn(tuple(among[i] for i in sorted(drawn)), len(possible), len(possible) - len(among), len(keys) - len(possible))
+    return Drawn(
+        tuple(among[i] for i in sorted(drawn)),
+        len(possible),
+        len(possible) - len(among),
+        len(keys) - len(possible),
+    )
 
 
 def computed_on(manifest: Mapping[str, Any]) -> str:
@@ -84,7 +105,8 @@ def why_not(layout: Layout, key: str) -> str | None:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
             return "a person drove in it"
-        if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:  # it could be code of the folder
+        # it could be code of the folder
+        if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:
             return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
             if (why := corruption(layout, manifest["upstream_kinds"][name], upstream)) is not None:
@@ -98,18 +120,30 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
     rounded: list[str] = []
     try:
         for answer in _answers(layout, keys, jobs, {}):
-            if answer.means and kind(answer.then) == kind(answer.here) and "AVX512" in answer.here and CAPABILITY not in os.environ:
+            if (
+                answer.means
+                and kind(answer.then) == kind(answer.here)
+                and "AVX512" in answer.here
+                and CAPABILITY not in os.environ
+            ):
                 rounded.append(answer.key)
             else:
                 yield answer
         for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}) if rounded else ():
             yield replace(answer, with_avx2=True)
     except BrokenExecutor as error:
-        raise WaspError("a worker process was killed (out of memory, or by a signal)", "-j N computes fewer cells at once") from error
+        raise WaspError(
+            "a worker process was killed (out of memory, or by a signal)",
+            "-j N computes fewer cells at once",
+        ) from error
 
 
-def _answers(layout: Layout, keys: Sequence[str], jobs: int, environment: dict[str, str]) -> Iterator[Answer]:
-    """Compute cells in processes that end with this one, or as soon as nobody asks for more; a single one is this process."""
+def _answers(
+    layout: Layout, keys: Sequence[str], jobs: int, environment: dict[str, str]
+) -> Iterator[Answer]:
+    """Compute cells in processes that end with this one, or as soon as nobody asks for more; a
+    single one is this process.
+    """
     from joblib.externals.loky import ProcessPoolExecutor
 
     from wasp_cli.run.pool import signals_wait, start_worker
@@ -118,7 +152,9 @@ def _answers(layout: Layout, keys: Sequence[str], jobs: int, environment: dict[s
         if jobs == 1 and not environment:
             yield from (again(layout.root, key, Path(folder)) for key in keys)
             return
-        workers = ProcessPoolExecutor(jobs, env=environment, initializer=start_worker, initargs=(os.getpid(),))
+        workers = ProcessPoolExecutor(
+            jobs, env=environment, initializer=start_worker, initargs=(os.getpid(),)
+        )
         try:
             with signals_wait():
                 running = [workers.submit(again, layout.root, key, Path(folder)) for key in keys]
@@ -139,41 +175,79 @@ def again(root: Path, key: str, within: Path) -> Answer:
     libraries: tuple[str, ...] = ()
     means: tuple[tuple[str, float, float], ...] = ()
     then = ""
-    inputs = {name: layout.artifact(manifest["upstream_kinds"][name], upstream) for name, upstream in manifest["upstream"].items()}
+    inputs = {
+        name: layout.artifact(manifest["upstream_kinds"][name], upstream)
+        for name, upstream in manifest["upstream"].items()
+    }
     stage: Stage = load_target(STAGES[EVALUATE].target)()
     set_threads(getattr(stage, "torch_threads", 1))
     with tempfile.TemporaryDirectory(dir=within) as folder:
         out = Path(folder)
         try:
-            # A GPU rounds differently: what a CPU computed, one computes again. No text is as good as no variable.
+            # A GPU rounds differently: what a CPU computed, one computes again. No text is as good
+            # as no variable.
             os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
             libraries, then = tuple(library_changes(manifest)), computed_on(manifest)
-            stage.run(Job(
-                EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
-                settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
-            ))  # fmt: skip
+            stage.run(
+                Job(
+                    EVALUATE,
+                    manifest["task"],
+                    manifest["seed"],
+                    stage.config.model_validate(manifest["config"]),
+                    settings_of(manifest["settings"]),
+                    manifest["axes"],
+                    inputs,
+                    out,
+                    out,
+                )
+            )
             stored = layout.artifact(EVALUATE, key)
             differing = tuple(differences(stored, out))
             means = tuple(means_of(stored, out)) if differing else ()
-        except Exception as error:  # damaged, of another version, or of a plugin that is not here: one cell ends no draw
-            differing = (f"error: {error.message if isinstance(error, WaspError) else described(error)}",)
+        except Exception as error:
+            # damaged, of another version, or of a plugin that is not here: one cell ends no draw
+            differing = (
+                f"error: {error.message if isinstance(error, WaspError) else described(error)}",
+            )
         finally:
             os.environ[DEVICE] = asked
-    return Answer(key, str(manifest.get("label", key)), differing, libraries, time.monotonic() - began, then, processor(), means)
+    return Answer(
+        key,
+        str(manifest.get("label", key)),
+        differing,
+        libraries,
+        time.monotonic() - began,
+        then,
+        processor(),
+        means,
+    )
 
 
 def show_answer(answer: Answer, console: Console) -> None:
-    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}{'  with AVX2' * answer.with_avx2}"
+    text = (
+        f"{'other' if answer.differing else 'same'}   {answer.label}  "
+        f"{duration(answer.seconds)}{'  with AVX2' * answer.with_avx2}"
+    )
     if answer.differing:
         means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
-        places = [*answer.libraries, *[f"computed on {answer.then}, here {answer.here}"] * (kind(answer.then) != kind(answer.here))]
-        text += f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})" if means else f"  {', '.join(answer.differing)}"
+        places = [
+            *answer.libraries,
+            *[f"computed on {answer.then}, here {answer.here}"]
+            * (kind(answer.then) != kind(answer.here)),
+        ]
+        text += (
+            f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})"
+            if means
+            else f"  {', '.join(answer.differing)}"
+        )
         text += f"  ({'; '.join(places)})" if places else ""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def means_of(stored: Path, computed: Path) -> Iterator[tuple[str, float, float]]:
-    """Yield return and cost of an episode of a cell, as they are stored and as they are computed."""
+    """Yield return and cost of an episode of a cell, as they are stored and as they are
+    computed.
+    """
     import pyarrow.compute as pc
 
     from wasp_cli.store.tables import cell_file, read_episodes
@@ -184,16 +258,33 @@ def means_of(stored: Path, computed: Path) -> Iterator[tuple[str, float, float]]
 
 
 def differences(stored: Path, computed: Path) -> list[str]:
-    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit."""
+    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are
+    not the same to the bit.
+    """
     import pyarrow.compute as pc
 
-    from wasp_cli.store.tables import TIMING, cell_file, lacking, read_episodes, read_steps, read_version
+    from wasp_cli.store.tables import (
+        TIMING,
+        cell_file,
+        lacking,
+        read_episodes,
+        read_steps,
+        read_version,
+    )
 
     paths = [cell_file(folder) for folder in (stored, computed)]
     added = lacking(min(map(read_version, paths)))
     then, now = (read_episodes([path]) for path in paths)
-    names = [name for name in then.column_names if name not in (*TIMING, *added) and not then[name].equals(now[name])]
+    names = [
+        name
+        for name in then.column_names
+        if name not in (*TIMING, *added) and not then[name].equals(now[name])
+    ]
     then, now = (read_steps(path) for path in paths)
     now = now.filter(pc.is_in(now["episode"], then["episode"].unique()))
     # Undefined numbers are equal, whatever the chunks.
-    return names + [f"steps.{name}" for name in then.column_names if not then[name].combine_chunks().equals(now[name].combine_chunks())]
+    return names + [
+        f"steps.{name}"
+        for name in then.column_names
+        if not then[name].combine_chunks().equals(now[name].combine_chunks())
+    ]

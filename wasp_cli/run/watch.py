@@ -1,6 +1,8 @@
-"""How far a run is, from its plan, its journal, which it keeps locked, and the small files of running nodes.
+"""How far a run is, from its plan, its journal, which it keeps locked, and the small files of
+running nodes.
 
-Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death.
+Never from the process itself, so that it can be asked from another terminal, from another machine,
+and after its death.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import read_json_lines
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
-STALE_SECONDS = 30.0  # a node says about every second that it lives; silence for longer is worth a word
+# a node says about every second that it lives; silence for longer is worth a word
+STALE_SECONDS = 30.0
 ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does not run any more
 
 
@@ -64,7 +67,8 @@ class RunState:
     draining: bool
     deserted: str  # that no worker is left, and how the run goes on; empty where that is not so
     active: tuple[Active, ...]
-    left_seconds: float | None  # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
+    # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
+    left_seconds: float | None
     unknown: int  # nodes to come without an estimate: what remains takes longer by them
     idle: bool  # nothing had to be computed; what counts as done was there before
 
@@ -74,7 +78,9 @@ class RunState:
 
     @property
     def running(self) -> int:
-        """Nodes that run now: none where the run is over, though a killed one leaves their files behind."""
+        """Nodes that run now: none where the run is over, though a killed one leaves their
+        files behind.
+        """
         return sum(not node.gone for node in self.active) if self.state == "running" else 0
 
     @property
@@ -94,14 +100,19 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     held = locked and is_held(layout.journal(run.run_id))
     state, ended = _life(run, events, is_gone(start) and not held)
     # A node that died with its worker and runs again ends twice; the last time counts.
-    ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
+    ends = {
+        str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS
+    }
     failed = {}
     for event in by_event.get("failed", ()):
         key, message = str(event.get("key")), str(event.get("message") or "unknown cause")
         if ends[key] == "failed":
-            failed[key] = Failed(key, _line(event.get("label"), key), message, _line(event.get("log"), ""))
+            failed[key] = Failed(
+                key, _line(event.get("label"), key), message, _line(event.get("log"), "")
+            )
     active = _active(layout, run.run_id, ends) if events else ()
-    # Where locks do not reach this machine, nodes that run still tell. The end is written before the lock is let go.
+    # Where locks do not reach this machine, nodes that run still tell. The end is written before
+    # the lock is let go.
     silent = all((now - node.seen).total_seconds() > STALE_SECONDS for node in active if node.seen)
     if state == "running" and locked and silent and not held:
         state, ended = _life(run, events_of(layout, run.run_id), gone=True)
@@ -110,28 +121,51 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(_number(start, "jobs") or 1), 1)
-    of_workers = [event for event in events if event.get("event") in ("workers gone", "workers back")]
-    deserted = desertion(of_workers[-1]) if going and of_workers and of_workers[-1]["event"] == "workers gone" else ""
+    of_workers = [
+        event for event in events if event.get("event") in ("workers gone", "workers back")
+    ]
+    deserted = (
+        desertion(of_workers[-1])
+        if going and of_workers and of_workers[-1]["event"] == "workers gone"
+        else ""
+    )
     seconds, unknown = None, 0
     if going and not deserted:
         left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
         seconds, unknown = _left(left, active, workers, now)
     counts = Counter(ends.values())
     return RunState(
-        run_id=run.run_id, spec=run.spec, state=state, started=started, ended=ended, total=total or before, done=before + counts["done"],
-        shared=counts["shared"], failed=tuple(failed.values()), blocked=counts["blocked"], retried=len(by_event.get("retry", ())),
-        draining="draining" in by_event and going, deserted=deserted, active=active, left_seconds=seconds, unknown=unknown,
+        run_id=run.run_id,
+        spec=run.spec,
+        state=state,
+        started=started,
+        ended=ended,
+        total=total or before,
+        done=before + counts["done"],
+        shared=counts["shared"],
+        failed=tuple(failed.values()),
+        blocked=counts["blocked"],
+        retried=len(by_event.get("retry", ())),
+        draining="draining" in by_event and going,
+        deserted=deserted,
+        active=active,
+        left_seconds=seconds,
+        unknown=unknown,
         idle=not total,
-    )  # fmt: skip
+    )
 
 
 def shown_runs(layout: Layout, runs: Sequence[PlannedRun]) -> list[RunState]:
     """Return the runs that go on; where none does, the last one. `runs` come newest first."""
-    return [state for run in runs if (state := state_of(layout, run)).state == "running"] or [state_of(layout, run) for run in runs[:1]]
+    return [state for run in runs if (state := state_of(layout, run)).state == "running"] or [
+        state_of(layout, run) for run in runs[:1]
+    ]
 
 
 def is_gone(record: Mapping[str, Any]) -> bool:
-    """Return whether the process of a record (`pid`, `host`, `boot`) does not exist any more; False where that cannot be seen from here."""
+    """Return whether the process of a record (`pid`, `host`, `boot`) does not exist any more;
+    False where that cannot be seen from here.
+    """
     pid, boot = record.get("pid"), boot_id()
     if record.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 2**31:
         return False
@@ -158,12 +192,16 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
     return []
 
 
-def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], gone: bool) -> tuple[State, datetime | None]:
+def _life(
+    run: PlannedRun, events: Sequence[Mapping[str, Any]], gone: bool
+) -> tuple[State, datetime | None]:
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
     for event in reversed(events):
         if event.get("event") in ("run ended", "run interrupted"):
-            return ("ended" if event["event"] == "run ended" else "interrupted"), moment(event.get("at"))
+            return ("ended" if event["event"] == "run ended" else "interrupted"), moment(
+                event.get("at")
+            )
     return ("died", moment(events[-1].get("at"))) if gone else ("running", None)
 
 
@@ -179,15 +217,24 @@ def running_records(layout: Layout, run_id: str) -> Iterator[tuple[str, dict[str
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
     nodes = [
         Active(
-            key=key, label=_line(record.get("label"), key), kind=_line(record.get("kind"), ""),
-            share=min(max(_number(record, "share") or 0.0, 0.0), 1.0), text=_line(record.get("text"), ""),
-            started=moment(record.get("started")), seen=moment(record.get("at")), memory_mb=_number(record, "memory_mb"),
+            key=key,
+            label=_line(record.get("label"), key),
+            kind=_line(record.get("kind"), ""),
+            share=min(max(_number(record, "share") or 0.0, 0.0), 1.0),
+            text=_line(record.get("text"), ""),
+            started=moment(record.get("started")),
+            seen=moment(record.get("at")),
+            memory_mb=_number(record, "memory_mb"),
             gone=is_gone(record) and not is_held(layout.lock(key)),
         )
         for key, record in running_records(layout, run_id)
         if key not in ends
-    ]  # fmt: skip
-    return tuple(sorted(nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
+    ]
+    return tuple(
+        sorted(
+            nodes, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)
+        )
+    )
 
 
 def _line(value: object, otherwise: str) -> str:
@@ -200,13 +247,21 @@ def _number(record: Mapping[str, Any], name: str) -> float | None:
 
 
 def desertion(event: Mapping[str, Any]) -> str:
-    return _line(f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}", "")
+    return _line(
+        f"all {event.get('backend')} workers are gone; the run waits, and goes on when one "
+        f"is there: {event.get('start')}",
+        "",
+    )
 
 
-def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime) -> tuple[float | None, int]:
-    """Seconds for the nodes that have not ended, and how many of them have no estimate. None where none has one.
+def _left(
+    nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime
+) -> tuple[float | None, int]:
+    """Seconds for the nodes that have not ended, and how many of them have no estimate. None where
+    none has one.
 
-    No less than all work over all workers, and no less than the longest chain of nodes that wait for one another.
+    No less than all work over all workers, and no less than the longest chain of nodes that wait
+    for one another.
     """
     running = {node.key: node for node in active if not node.gone}
     members = {node.key: node for node in nodes}
@@ -223,7 +278,9 @@ def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now
                 alone[node.key] *= 1 - run.share
             elif run is not None and run.started:
                 alone[node.key] = max(node.seconds - (now - run.started).total_seconds(), 0.0)
-        chain[node.key] = alone.get(node.key, 0.0) + max((chain.get(needed, 0.0) for needed in node.needs), default=0.0)
+        chain[node.key] = alone.get(node.key, 0.0) + max(
+            (chain.get(needed, 0.0) for needed in node.needs), default=0.0
+        )
     if not alone:
         return (0.0 if not members else None), unknown
     return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown

@@ -1,4 +1,6 @@
-"""The envelope around one node: lock, threads, log, folders, result. It never raises; what it returns says how the node ended."""
+"""The envelope around one node: lock, threads, log, folders, result. It never raises; what it
+returns says how the node ended.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
-    """Compute one node, or find that another run has; the log gets all output of a process that does nothing else."""
+    """Compute one node, or find that another run has; the log gets all output of a process that
+    does nothing else.
+    """
     return Envelope(job, own_process).execute()
 
 
@@ -52,13 +56,20 @@ def execute_here(job: NodeJob) -> NodeResult:
 
 
 def is_seen(layout: Layout, run_id: str) -> bool:
-    """Return whether this machine sees the results folder of a run, where its journal is. A folder that is not seen is never made."""
+    """Return whether this machine sees the results folder of a run, where its journal is. A
+    folder that is not seen is never made.
+    """
     return layout.journal(run_id).exists()
 
 
 def unseen(root: Path | str, run_id: str) -> StoreError:
-    message = f"{platform.node()} does not see the results folder '{root}': runs/{run_id}/journal.jsonl is not there"
-    why = "it was moved, or this machine does not share it; every worker needs it under the same path"
+    message = (
+        f"{platform.node()} does not see the results folder '{root}': "
+        f"runs/{run_id}/journal.jsonl is not there"
+    )
+    why = (
+        "it was moved, or this machine does not share it; every worker needs it under the same path"
+    )
     return StoreError(message, f"{why}. Then run again: finished nodes are kept")
 
 
@@ -77,18 +88,25 @@ class Envelope:
         if is_seen(layout, job.run_id):
             try:
                 with ExitStack() as stack:
-                    stream = stack.enter_context(self.log.open("a", encoding="utf-8", errors="replace", buffering=1))
+                    stream = stack.enter_context(
+                        self.log.open("a", encoding="utf-8", errors="replace", buffering=1)
+                    )
                     stack.enter_context(_logged(stream, self.own_process))
                     result = self._locked()
-            except Exception as error:  # an OSError where the results folder itself is in the way: full, read-only
-                result = self._failed(f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError))
+            except Exception as error:
+                # an OSError where the results folder itself is in the way: full, read-only
+                result = self._failed(
+                    f"{type(error).__name__}: {error}", by_chance=isinstance(error, OSError)
+                )
         if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
             why = unseen(job.root, job.run_id)
             return self._result("unseen", message=why.message, hint=why.hint)
         return result
 
     def _result(self, state: State, **facts: Any) -> NodeResult:
-        return NodeResult(self.job.key, state, time.monotonic() - self.started, log=str(self.log), **facts)
+        return NodeResult(
+            self.job.key, state, time.monotonic() - self.started, log=str(self.log), **facts
+        )
 
     def _locked(self) -> NodeResult:
         job, layout = self.job, self.layout
@@ -99,7 +117,12 @@ class Envelope:
                 with held(layout.lock(job.key), lambda: False):
                     if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
-                    return self._result("shared", summary=artifact.read_manifest(layout, job.kind, job.key).get("summary", {}))
+                    return self._result(
+                        "shared",
+                        summary=artifact.read_manifest(layout, job.kind, job.key).get(
+                            "summary", {}
+                        ),
+                    )
             except Busy:
                 return self._result("busy")
 
@@ -116,14 +139,19 @@ class Envelope:
                 keep_memory()
                 set_threads(getattr(stage, "torch_threads", 1))
                 with placed(_clone_of(job, layout)):
-                    summary = finite(dict(stage.run(_stage_job(job, layout, stage, staging, progress)) or {}))
+                    summary = finite(
+                        dict(stage.run(_stage_job(job, layout, stage, staging, progress)) or {})
+                    )
             if (changed := _change_of_source(job)) is not None:
                 raise changed
             seconds = time.monotonic() - began
-            artifact.commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
+            artifact.commit(
+                layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at)
+            )
         except (Exception, SystemExit) as error:
             artifact.discard(staging)
-            # A module that was saved meanwhile explains any error, and better than the error does; the log keeps both.
+            # A module that was saved meanwhile explains any error, and better than the error does;
+            # the log keeps both.
             if (changed := _change_of_source(job, error)) is not None:
                 traceback.print_exception(error)
                 error = changed
@@ -137,7 +165,9 @@ class Envelope:
         return self._result("done", summary=summary)
 
     def _note(self, text: str) -> None:
-        """Add a line to the log. A disk that is full must not end the node here: its own writing will."""
+        """Add a line to the log. A disk that is full must not end the node here: its own
+        writing will.
+        """
         _flush()
         with suppress(OSError), self.log.open("a", encoding="utf-8") as file:
             file.write(f"{text}\n")
@@ -145,7 +175,10 @@ class Envelope:
     def _explained(self, error: BaseException) -> NodeResult:
         """The failure of a stage, for people; the log has all of it."""
         if isinstance(error, WaspError):
-            print(f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""), file=sys.stderr)
+            print(
+                f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""),
+                file=sys.stderr,
+            )
             return self._failed(error.message, error.hint, by_chance=isinstance(error, StoreError))
         traceback.print_exception(error)
         frames = traceback.extract_tb(error.__traceback__)
@@ -153,7 +186,9 @@ class Envelope:
         text = " ".join(str(error).split()) or "no message"
         return self._failed(f"{type(error).__name__}: {text[:300]}{place}", by_chance=True)
 
-    def _failed(self, message: str, hint: str | None = None, *, by_chance: bool = False) -> NodeResult:
+    def _failed(
+        self, message: str, hint: str | None = None, *, by_chance: bool = False
+    ) -> NodeResult:
         result = self._result("failed", message=message, hint=hint, by_chance=by_chance)
         record_failure(self.layout, self.job, result)
         return result
@@ -166,11 +201,18 @@ def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
     if job.axes.get("operator") != PERSON:
         return PlacedClone(folder)
     commands = read_recorded(cell_file(layout.artifact(*job.inputs["evaluate"])))["a_h"]
-    return PlacedClone(folder, {seeds.operator_seed(job.task, PERSON, job.seed, e): said for e, said in enumerate(commands)})
+    return PlacedClone(
+        folder,
+        {
+            seeds.operator_seed(job.task, PERSON, job.seed, e): said
+            for e, said in enumerate(commands)
+        },
+    )
 
 
 def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
-    """See that what is read, by kind and key, has the bytes of its manifest; what has not is computed again by the next run.
+    """See that what is read, by kind and key, has the bytes of its manifest; what has not is
+    computed again by the next run.
 
     Nobody computes again what a person drove: it stays as it is.
     """
@@ -181,22 +223,37 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
         if why is None:
             continue
         if (layout.artifact(kind, key) / SESSION_FILE).exists():
-            raise ArtifactError(f"what a person drove is {what}: {why}", "bring it back from a copy of the results folder")
+            raise ArtifactError(
+                f"what a person drove is {what}: {why}",
+                "bring it back from a copy of the results folder",
+            )
         artifact.invalidate(layout, kind, key, why)
-        raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
+        raise ArtifactError(
+            f"an input is {what}: {why}", f"run again: what is {what} is computed again"
+        )
 
 
 def _change_of_source(job: NodeJob, error: BaseException | None = None) -> SourceChanged | None:
-    """The error where what ran is not what the key says: a module may have been saved between planning and its import here."""
+    """The error where what ran is not what the key says: a module may have been saved between
+    planning and its import here.
+    """
     # An error stands that is this one, or says what to do about modules that are not here at all.
     changed = changed_since(job.sources)
-    if isinstance(error, SourceChanged) or (isinstance(error, WaspError) and not any(find_spec(name.split(".")[0]) for name in changed)):
+    if isinstance(error, SourceChanged) or (
+        isinstance(error, WaspError) and not any(find_spec(name.split(".")[0]) for name in changed)
+    ):
         return None
     hint = "run again; results that the change does not affect are kept"
-    return SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint) if changed else None
+    return (
+        SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint)
+        if changed
+        else None
+    )
 
 
-def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
+def _stage_job(
+    job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress
+) -> Job:
     work = layout.work(job.key)
     work.mkdir(exist_ok=True)
     inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
@@ -206,7 +263,20 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
     if job.earlier is not None and artifact.corruption(layout, job.kind, job.earlier) is None:
         whole = not without_steps(artifact.read_manifest(layout, job.kind, job.earlier))
         earlier = layout.artifact(job.kind, job.earlier) if whole else None
-    return Job(job.kind, job.task, job.seed, config, settings, job.axes, inputs, staging, work, progress, earlier, job.threads)
+    return Job(
+        job.kind,
+        job.task,
+        job.seed,
+        config,
+        settings,
+        job.axes,
+        inputs,
+        staging,
+        work,
+        progress,
+        earlier,
+        job.threads,
+    )
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -218,25 +288,46 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
     return settings
 
 
-def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
+def manifest_of(
+    job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str
+) -> dict[str, Any]:
     further = {"cuda": cuda_devices(), EARLIER: job.earlier}
     return {
-        **{name: getattr(job, name) for name in ("kind", "key", "label", "task", "seed", "axes", "config", "settings")},
+        **{
+            name: getattr(job, name)
+            for name in ("kind", "key", "label", "task", "seed", "axes", "config", "settings")
+        },
         "upstream": {name: key for name, (_, key) in job.inputs.items()},
         "upstream_kinds": {name: kind for name, (kind, _) in job.inputs.items()},
         "sources": job.sources,
         "summary": summary,
         "provenance": {
-            **job.provenance, **machine(), **{name: value for name, value in further.items() if value}, "run": job.run_id,
-            "attempt": job.attempt, "threads": job.threads, "started_at": started_at, "seconds": round(seconds, 3),
+            **job.provenance,
+            **machine(),
+            **{name: value for name, value in further.items() if value},
+            "run": job.run_id,
+            "attempt": job.attempt,
+            "threads": job.threads,
+            "started_at": started_at,
+            "seconds": round(seconds, 3),
         },
-    }  # fmt: skip
+    }
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
-    record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
-    with suppress(OSError):  # a full disk, a folder that was moved: the result and the journal of a living run tell it
-        artifact.replace_file(layout.failure(job.key), artifact.dumps({**record, "attempt": job.attempt, "run": job.run_id}))
+    record = {
+        "kind": job.kind,
+        "label": job.label,
+        "message": result.message,
+        "hint": result.hint,
+        "log": result.log,
+    }
+    # a full disk, a folder that was moved: the result and the journal of a living run tell it
+    with suppress(OSError):
+        artifact.replace_file(
+            layout.failure(job.key),
+            artifact.dumps({**record, "attempt": job.attempt, "run": job.run_id}),
+        )
 
 
 def attempts(layout: Layout, key: str) -> int:
@@ -248,7 +339,9 @@ def attempts(layout: Layout, key: str) -> int:
 
 
 def finite(value: Any, name: str = "summary") -> Any:
-    """Return a summary as JSON values: numpy's numbers become Python's, and what is not finite becomes null."""
+    """Return a summary as JSON values: numpy's numbers become Python's, and what is not finite
+    becomes null.
+    """
     if isinstance(value, Mapping):
         return {str(part): finite(item, str(part)) for part, item in value.items()}
     if isinstance(value, list | tuple):
@@ -259,18 +352,24 @@ def finite(value: Any, name: str = "summary") -> Any:
         return None
     if value is None or isinstance(value, str | int | float):
         return value
-    raise TrainingError(f"the stage returned {type(value).__name__} as '{name}'; only JSON values can be stored")
+    raise TrainingError(
+        f"the stage returned {type(value).__name__} as '{name}'; only JSON values can be stored"
+    )
 
 
 def set_threads(count: int) -> None:
-    os.environ.update(OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1")
+    os.environ.update(
+        OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1"
+    )
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(count)
 
 
 @contextmanager
 def _logged(stream: TextIO, own_process: bool) -> Iterator[None]:
-    """Send everything that is printed to the log, from C libraries too where the process is ours."""
+    """Send everything that is printed to the log, from C libraries too where the process is
+    ours.
+    """
     if not own_process:
         with redirect_stdout(stream), redirect_stderr(stream):
             yield
@@ -302,8 +401,9 @@ KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 def keep_memory() -> None:
     """Let the C library keep what is freed instead of returning it to the system.
 
-    A planner allocates and frees the same megabytes hundreds of times per second. By default glibc returns them each time, and the system
-    gives them back zeroed, page by page: up to a third of the time of a decision.
+    A planner allocates and frees the same megabytes hundreds of times per second. By default glibc
+    returns them each time, and the system gives them back zeroed, page by page: up to a third of
+    the time of a decision.
     """
     if sys.platform.startswith("linux"):
         with suppress(OSError, AttributeError):  # another C library than glibc

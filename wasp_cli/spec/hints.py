@@ -1,4 +1,6 @@
-"""The settings of a spec by their dotted names, and what is said where a file has another one: wordings and suggestions."""
+"""The settings of a spec by their dotted names, and what is said where a file has another one:
+wordings and suggestions.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from wasp_cli.spec.read import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
-    """Return the model of a section, a task's own included; that of the whole spec for an empty place."""
+    """Return the model of a section, a task's own included; that of the whole spec for an empty
+    place.
+    """
     model: type[BaseModel] = spec_type()
     loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
     for part in loc:
@@ -49,17 +53,28 @@ def _below(model: type[BaseModel], prefix: str) -> Iterator[str]:
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
     members = () if field is None else get_args(field.annotation) or (field.annotation,)
-    models = [member for member in members if isinstance(member, type) and issubclass(member, BaseModel)]
+    models = [
+        member for member in members if isinstance(member, type) and issubclass(member, BaseModel)
+    ]
     return models[0] if models else None
 
 
 CLOSE = "did you mean"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_BOOLEANS = {"true": "true", "yes": "true", "on": "true", "false": "false", "no": "false", "off": "false"}
+_BOOLEANS = {
+    "true": "true",
+    "yes": "true",
+    "on": "true",
+    "false": "false",
+    "no": "false",
+    "off": "false",
+}
 
 
 def key_hint(loc: Loc) -> str:
-    """Close keys of the same section, or the section that has the key, or one that has a close key."""
+    """Close keys of the same section, or the section that has the key, or one that has a close
+    key.
+    """
     if loc == (EXTENDS,):  # in a file it is taken out before
         return "'extends' works only inside a file"
     name, section = str(loc[-1]), ".".join(map(str, loc[:-1]))
@@ -73,17 +88,26 @@ def key_hint(loc: Loc) -> str:
 
 def _elsewhere(name: str, section: str) -> str | None:
     """Settings of other sections with this name, or nearly: first those within the section."""
-    near = sorted((path for path in settings() if "." in path), key=lambda path: not path.startswith(f"{section}."))
+    near = sorted(
+        (path for path in settings() if "." in path),
+        key=lambda path: not path.startswith(f"{section}."),
+    )
     paths = [f"'{path}'" for path in near if path.rpartition(".")[2] == name][:3]
     if paths:
         return f"{CLOSE} " + " or ".join(filter(None, (", ".join(paths[:-1]), paths[-1]))) + "?"
     leaves = {path.rpartition(".")[2]: path for path in reversed(near)}
     hint = did_you_mean(name, leaves)
-    return re.sub(r"'([^']*)'", lambda leaf: f"'{leaves[leaf[1]]}'", hint) if hint.startswith(CLOSE) else None
+    return (
+        re.sub(r"'([^']*)'", lambda leaf: f"'{leaves[leaf[1]]}'", hint)
+        if hint.startswith(CLOSE)
+        else None
+    )
 
 
 def value_hint(entries: list[dict[str, Any]]) -> str | None:
-    """Return how a value is written so that it has the right type, or else the closest allowed word, where one can tell."""
+    """Return how a value is written so that it has the right type, or else the closest allowed
+    word, where one can tell.
+    """
     value, types = entries[0]["input"], [entry["type"] for entry in entries]
     written = str(value).lower() if isinstance(value, bool) else str(value)
     if "tuple_type" in types and isinstance(value, str | int | float):
@@ -97,7 +121,12 @@ def value_hint(entries: list[dict[str, Any]]) -> str | None:
     numeric = "float_type" in types or ("int_type" in types and not re.search(r"[.eE]", str(value)))
     if isinstance(value, str) and numeric and _NUMBER.fullmatch(value):
         return f"without quotes: {value}"
-    allowed = [name for entry in entries if entry["type"] == "literal_error" for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])]
+    allowed = [
+        name
+        for entry in entries
+        if entry["type"] == "literal_error"
+        for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])
+    ]
     return did_you_mean(value, allowed) if allowed and isinstance(value, str) else None
 
 
@@ -113,34 +142,64 @@ def misplaced(document: Mapping[str, Any]) -> list[Finding]:
     mistakes: list[Finding] = []
     by_task = document.get("by_task")
     tasks = by_task.items() if isinstance(by_task, Mapping) else ()
-    for above, sections in ((), document), *((("by_task", task), sections) for task, sections in tasks if isinstance(sections, Mapping)):
+    for above, sections in (
+        ((), document),
+        *(
+            (("by_task", task), sections)
+            for task, sections in tasks
+            if isinstance(sections, Mapping)
+        ),
+    ):
         for name, (field, example) in not_set_in_sections().items():
             section, model = sections.get(name), model_at((name,))
-            if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
+            if (
+                isinstance(section, Mapping)
+                and field in section
+                and model is not None
+                and field in model.model_fields
+            ):
                 hint = f"write `{example}` at the top, outside every section"
-                mistakes.append(Finding((*above, name, field, KEY), f"'{field}' is not set here", hint))
+                mistakes.append(
+                    Finding((*above, name, field, KEY), f"'{field}' is not set here", hint)
+                )
     return mistakes
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
     """Return, by section: the field that only the top of a spec may set, and how."""
-    return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
+    return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(
+        method_sections(), ("variant", "variants: [full]")
+    )
 
 
 Hint = Callable[[Loc], str | None]
 
 
 def findings(
-    error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
+    error: ValidationError,
+    document: Mapping[str, Any],
+    key_hint: Hint = key_hint,
+    description: Hint = description,
 ) -> list[Finding]:
-    """Return one finding for each place: what pydantic says of the members of a union belongs together."""
+    """Return one finding for each place: what pydantic says of the members of a union belongs
+    together.
+    """
     by_place: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
         by_place.setdefault(_without_tags(entry["loc"], document), []).append(dict(entry))
-    # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
+    # pydantic counts the valid entries of a list only; that the others are wrong is said where they
+    # stand.
     sections = {loc[:length] for loc in by_place for length in range(len(loc))}
-    hollow = {loc for loc, entries in by_place.items() if entries[0]["type"] == "too_short" and loc in sections}
-    return [_worded(loc, entries, key_hint, description) for loc, entries in by_place.items() if loc not in hollow]
+    hollow = {
+        loc
+        for loc, entries in by_place.items()
+        if entries[0]["type"] == "too_short" and loc in sections
+    }
+    return [
+        _worded(loc, entries, key_hint, description)
+        for loc, entries in by_place.items()
+        if loc not in hollow
+    ]
 
 
 def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
@@ -158,9 +217,12 @@ def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
 
 
 _WORDS = {  # pydantic's words for what a YAML file holds, and ours
-    "an object": "a mapping of keys to values", "a valid dictionary": "a mapping of keys to values", "a valid array": "a list",
-    "a valid integer": "an integer", "a valid ": "a ",
-}  # fmt: skip
+    "an object": "a mapping of keys to values",
+    "a valid dictionary": "a mapping of keys to values",
+    "a valid array": "a list",
+    "a valid integer": "an integer",
+    "a valid ": "a ",
+}
 
 
 def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description: Hint) -> Finding:
@@ -170,9 +232,17 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
         return Finding(loc, f"unknown key '{loc[-1]}'", key_hint(loc), at_key=True)
     if kind == "missing":
         inside = f" in '{'.'.join(map(str, loc[:-1]))}'" if len(loc) > 1 else ""
-        return Finding(loc, f"missing key '{loc[-1]}'{inside}" if loc[-1:] != (KEY,) else first["msg"], description(loc))
+        return Finding(
+            loc,
+            f"missing key '{loc[-1]}'{inside}" if loc[-1:] != (KEY,) else first["msg"],
+            description(loc),
+        )
     if "hint" in context or kind in ("repeated", "no_operator", "severity_range"):
-        return Finding(loc, first["msg"] + (f", not {shown}" if kind == "severity_range" else ""), context.get("hint"))
+        return Finding(
+            loc,
+            first["msg"] + (f", not {shown}" if kind == "severity_range" else ""),
+            context.get("hint"),
+        )
     if kind == "value_error":
         return Finding(loc, str(context["error"]), at_key=True)
     if kind in ("too_short", "string_too_short"):
@@ -180,12 +250,16 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
     if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
         hint = "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
         return Finding(loc, f"{shown} is not a usable name", hint)
-    message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)).replace(" or be ", " or ")
+    message = " or ".join(
+        dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)
+    ).replace(" or be ", " or ")
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
     if message.startswith(("be ", "have ", "match ")):
         message = f"should {message}"
-    return Finding(loc, f"{message}, not {shown}" if shown not in message else message, value_hint(entries))
+    return Finding(
+        loc, f"{message}, not {shown}" if shown not in message else message, value_hint(entries)
+    )
 
 
 def _shown(value: Any) -> str:

@@ -1,6 +1,7 @@
 """A spec from files and the command line: its bases, its settings, validated.
 
-And specs that are made from another one: the ablation of a method, and a sweep, which is one spec once for each value of a setting.
+And specs that are made from another one: the ablation of a method, and a sweep, which is one spec
+once for each value of a setting.
 """
 
 from __future__ import annotations
@@ -22,7 +23,19 @@ from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, method_sections, validate
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, spec_name
 from wasp_cli.spec.presets import PRESETS, merged
-from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Place, Problem, Source, dotted, kind_of, meant, parse, read
+from wasp_cli.spec.read import (
+    KEY,
+    InvalidSpec,
+    Loc,
+    Place,
+    Problem,
+    Source,
+    dotted,
+    kind_of,
+    meant,
+    parse,
+    read,
+)
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
@@ -34,15 +47,19 @@ class Loaded:
     spec: Spec
     chain: Chain
     overrides: tuple[Override, ...] = ()
-    restricted: bool = False  # whether a run of it has only some cells or episodes of the spec (--task, --method, --limit)
+    # whether a run of it has only some cells or episodes of the spec (--task, --method, --limit)
+    restricted: bool = False
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
-        """Return a refusal that points at a place of this spec, for what only later steps can know."""
+        """Return a refusal that points at a place of this spec, for what only later steps can
+        know.
+        """
         return InvalidSpec([_placed(self.chain, self.overrides, Finding(loc, message, hint))])
 
 
 def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Read and validate a spec file, or a spec that comes with the package by its name, under settings `a.b=value` as of `--set`.
+    """Read and validate a spec file, or a spec that comes with the package by its name, under
+    settings `a.b=value` as of `--set`.
 
     An InvalidSpec has every problem, each with file, line and column.
     """
@@ -61,10 +78,17 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     except ValidationError as error:
         mistakes += findings(error, document)
     placed = [_placed(chain, overrides, finding) for finding in mistakes]
-    problems += [problem for problem in placed if problem.position is None or (problem.source, problem.position) not in places]
+    problems += [
+        problem
+        for problem in placed
+        if problem.position is None or (problem.source, problem.position) not in places
+    ]
     if problems or spec is None:
-        names = [source.name for source in chain.sources]  # nearest first; what comes from an option stands last
-        raise InvalidSpec(sorted(problems, key=lambda problem: (*names, problem.source).index(problem.source)))
+        # nearest first; what comes from an option stands last
+        names = [source.name for source in chain.sources]
+        raise InvalidSpec(
+            sorted(problems, key=lambda problem: (*names, problem.source).index(problem.source))
+        )
     return Loaded(spec, chain, tuple(overrides))
 
 
@@ -74,14 +98,19 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
     # The nearest of the files that have most of the place: its value is the one in force.
     source = max(chain.sources, key=lambda source: source.depth(finding.loc))
     depth = source.depth(finding.loc)
-    near: list[Override] = []  # options that may have written it: the files have nothing nearer to the place
+    # options that may have written it: the files have nothing nearer to the place
+    near: list[Override] = []
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
-        if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(depth, len(option.path)):
+        if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(
+            depth, len(option.path)
+        ):
             near.append(option)
     words = re.findall(r"\w+", finding.message)
     # Of a whole section, what the message names has it wrong.
-    said = [option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words]
+    said = [
+        option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words
+    ]
     for option in said or (near if depth < len(loc) else []):
         message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
         return Problem(f"{option.option} {option.text}", None, message, finding.hint)
@@ -98,24 +127,34 @@ class Chain:
 
     @property
     def text(self) -> str:
-        """All that was read: one file as it is; of several, each as a YAML document under a comment with its name."""
+        """All that was read: one file as it is; of several, each as a YAML document under a
+        comment with its name.
+        """
         if len(self.sources) == 1:
             return self.sources[0].text
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """Return the values of all files, nearer ones over farther ones, and what in them is none; `named`: an option brings the name."""
+        """Return the values of all files, nearer ones over farther ones, and what in them is
+        none; `named`: an option brings the name.
+        """
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
             problems += source.problems
-            values = merged(values, {name: value for name, value in source.document.items() if name != EXTENDS}, removes=True)
+            values = merged(
+                values,
+                {name: value for name, value in source.document.items() if name != EXTENDS},
+                removes=True,
+            )
         nearest = self.sources[0]
         if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
             for variant, severities in operators.items():
                 # Merged, those of the farther file would come first. Other names stay as they are.
                 if isinstance(severities, dict) and set(severities) <= {*USUAL}:
-                    operators[variant] = {name: severities[name] for name in USUAL if name in severities}
+                    operators[variant] = {
+                        name: severities[name] for name in USUAL if name in severities
+                    }
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
@@ -123,23 +162,43 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends: each one beside the file that names it, or a spec that comes with the package."""
+    """Return a source with all files that it extends: each one beside the file that names it,
+    or a spec that comes with the package.
+    """
     sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
         value, message, hint = last.document[EXTENDS], "", None
         if value is None and last.problems:  # what stands there is no value at all
             raise InvalidSpec(last.problems)
-        if not isinstance(value, str) or Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
+        if (
+            not isinstance(value, str)
+            or Path(value).suffix not in ("", SUFFIX)
+            or not Path(value).name
+            or not value.isprintable()
+        ):
             shown = repr(value) if isinstance(value, str) else kind_of(value)
-            raise InvalidSpec([last.problem((EXTENDS,), f"should be the name of a spec or of a {SUFFIX} file, not {shown}")])
+            raise InvalidSpec(
+                [
+                    last.problem(
+                        (EXTENDS,),
+                        f"should be the name of a spec or of a {SUFFIX} file, not {shown}",
+                    )
+                ]
+            )
         path = spec_path(Path(value), Path(last.name).parent)
         files = [os.path.realpath(before.name) for before in sources]
         if os.path.realpath(path) in files:
-            circle = [*(before.name for before in sources[files.index(os.path.realpath(path)) :]), str(path)]
+            circle = [
+                *(before.name for before in sources[files.index(os.path.realpath(path)) :]),
+                str(path),
+            ]
             message = f"extends itself: {' -> '.join(circle)}"
         elif len(sources) == LONGEST_CHAIN:
-            message, hint = f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them"
+            message, hint = (
+                f"a chain of more than {LONGEST_CHAIN} files",
+                "write what they share into one of them",
+            )
         elif not os.path.exists(path):
             message, hint = f"no such file: '{path}'", meant(path)
         if message:
@@ -154,10 +213,14 @@ def _with_list(source: Source) -> Source:
     document, places, problems = dict(source.document), dict(source.places), list(source.problems)
     name, place = document.pop(SHORT), places[SHORT,]
     if "tasks" in document:
-        problems.append(source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them"))
+        problems.append(
+            source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them")
+        )
     else:
         if isinstance(name, list):
-            problems.append(source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]"))
+            problems.append(
+                source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]")
+            )
         document["tasks"] = name if isinstance(name, list) else [name]
         places |= {("tasks",): place, ("tasks", 0): Place(place.value, place.value)}
     return replace(source, document=document, places=places, problems=problems)
@@ -181,12 +244,16 @@ def override(number: int, text: str) -> Override:
         raise UsageError(f"{place}: '{text}' is not of the form key=value", example)
     meant_value = value_of(value, text, place)
     if path == ("task",):  # the short form, as in a file
-        return Override(text, ("tasks",), meant_value if isinstance(meant_value, list) else [meant_value])
+        return Override(
+            text, ("tasks",), meant_value if isinstance(meant_value, list) else [meant_value]
+        )
     return Override(text, path, meant_value)
 
 
 def path_of(key: str) -> tuple[str, ...]:
-    """Return `a.b` as the names on the way to a value; one of them is empty where the key is none."""
+    """Return `a.b` as the names on the way to a value; one of them is empty where the key is
+    none.
+    """
     return tuple(part.strip() for part in key.split("."))
 
 
@@ -194,7 +261,9 @@ def value_of(value: str, text: str, place: str) -> Any:
     try:
         source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:
-        raise UsageError(f"{place}: the value of '{text}' is not YAML: {error.problems[0].message}") from error
+        raise UsageError(
+            f"{place}: the value of '{text}' is not YAML: {error.problems[0].message}"
+        ) from error
     if source.problems or set(source.document) != {"value"}:
         reason = source.problems[0].message if source.problems else "more than one value"
         raise UsageError(f"{place}: '{text}': {reason}")
@@ -211,7 +280,8 @@ def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, 
             node = below
         node[option.path[-1]] = option.value
         tasks = result.get("by_task")
-        for own in tasks.values() if isinstance(tasks, dict) else ():  # an option counts for every task
+        # an option counts for every task
+        for own in tasks.values() if isinstance(tasks, dict) else ():
             _forget(own, option.path)
     return result
 
@@ -223,7 +293,8 @@ def _forget(document: Any, path: tuple[str, ...]) -> None:
         document.pop(path[-1], None)
 
 
-WHOLE, AS_PRINTED = "full", "as-printed"  # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
+# of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
+WHOLE, AS_PRINTED = "full", "as-printed"
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
@@ -232,10 +303,17 @@ def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
 
 
-def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them."""
+def restricted(
+    loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None
+) -> Loaded:
+    """Return the spec with some of its tasks and methods only, in its own order; without names
+    of either, with all of them.
+    """
     update: dict[str, tuple[str, ...]] = {}
-    for what, chosen, there in (("task", tasks, loaded.spec.tasks), ("method", methods, loaded.spec.methods)):
+    for what, chosen, there in (
+        ("task", tasks, loaded.spec.tasks),
+        ("method", methods, loaded.spec.methods),
+    ):
         for name in chosen or ():
             if name not in there:
                 raise UnknownName(f"{what} of this spec", name, there)
@@ -258,7 +336,11 @@ def limited(loaded: Loaded, episodes: int | None) -> Loaded:
 
 
 def ablation(
-    path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
+    path: Path,
+    variant: str,
+    tasks: Sequence[str] | None = None,
+    preset: str | None = None,
+    settings: Sequence[str] = (),
 ) -> Loaded:
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
@@ -266,9 +348,17 @@ def ablation(
     if variant == AS_PRINTED:
         narrowed = ["methods=[human, wasp, printed]", f"variants=[{WHOLE}]"]
     else:
-        # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
-        method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
-        narrowed = [f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
+        # The whole method is in every ablation; for `full` itself, it is the method that can be
+        # ablated.
+        method = next(
+            info.name
+            for info in METHODS.values()
+            if variant in info.variants and len(info.variants) > 1
+        )
+        narrowed = [
+            f"methods=[human, {method}]",
+            f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]",
+        ]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
     found = load(path, [*narrowed, *sized(preset, settings)])
@@ -278,7 +368,8 @@ def ablation(
 
 OPTION = "--vary"
 EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
-UNIMPAIRED_REFERENCE = "human"  # runs beside the method whose setting varies: what that method adds is seen against it
+# runs beside the method whose setting varies: what that method adds is seen against it
+UNIMPAIRED_REFERENCE = "human"
 CELLS = {
     "name": "a sweep names its own reports",
     "task": "name one with --task; without it every task of the spec has its rows",
@@ -307,11 +398,16 @@ class Sweep:
 
 
 def read_sweep(
-    path: Path, vary: str, methods: Sequence[str] = (), settings: Sequence[str] = (), tasks: Sequence[str] | None = None
+    path: Path,
+    vary: str,
+    methods: Sequence[str] = (),
+    settings: Sequence[str] = (),
+    tasks: Sequence[str] | None = None,
 ) -> Sweep:
     """Read and validate a spec file under every value of `vary`, which is a text `a.b=v1,v2`.
 
-    Without `methods` the setting of a method runs this method and Human-only, and any other setting all that the spec lists.
+    Without `methods` the setting of a method runs this method and Human-only, and any other setting
+    all that the spec lists.
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
@@ -335,7 +431,15 @@ def read_sweep(
         update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
         if not methods and options[0].path[0] in method_sections():
             update["methods"] = tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, options[0].path[0])))
-        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods)))
+        points.append(
+            Point(
+                text,
+                option.value,
+                restricted(
+                    replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods
+                ),
+            )
+        )
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
@@ -345,17 +449,27 @@ def values_of(vary: str) -> list[Override]:
     if not equals or not all(path):
         raise UsageError(f"{OPTION}: '{vary}' is not of the form KEY=V1,V2,...", EXAMPLE)
     if path[0] in CELLS:
-        raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
+        raise UsageError(
+            f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones",
+            CELLS[path[0]],
+        )
     name = ".".join(path)
     values = value_of(f"[{rest}]", rest, OPTION)
     if not values or rest.rstrip().endswith(","):
-        raise UsageError(f"{OPTION}: '{rest}' has an empty value", "write null where no value is meant")
+        raise UsageError(
+            f"{OPTION}: '{rest}' has an empty value", "write null where no value is meant"
+        )
     if len(values) < 2:
-        raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
-    texts = [json.dumps(value, sort_keys=True) for value in values]  # 1 and true are equal to Python
+        raise UsageError(
+            f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE
+        )
+    # 1 and true are equal to Python
+    texts = [json.dumps(value, sort_keys=True) for value in values]
     for place, text in enumerate(texts):
         if text in texts[:place]:
-            raise UsageError(f"{OPTION}: the value {text} stands there twice", "write each value once")
+            raise UsageError(
+                f"{OPTION}: the value {text} stands there twice", "write each value once"
+            )
     return [Override(f"{name}={shown(value)}", path, value, OPTION) for value in values]
 
 

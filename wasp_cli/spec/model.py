@@ -1,6 +1,7 @@
 """The specification of an experiment: what a YAML file in `specs/` says, validated and frozen.
 
-The sections of the stages and of the methods come from the registries, so that a new one needs no line here.
+The sections of the stages and of the methods come from the registries, so that a new one needs no
+line here.
 """
 
 from __future__ import annotations
@@ -11,7 +12,14 @@ from functools import cache
 from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 from pydantic_core.core_schema import ErrorType
 
@@ -34,9 +42,24 @@ QUESTIONS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("mental", "How mentally demanding was the task?", "very low", "very high"),
         ("physical", "How physically demanding was the task?", "very low", "very high"),
         ("temporal", "How hurried or rushed was the pace of the task?", "very low", "very high"),
-        ("performance", "How successful were you in accomplishing what you were asked to do?", "perfect", "failure"),
-        ("effort", "How hard did you have to work to accomplish your level of performance?", "very low", "very high"),
-        ("frustration", "How insecure, discouraged, irritated, stressed and annoyed were you?", "very low", "very high"),
+        (
+            "performance",
+            "How successful were you in accomplishing what you were asked to do?",
+            "perfect",
+            "failure",
+        ),
+        (
+            "effort",
+            "How hard did you have to work to accomplish your level of performance?",
+            "very low",
+            "very high",
+        ),
+        (
+            "frustration",
+            "How insecure, discouraged, irritated, stressed and annoyed were you?",
+            "very low",
+            "very high",
+        ),
     ),
     "assistance": (
         ("agency", "The vehicle did what I wanted it to do.", "not at all", "completely"),
@@ -44,22 +67,37 @@ QUESTIONS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("satisfaction", "I was satisfied with how driving went.", "not at all", "completely"),
     ),
 }
-"""By questionnaire: name, words and the two ends of every scale from 0 to 100. `tlx` is NASA's task load index without weights (raw TLX;
-Hart 2006); the other is ours."""
+"""By questionnaire: name, words and the two ends of every scale from 0 to 100. `tlx` is NASA's task
+load index without weights (raw TLX; Hart 2006); the other is ours."""
 
 
 class StudyConfig(Config):
-    """A study: each participant drives every condition (a method, or one of its variants) once, in a balanced order."""
+    """A study: each participant drives every condition (a method, or one of its variants) once,
+    in a balanced order.
+    """
 
     title: str = Field(default="Driving study", max_length=200, description="heading of the page")
-    consent: str = Field(default="", max_length=20_000, description="what participants are told and agree to; empty: no consent is asked")
-    consent_version: str = Field(default="1", max_length=40, description="recorded with the consent; change it with the text")
-    practice: int = Field(default=1, ge=0, le=100, description="episodes before the first block, without an assistant, that do not count")
+    consent: str = Field(
+        default="",
+        max_length=20_000,
+        description="what participants are told and agree to; empty: no consent is asked",
+    )
+    consent_version: str = Field(
+        default="1", max_length=40, description="recorded with the consent; change it with the text"
+    )
+    practice: int = Field(
+        default=1,
+        ge=0,
+        le=100,
+        description="episodes before the first block, without an assistant, that do not count",
+    )
     questionnaires: Annotated[tuple[Questionnaire, ...], NO_REPEATS] = Field(
-        default=("tlx", "assistance"), description="asked after every block: raw NASA-TLX; agency, trust and satisfaction"
+        default=("tlx", "assistance"),
+        description="asked after every block: raw NASA-TLX; agency, trust and satisfaction",
     )
     shown: Annotated[tuple[Shown, ...], NO_REPEATS] = Field(
-        default=("cameras", "map", "cost", "goals"), description="what participants see; gate and imagined would tell conditions apart"
+        default=("cameras", "map", "cost", "goals"),
+        description="what participants see; gate and imagined would tell conditions apart",
     )
     speed: float = Field(default=1.0, gt=0.0, le=4.0, description="simulated seconds per second")
 
@@ -67,8 +105,9 @@ class StudyConfig(Config):
 def balanced_order(conditions: int, participant: int) -> list[int]:
     """Return the order of conditions (0, 1, ...) of a participant: a row of a Williams square.
 
-    Every condition stands in every place, and follows every other one, equally often over `n` participants with consecutive numbers, or
-    over `2 n` where the number of conditions is odd (Williams 1949).
+    Every condition stands in every place, and follows every other one, equally often over `n`
+    participants with consecutive numbers, or over `2 n` where the number of conditions is odd
+    (Williams 1949).
     """
     first = [(k + 1) // 2 if k % 2 else conditions - k // 2 for k in range(conditions)]
     rows = [[(start + shift) % conditions for start in first] for shift in range(conditions)]
@@ -79,66 +118,108 @@ def balanced_order(conditions: int, participant: int) -> list[int]:
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[names.SeverityName, float], Field(min_length=1)]
-Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]  # where, what, and the value that is wrong
-DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
+# where, what, and the value that is wrong
+Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
+DEFAULT_STAGES: tuple[str, ...] = tuple(
+    kind for kind, info in STAGES.own.items() if info.by_default
+)
 """What every spec trains besides what its methods need."""
 
 
 def refuse(problems: list[Problem]) -> None:
     """Raise every problem at its own place; a plain ValueError would point at the whole section."""
     if problems:
-        errors = [InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems]
+        errors = [
+            InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems
+        ]
         raise ValidationError.from_exception_data("Spec", errors)
 
 
 def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    values = [((variant, severity), value) for variant, severities in operators.items() for severity, value in severities.items()]
-    refuse([(place, wrong, value) for place, value in values if (wrong := _out_of_range(place[0], value))])
+    values = [
+        ((variant, severity), value)
+        for variant, severities in operators.items()
+        for severity, value in severities.items()
+    ]
+    refuse(
+        [
+            (place, wrong, value)
+            for place, value in values
+            if (wrong := _out_of_range(place[0], value))
+        ]
+    )
     return operators
 
 
 def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
     info = OPERATORS[variant]
     context = {"low": f"{info.low:g}", "high": f"{info.high:g}", "unit": info.unit}
-    wrong = PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+    wrong = PydanticCustomError(
+        "severity_range", "should lie between {low} and {high} ({unit})", context
+    )
     return None if info.low <= value <= info.high else wrong
 
 
 class Spec(Config):
-    """What to run. Sections of stages and methods are fields of the subclass that `spec_type` builds."""
+    """What to run. Sections of stages and methods are fields of the subclass that `spec_type`
+    builds.
+    """
 
     name: names.SpecName = Field(description="name of the reports; not part of any key")
-    preset: Preset = Field(default="cpu", description="sets every size and budget; values in this file override it")
-    tasks: Annotated[tuple[names.TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
-    methods: Annotated[tuple[names.MethodName, ...], NO_REPEATS, Field(description="the assistants")]
+    preset: Preset = Field(
+        default="cpu", description="sets every size and budget; values in this file override it"
+    )
+    tasks: Annotated[
+        tuple[names.TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")
+    ]
+    methods: Annotated[
+        tuple[names.MethodName, ...], NO_REPEATS, Field(description="the assistants")
+    ]
     stages: Annotated[tuple[names.StageName, ...], NO_REPEATS] = Field(
         default=DEFAULT_STAGES,
-        description="what is computed besides what the methods need: training once for each task and seed of training, "
+        description="what is computed besides what the methods "
+        "need: training once for each task and "
+        "seed of training, "
         "`counterfactual` for each cell whose method may intervene",
     )
     variants: Annotated[tuple[names.VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
-        default=("full",), description="ablations of the methods that have them; the others run once"
+        default=("full",),
+        description="ablations of the methods that have them; the others run once",
     )
     operators: Annotated[dict[names.OperatorName, Severities], AfterValidator(_in_range)] = Field(
         default={}, description="operator variants with their severities, as name: value"
     )
-    seeds: Annotated[tuple[names.Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")]
+    seeds: Annotated[
+        tuple[names.Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")
+    ]
     training_seed: names.Seed | None = Field(
-        default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
+        default=None,
+        description="null: every seed trains its own models; a "
+        "number: all share the models of that "
+        "seed",
     )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
     side_by_side: int = assumed(
-        10, "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over", ge=1
+        10,
+        "episodes of a cell in one batch; rounding may depend on their number, so that "
+        "only whole batches are taken over",
+        ge=1,
     )
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
     by_task: dict[names.TaskName, dict[str, dict[str, Any]]] = Field(
-        default={}, description="settings that one task has of its own, over those of the sections, as task: {section: {field: value}}"
+        default={},
+        description="settings that one task has of its own, over those of the sections, as task: "
+        "{section: {field: value}}",
     )
-    study: StudyConfig | None = Field(default=None, description="of people who drive the cells with `wasp drive SPEC`; not part of any key")
+    study: StudyConfig | None = Field(
+        default=None,
+        description="of people who drive the cells with `wasp drive SPEC`; not part of any key",
+    )
     reuse: Literal["none", "published"] = Field(
         default="none",
-        description="published: results in results/published with the same configuration are used instead of computed, "
+        description="published: results in results/published with the same configuration are used "
+        "instead of computed, "
         "even if the code has changed since; not part of any key",
     )
 
@@ -151,21 +232,31 @@ class Spec(Config):
         if name in method_sections():
             section = _over(getattr(self, name), self.by_task.get(task or "", {}).get(name))
         if len(info.variants) > 1:
-            # Validated again, since a variant may ask for more of the other fields than the section did.
+            # Validated again, since a variant may ask for more of the other fields than the section
+            # did.
             section = type(section).model_validate({**section.model_dump(), "variant": variant})
         return section
 
     def variants_of(self, method: str) -> tuple[str, ...]:
-        """Return the ablations of a method that this spec asks for; a method without ablations runs in its only one."""
+        """Return the ablations of a method that this spec asks for; a method without ablations
+        runs in its only one.
+        """
         known = tuple(METHODS[method].variants)
-        return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
+        return (
+            known
+            if len(known) == 1
+            else tuple(variant for variant in self.variants if variant in known)
+        )
 
     def chain_seed(self, seed: int) -> int:
         return seed if self.training_seed is None else self.training_seed
 
     @model_validator(mode="after")
     def _parts_fit(self, info: ValidationInfo) -> Spec:
-        refuse(_list_problems(self, recorded=bool((info.context or {}).get(RECORDED))) + _skill_problems(self))
+        refuse(
+            _list_problems(self, recorded=bool((info.context or {}).get(RECORDED)))
+            + _skill_problems(self)
+        )
         _check_tasks(self)
         _check_variants(self)
         return self
@@ -174,11 +265,15 @@ class Spec(Config):
 def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
     if not values:
         return section
-    return type(section).model_validate_json(json.dumps(merged(section.model_dump(mode="json"), values)), strict=True)
+    return type(section).model_validate_json(
+        json.dumps(merged(section.model_dump(mode="json"), values)), strict=True
+    )
 
 
 EVERYWHERE = ("evaluate", "counterfactual", "expert.checkpoints")
-"""Sections and settings that are the same for all tasks: tables compare cells, and operators name skills."""
+"""Sections and settings that are the same for all tasks: tables compare cells, and operators
+name skills.
+"""
 
 
 def _check_tasks(spec: Spec) -> None:
@@ -188,7 +283,11 @@ def _check_tasks(spec: Spec) -> None:
         for name, values in changes.items():
             here = ("by_task", task, name)
             places = {name: ("[key]",)} | {f"{name}.{field}": (field, "[key]") for field in values}
-            same = [key for key in places if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]]
+            same = [
+                key
+                for key in places
+                if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]
+            ]
             for key in same:
                 hint = {"key": key, "hint": f"set '{key}' outside `by_task`"}
                 what = PydanticCustomError("everywhere", "'{key}' is the same for all tasks", hint)
@@ -197,7 +296,13 @@ def _check_tasks(spec: Spec) -> None:
                 if not same and name in sections:
                     _over(getattr(spec, name), values)
                 elif not same:
-                    errors.append(InitErrorDetails(type=unknown("section", name, sections), loc=(*here, "[key]"), input=name))
+                    errors.append(
+                        InitErrorDetails(
+                            type=unknown("section", name, sections),
+                            loc=(*here, "[key]"),
+                            input=name,
+                        )
+                    )
             except ValidationError as error:
                 errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
@@ -217,21 +322,48 @@ def _check_variants(spec: Spec) -> None:
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
     context = error.get("ctx", {})
-    what = error["type"] if error["type"] in get_args(ErrorType) else PydanticCustomError(error["type"], error["msg"], context)
-    return InitErrorDetails(type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context)
+    what = (
+        error["type"]
+        if error["type"] in get_args(ErrorType)
+        else PydanticCustomError(error["type"], error["msg"], context)
+    )
+    return InitErrorDetails(
+        type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context
+    )
 
 
 def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:
-    """What lists have wrong together. Of a spec that ran (`recorded`), all methods may be those of a plugin that is absent now."""
+    """What lists have wrong together. Of a spec that ran (`recorded`), all methods may be those
+    of a plugin that is absent now.
+    """
     problems: list[Problem] = []
-    if not recorded and not spec.methods and not any(STAGES[kind].unit == "chain" for kind in spec.stages):
+    if (
+        not recorded
+        and not spec.methods
+        and not any(STAGES[kind].unit == "chain" for kind in spec.stages)
+    ):
         hint = {"hint": "name a method, or under `stages` what is to be trained"}
-        problems.append((("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", hint), []))
+        problems.append(
+            (
+                ("methods",),
+                PydanticCustomError("nothing", "neither methods nor stages are listed", hint),
+                [],
+            )
+        )
     # Without methods the default stands, and asks for nothing.
-    offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {"full"}
+    offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {
+        "full"
+    }
     for index, variant in enumerate(spec.variants):
-        if variant not in offered and not recorded:  # a run of one method keeps what the spec says of the others
-            problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
+        # a run of one method keeps what the spec says of the others
+        if variant not in offered and not recorded:
+            problems.append(
+                (
+                    ("variants", index),
+                    unknown("variant of the listed methods", variant, offered),
+                    variant,
+                )
+            )
     if not spec.operators and any(METHODS[method].impaired for method in spec.methods):
         message = "the listed methods assist an operator; name at least one variant"
         problems.append((("operators",), PydanticCustomError("no_operator", message, {}), None))
@@ -242,7 +374,9 @@ def _skill_problems(spec: Spec) -> list[Problem]:
     """A limited skill is a checkpoint of the expert, wherever it is asked for."""
     checkpoints: tuple[float, ...] = getattr(spec, "expert").checkpoints  # noqa: B009  (a field of the built subclass)
     hint = "checkpoints: " + ", ".join(f"{share:g}" for share in checkpoints)
-    what = PydanticCustomError("no_checkpoint", "no such value in expert.checkpoints", {"hint": hint})
+    what = PydanticCustomError(
+        "no_checkpoint", "no such value in expert.checkpoints", {"hint": hint}
+    )
     problems: list[Problem] = [
         (("operators", "limited-skill", severity), what, value)
         for severity, value in spec.operators.get("limited-skill", {}).items()
@@ -252,10 +386,18 @@ def _skill_problems(spec: Spec) -> list[Problem]:
         mixed: dict[str, tuple[float, ...]] = getattr(spec, section).operators
         for variant, values in mixed.items():
             if variant not in OPERATORS:
-                problems.append(((section, "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
+                problems.append(
+                    (
+                        (section, "operators", variant, "[key]"),
+                        unknown("operator variant", variant, OPERATORS),
+                        variant,
+                    )
+                )
                 continue
             for index, value in enumerate(values):
-                unknown_skill = what if variant == "limited-skill" and value not in checkpoints else None
+                unknown_skill = (
+                    what if variant == "limited-skill" and value not in checkpoints else None
+                )
                 if wrong := _out_of_range(variant, value) or unknown_skill:
                     problems.append(((section, "operators", variant, index), wrong, value))
     return problems
@@ -267,7 +409,9 @@ def method_sections() -> list[str]:
 
 @cache
 def mixing_stages() -> tuple[str, ...]:
-    """Return the stages that drive the task with operators of their own choice: those whose config has a field `operators`."""
+    """Return the stages that drive the task with operators of their own choice: those whose
+    config has a field `operators`.
+    """
     return tuple(kind for kind in STAGES if "operators" in STAGES.load(kind).config.model_fields)
 
 
@@ -275,39 +419,67 @@ def mixing_stages() -> tuple[str, ...]:
 def spec_type() -> type[Spec]:
     for registry in (STAGES, METHODS, OPERATORS):
         for name in set(registry) - set(registry.own):
-            check_plugin(registry, registry[name], registry.load(name) if registry is STAGES else None)
+            check_plugin(
+                registry, registry[name], registry.load(name) if registry is STAGES else None
+            )
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}
-    fields: dict[str, Any] = {name: (model, Field(default_factory=model)) for name, model in models.items()}
+    fields: dict[str, Any] = {
+        name: (model, Field(default_factory=model)) for name, model in models.items()
+    }
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
 
 
 def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
-    """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage (`made`: its class) that has no place in a plan."""
+    """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage
+    (`made`: its class) that has no place in a plan.
+    """
     taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
-    if (other := METHODS if registry is STAGES else STAGES if registry is METHODS else None) is not None:
-        taken = dict.fromkeys((*other.own, *(getattr(added, "name", "") for _, added in other.plugins())), f"a {other.kind}")
+    if (
+        other := METHODS if registry is STAGES else STAGES if registry is METHODS else None
+    ) is not None:
+        taken = dict.fromkeys(
+            (*other.own, *(getattr(added, "name", "") for _, added in other.plugins())),
+            f"a {other.kind}",
+        )
         taken |= dict.fromkeys((*Spec.model_fields, *TOP), "a field of every spec")
     if entry.name in taken:
-        message = f"the {registry.kind} '{entry.name}' of a plugin has the name of {taken[entry.name]}"
+        message = (
+            f"the {registry.kind} '{entry.name}' of a plugin has the name of {taken[entry.name]}"
+        )
         raise WaspError(message, "rename it in the plugin, or uninstall the plugin")
     if not isinstance(entry, StageInfo):
         return
     if entry.unit != "chain":
-        raise WaspError(f"the stage '{entry.name}' of a plugin has unit '{entry.unit}'", "stages of plugins have the unit 'chain'")
+        raise WaspError(
+            f"the stage '{entry.name}' of a plugin has unit '{entry.unit}'",
+            "stages of plugins have the unit 'chain'",
+        )
     section = getattr(made, "config", None)
     if not (isinstance(section, type) and issubclass(section, Config)):
-        raise WaspError(f"the class of stage '{entry.name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
+        raise WaspError(
+            f"the class of stage '{entry.name}' has no `config` that derives from "
+            "wasp_cli.config.Config",
+            "repair the plugin",
+        )
     others, fields = {*STAGES} - {entry.name}, {*Spec.model_fields}
-    for name, known, what in (("needs", others, "other stages"), ("settings", fields, "fields of a spec")):
+    for name, known, what in (
+        ("needs", others, "other stages"),
+        ("settings", fields, "fields of a spec"),
+    ):
         listed = getattr(made, name, None)
         if not isinstance(listed, tuple) or not set(listed) <= known:
-            raise WaspError(f"`{name}` of the stage '{entry.name}' is no tuple of names of {what}: {listed!r}", "repair the plugin")
+            raise WaspError(
+                f"`{name}` of the stage '{entry.name}' is no tuple of names of {what}: {listed!r}",
+                "repair the plugin",
+            )
 
 
 def validate(document: Mapping[str, Any]) -> Spec:
     preset = document.get("preset", "cpu")
-    resolved = _with_episodes(merged(preset_values(preset) if isinstance(preset, str) else {}, document))
+    resolved = _with_episodes(
+        merged(preset_values(preset) if isinstance(preset, str) else {}, document)
+    )
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
     return spec_type().model_validate_json(json.dumps(resolved), strict=True)
 

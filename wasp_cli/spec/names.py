@@ -1,4 +1,6 @@
-"""Checked names: what a spec may write wherever it names a task, a method, a stage, an operator variant or itself."""
+"""Checked names: what a spec may write wherever it names a task, a method, a stage, an operator
+variant or itself.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,17 @@ EXTENDS = "extends"
 SHORT = "task"
 TOP = (EXTENDS, SHORT)  # what a file may say at the top beside the fields of a spec
 RECORDED = "recorded"
-"""Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
+"""Set in the context of a validation: the spec was run before, so that its environments need
+not be there to read it again.
+"""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
     """Return the error for a name that no registry has; its context carries the hint."""
     hint = did_you_mean(name, sorted(known))
-    return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
+    return PydanticCustomError(
+        "unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint}
+    )
 
 
 def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
@@ -45,7 +51,9 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
         if not (info.context or {}).get(RECORDED):
             use()
     except WaspError as error:
-        raise PydanticCustomError("own", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+        raise PydanticCustomError(
+            "own", "{message}", {"message": error.message, "hint": error.hint or ""}
+        ) from error
     return name
 
 
@@ -54,7 +62,9 @@ def _task(name: str, info: ValidationInfo) -> str:
         # Specs have one name for a task, since it names random streams and results.
         if name not in TASKS and (registered := task_named(name)) in TASKS:
             hint = f"write '{registered}'"
-            raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": hint})
+            raise PydanticCustomError(
+                "task", "'{name}' is built in under another name", {"name": name, "hint": hint}
+            )
     try:
         TASKS[name]
     except UnknownName as error:
@@ -73,10 +83,15 @@ def _registered(registry: Registry[Any]) -> AfterValidator:
 
 
 def _load(registry: Registry[Any], name: str) -> None:
-    """Import an entry that is not ours, and see that its `needs` are listed; WaspError where they are not."""
+    """Import an entry that is not ours, and see that its `needs` are listed; WaspError where
+    they are not.
+    """
     needs = getattr(registry.load(name), "needs", ())
     if not isinstance(needs, (tuple, list)):
-        raise WaspError(f"`needs` of '{name}' is {needs!r}, no tuple of stages", 'write it as in needs = ("critics",)')
+        raise WaspError(
+            f"`needs` of '{name}' is {needs!r}, no tuple of stages",
+            'write it as in needs = ("critics",)',
+        )
 
 
 def training_stages() -> list[str]:
@@ -86,15 +101,22 @@ def training_stages() -> list[str]:
 def _stage(name: str) -> str:
     if name not in STAGES:
         raise unknown("stage", name, training_stages())
-    elsewhere = {"method": "list its method under `methods`", "person": "wasp clone RESULTS --participant N makes it"}
+    elsewhere = {
+        "method": "list its method under `methods`",
+        "person": "wasp clone RESULTS --participant N makes it",
+    }
     if hint := elsewhere.get(unit := STAGES[name].unit):
-        raise PydanticCustomError("elsewhere", "'{name}' runs for a {unit}", {"name": name, "unit": unit, "hint": hint})
+        raise PydanticCustomError(
+            "elsewhere", "'{name}' runs for a {unit}", {"name": name, "unit": unit, "hint": hint}
+        )
     return name
 
 
 def assistant_variants() -> list[str]:
     """Return every ablation of every method, in registry order, without repeats."""
-    return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
+    return list(
+        dict.fromkeys(variant for method in METHODS.values() for variant in method.variants)
+    )
 
 
 def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
@@ -106,7 +128,8 @@ def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
 
 NO_REPEATS = AfterValidator(_no_repeats)
 
-# The names of specs become folders and those of severities parts of file names, hence the narrow alphabets.
+# The names of specs become folders and those of severities parts of file names, hence the narrow
+# alphabets.
 LONGEST = 64
 SpecName = Annotated[str, Field(pattern=rf"^[A-Za-z0-9][A-Za-z0-9_.-]{{0,{LONGEST - 1}}}$")]
 SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]

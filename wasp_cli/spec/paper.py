@@ -1,6 +1,8 @@
-"""What a paper prints and states: its tables number by number, and its claims as comparisons that rows can answer.
+"""What a paper prints and states: its tables number by number, and its claims as comparisons that
+rows can answer.
 
-The file explains its own words; mistakes in it are told as those of a spec are, with file, line and column.
+The file explains its own words; mistakes in it are told as those of a spec are, with file, line and
+column.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ from wasp_cli.spec.read import InvalidSpec, Loc, Source, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
 COLUMNS = (*WEIGHTS, "uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
-"""What a claim may be about: the columns of an episode, and those of the counterfactual evaluation (section 5.3)."""
+"""What a claim may be about: the columns of an episode, and those of the counterfactual
+evaluation (section 5.3).
+"""
 FULL = "full"
 
 Relation = Literal["lower", "higher", "not_lower", "not_higher", "at_least", "at_most"]
@@ -63,7 +67,9 @@ def _printed(value: Any) -> Printed:
 
 def _who(value: Any) -> Who:
     if not isinstance(value, str):
-        raise PydanticCustomError("who", "should be a method or method/variant", {"hint": "wasp, or wasp/no-case2"})
+        raise PydanticCustomError(
+            "who", "should be a method or method/variant", {"hint": "wasp, or wasp/no-case2"}
+        )
     method, slash, variant = value.partition("/")
     if method not in METHODS:
         raise unknown("method", method, METHODS)
@@ -92,9 +98,22 @@ class PrintedTable(Config):
     @model_validator(mode="after")
     def _rectangular(self) -> PrintedTable:
         width = len(self.columns)
-        counts = {("rows", task, str(who)): len(numbers) for task, rows in self.rows.items() for who, numbers in rows.items()}
-        wrong = {place: f"{count} numbers for {width} columns" for place, count in counts.items() if count != width}
-        refuse([(place, PydanticCustomError("repeated", text, {}), None) for place, text in wrong.items()])
+        counts = {
+            ("rows", task, str(who)): len(numbers)
+            for task, rows in self.rows.items()
+            for who, numbers in rows.items()
+        }
+        wrong = {
+            place: f"{count} numbers for {width} columns"
+            for place, count in counts.items()
+            if count != width
+        }
+        refuse(
+            [
+                (place, PydanticCustomError("repeated", text, {}), None)
+                for place, text in wrong.items()
+            ]
+        )
         return self
 
 
@@ -110,7 +129,9 @@ class Comparison:
 
 
 class Statement(Config):
-    """Comparisons that belong together: every task, every column, every `left` against every `right`."""
+    """Comparisons that belong together: every task, every column, every `left` against every
+    `right`.
+    """
 
     tasks: Tasks
     columns: Columns | None = None
@@ -124,20 +145,40 @@ class Statement(Config):
     @model_validator(mode="after")
     def _answerable(self) -> Statement:
         if (self.columns is None) == (self.either is None):
-            raise ValueError("one of 'columns' (all of them) and 'either' (one is enough) is needed")
-        if self.relation in BOUNDS and (self.bound is None or self.right is not None or self.margin):
-            raise ValueError(f"'{self.relation}' needs 'bound', a number, and neither 'right' nor 'margin'")
+            raise ValueError(
+                "one of 'columns' (all of them) and 'either' (one is enough) is needed"
+            )
+        if self.relation in BOUNDS and (
+            self.bound is None or self.right is not None or self.margin
+        ):
+            raise ValueError(
+                f"'{self.relation}' needs 'bound', a number, and neither 'right' nor 'margin'"
+            )
         if self.relation not in BOUNDS and (self.right is None or self.bound is not None):
-            raise ValueError(f"'{self.relation}' needs 'right', the rows to compare with, and no 'bound'")
+            raise ValueError(
+                f"'{self.relation}' needs 'right', the rows to compare with, and no 'bound'"
+            )
         if self.relation in TOLERANT and not self.margin:
-            raise ValueError(f"'{self.relation}' needs a 'margin' above 0: no finite number of seeds shows that two means are equal")
+            raise ValueError(
+                f"'{self.relation}' needs a 'margin' above 0: no finite number of seeds "
+                "shows that two means are equal"
+            )
         return self
 
     def questions(self) -> Iterator[tuple[Comparison, ...]]:
         """Yield what has to be so; of the comparisons in a tuple one is enough."""
-        columns = [(column,) for column in self.columns] if self.columns is not None else [self.either or ()]
-        for task, left, right, alternatives in product(self.tasks, self.left, self.right or (None,), columns):
-            yield tuple(Comparison(task, column, left, self.relation, right, self.bound, self.margin) for column in alternatives)
+        columns = (
+            [(column,) for column in self.columns]
+            if self.columns is not None
+            else [self.either or ()]
+        )
+        for task, left, right, alternatives in product(
+            self.tasks, self.left, self.right or (None,), columns
+        ):
+            yield tuple(
+                Comparison(task, column, left, self.relation, right, self.bound, self.margin)
+                for column in alternatives
+            )
 
 
 class Claim(Config):
@@ -166,7 +207,12 @@ class Paper(Config):
 
     @property
     def tasks(self) -> frozenset[str]:
-        stated = (task for claim in self.claims for statement in claim.statements for task in statement.tasks)
+        stated = (
+            task
+            for claim in self.claims
+            for statement in claim.statements
+            for task in statement.tasks
+        )
         return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
@@ -205,5 +251,7 @@ def paper_of(source: Source) -> Paper:
 
 
 def _key_hint(loc: Loc) -> str | None:
-    fields = {field for model in (Paper, PrintedTable, Claim, Statement) for field in model.model_fields}
+    fields = {
+        field for model in (Paper, PrintedTable, Claim, Statement) for field in model.model_fields
+    }
     return did_you_mean(str(loc[-1]), sorted(fields))

@@ -1,6 +1,8 @@
-"""From the text of a spec file to plain values, where each of them stands, and problems with their places.
+"""From the text of a spec file to plain values, where each of them stands, and problems with their
+places.
 
-What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is the one way to share sections.
+What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is
+the one way to share sections.
 """
 
 from __future__ import annotations
@@ -47,7 +49,11 @@ class Problem:
     @property
     def place(self) -> str:
         """`file:line:column`, which editors turn into a link."""
-        return self.source if self.position is None else f"{self.source}:{self.position.line}:{self.position.column}"
+        return (
+            self.source
+            if self.position is None
+            else f"{self.source}:{self.position.line}:{self.position.column}"
+        )
 
     def __str__(self) -> str:
         parts = [f"{self.place}: {printable(self.message)}", *self._excerpt()]
@@ -56,24 +62,42 @@ class Problem:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        line, column = (None, None) if self.position is None else (self.position.line, self.position.column)
-        return {"file": self.source, "line": line, "column": column, "message": self.message, "hint": self.hint, "excerpt": self.line}
+        line, column = (
+            (None, None) if self.position is None else (self.position.line, self.position.column)
+        )
+        return {
+            "file": self.source,
+            "line": line,
+            "column": column,
+            "message": self.message,
+            "hint": self.hint,
+            "excerpt": self.line,
+        }
 
     def _excerpt(self) -> list[str]:
         if self.position is None or self.line is None:
             return []
         # Tabs stay tabs, so that the caret stands under its character at any tab width.
-        before = "".join("\t" if character == "\t" else " " for character in self.line[: self.position.column - 1])
+        before = "".join(
+            "\t" if character == "\t" else " "
+            for character in self.line[: self.position.column - 1]
+        )
         return [f"{self.position.line:>5} | {printable(self.line)}", f"      | {before}^"]
 
 
 class InvalidSpec(SpecError):
     def __init__(self, problems: Sequence[Problem]) -> None:
-        files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
+        files = list(
+            dict.fromkeys(problem.source for problem in problems if problem.position is not None)
+        )
 
         def order(problem: Problem) -> tuple[int, int, int]:
             place = problem.position
-            return (len(files), 0, 0) if place is None else (files.index(problem.source), place.line, place.column)
+            return (
+                (len(files), 0, 0)
+                if place is None
+                else (files.index(problem.source), place.line, place.column)
+            )
 
         self.problems = tuple(sorted(problems, key=order))
         super().__init__("\n".join(map(str, self.problems)))
@@ -83,7 +107,8 @@ class InvalidSpec(SpecError):
 
 
 MAX_BYTES = 1_000_000
-MAX_DEPTH = 32  # of lists and mappings in each other; JSON readers give up at some depth without a place
+# of lists and mappings in each other; JSON readers give up at some depth without a place
+MAX_DEPTH = 32
 LARGEST = 2**63  # numbers of a spec lie below it
 
 
@@ -97,7 +122,8 @@ class Place:
 class Source:
     name: str
     text: str
-    document: dict[str, Any] = field(default_factory=dict)  # as JSON values; null where a value has no such form
+    # as JSON values; null where a value has no such form
+    document: dict[str, Any] = field(default_factory=dict)
     places: dict[Loc, Place] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)  # what has no form as a JSON value
 
@@ -105,7 +131,9 @@ class Source:
         """Return how many parts of what pydantic calls a `loc` the document really has."""
         return self._known_part(loc)[1]
 
-    def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
+    def problem(
+        self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False
+    ) -> Problem:
         return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
@@ -124,10 +152,12 @@ class Source:
         return place.key if lacking or (whole and (at_key or loc[-1] == KEY)) else place.value
 
     def _known_part(self, loc: Loc) -> tuple[Loc, int, Any]:
-        """The part of a `loc` that the document has, how many parts of the `loc` that takes, and what stands there.
+        """The part of a `loc` that the document has, how many parts of the `loc` that takes, and
+        what stands there.
 
-        pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped, and a
-        missing field is reported at the mapping it is missing from.
+        pydantic's places also hold the tags of unions, which no file has, and fields that the file
+        leaves out: a tag is skipped, and a missing field is reported at the mapping it is missing
+        from.
         """
         known: Loc = ()
         depth, node = 0, self.document
@@ -161,14 +191,29 @@ def parse(text: str, name: str) -> Source:
         raise InvalidSpec([_yaml_problem(source, error)]) from error
     except ReaderError as error:
         position = _position_of(text, error.position or 0)
-        raise InvalidSpec([source.problem_at(position, f"not a text file: {error.reason}")]) from error
+        raise InvalidSpec(
+            [source.problem_at(position, f"not a text file: {error.reason}")]
+        ) from error
     except RecursionError as error:
         raise InvalidSpec([source.problem_at(START, "nested too deeply")]) from error
-    except (YAMLError, ValueError, TypeError, KeyError, AttributeError, IndexError, AssertionError, NotImplementedError) as error:
+    except (
+        YAMLError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        IndexError,
+        AssertionError,
+        NotImplementedError,
+    ) as error:
         # ruamel lets errors of Python through, without a position.
         raise InvalidSpec([source.problem_at(START, f"not valid YAML: {error}")]) from error
     if not isinstance(values, dict):
-        what = "the file is empty" if values is None else f"a spec is a mapping of keys to values, not {kind_of(values)}"
+        what = (
+            "the file is empty"
+            if values is None
+            else f"a spec is a mapping of keys to values, not {kind_of(values)}"
+        )
         raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
     source.document.update(values)
     return source
@@ -180,7 +225,9 @@ _SHARED = re.compile("[&*!]|<<")
 
 
 def _refuse_sharing(source: Source) -> None:
-    """See that a text has no anchors, aliases, merges and tags: what is meant at one place should be read there."""
+    """See that a text has no anchors, aliases, merges and tags: what is meant at one place
+    should be read there.
+    """
     if not _SHARED.search(source.text):  # reading the tokens takes as long as reading the text
         return
     for token in YAML(typ="safe", pure=True).scan(source.text):
@@ -191,7 +238,12 @@ def _refuse_sharing(source: Source) -> None:
 
 
 _TAG = "tag:yaml.org,2002:"
-_NO_SCALAR = {"int": "not an integer", "float": "not a number", "timestamp": "not a valid date", "bool": "not a boolean"}
+_NO_SCALAR = {
+    "int": "not an integer",
+    "float": "not a number",
+    "timestamp": "not a valid date",
+    "bool": "not a boolean",
+}
 """By tag: what is said of a scalar that cannot be built."""
 
 
@@ -214,7 +266,11 @@ class _Reader:
         scalar = self.scalar(node)
         if (reason := _no_value(scalar)) is None:
             # 1e6 is a float in YAML and a count to people.
-            return int(scalar) if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53 else scalar
+            return (
+                int(scalar)
+                if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53
+                else scalar
+            )
         self.source.problems.append(self.source.problem_at(_at(node), reason))
         return None
 
@@ -223,15 +279,23 @@ class _Reader:
         for key_node, value_node in node.value:
             key = self.scalar(key_node)
             if (reason := _no_key(key)) is not None:
-                self.source.problems.append(self.source.problem_at(_at(key_node), f"a key should be a plain word, not {reason}"))
+                self.source.problems.append(
+                    self.source.problem_at(
+                        _at(key_node), f"a key should be a plain word, not {reason}"
+                    )
+                )
                 continue
             name = str(key)
             if name in keys:
                 hint = "each key may stand once; which of the values is meant?"
-                raise InvalidSpec([self.source.problem_at(_at(key_node), f"found duplicate key '{name}'", hint)])
+                raise InvalidSpec(
+                    [self.source.problem_at(_at(key_node), f"found duplicate key '{name}'", hint)]
+                )
             keys.add(name)
             empty = value_node.tag == f"{_TAG}null"
-            self.source.places[*loc, name] = Place(_at(key_node), _at(key_node if empty else value_node))
+            self.source.places[*loc, name] = Place(
+                _at(key_node), _at(key_node if empty else value_node)
+            )
             yield name, self.value(value_node, (*loc, name))
 
     def scalar(self, node: Any) -> Any:
@@ -256,7 +320,11 @@ def _no_value(scalar: Any) -> str | None:
         return f"should be a finite number, not {scalar}"
     if isinstance(scalar, str) and not _whole(scalar):
         return "holds an unpaired surrogate escape"
-    return "a date is no value of a spec; put it in quotes" if isinstance(scalar, datetime.date) else None
+    return (
+        "a date is no value of a spec; put it in quotes"
+        if isinstance(scalar, datetime.date)
+        else None
+    )
 
 
 def _no_key(key: Any) -> str | None:
@@ -270,7 +338,9 @@ def _no_key(key: Any) -> str | None:
 
 
 def _whole(text: str) -> bool:
-    """Whether a text can be written anywhere: a lone surrogate, which an escape can name, is no character."""
+    """Whether a text can be written anywhere: a lone surrogate, which an escape can name, is no
+    character.
+    """
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
@@ -292,14 +362,19 @@ def _text(path: Path) -> str:
         message, hint = "no such file", meant(path)
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8", errors="replace")
-        position, message = _position_of(before, len(before)), f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8"
+        position, message = (
+            _position_of(before, len(before)),
+            f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8",
+        )
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
     raise InvalidSpec([Problem(str(path), position, message, hint)])
 
 
 def meant(path: Path) -> str:
-    """Return a hint for those who look for a spec that is not there: what is nearly called so, or what there is."""
+    """Return a hint for those who look for a spec that is not there: what is nearly called so,
+    or what there is.
+    """
     try:
         names = [file.stem for file in sorted(path.parent.glob("*.yaml"))]
     except OSError:
@@ -313,7 +388,9 @@ def _position_of(text: str, index: int) -> Position:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also ends them at rarer characters."""
+    """Return the lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also
+    ends them at rarer characters.
+    """
     return re.split(r"\r\n|\r|\n", text)
 
 
@@ -326,7 +403,14 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
 
 
 def kind_of(value: Any) -> str:
-    names = {str: "text", int: "a number", float: "a number", datetime.date: "a date", Mapping: "a mapping", list: "a list"}
+    names = {
+        str: "text",
+        int: "a number",
+        float: "a number",
+        datetime.date: "a date",
+        Mapping: "a mapping",
+        list: "a list",
+    }
     return next((name for kind, name in names.items() if isinstance(value, kind)), "nothing")
 
 

@@ -1,7 +1,8 @@
-"""The JSON Schema of a spec, for editors: they complete keys and names, show what they mean, and mark what is wrong.
+"""The JSON Schema of a spec, for editors: they complete keys and names, show what they mean, and
+mark what is wrong.
 
-With the names of the plugins that are installed. A schema cannot say all that the models check (limits of severities, what depends on
-several keys): `wasp check` has the last word.
+With the names of the plugins that are installed. A schema cannot say all that the models check
+(limits of severities, what depends on several keys): `wasp check` has the last word.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MARKS = ("in_key", "in_paper")  # what the models say to reports, and no validator knows
-FOREIGN = r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
+FOREIGN = (
+    r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)"
+    r"([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
+)
 """`tasks.registry.is_foreign` as a pattern."""
 OWN = r"^[A-Za-z_][A-Za-z0-9_.]*:[A-Za-z_][A-Za-z0-9_]*$"
 """A class of one's own: `methods.registry.OwnMethod`."""
@@ -52,19 +56,32 @@ def spec_schema() -> Schema:
     extends = {
         "type": "string",
         "pattern": rf"(^|/)[^/.]+$|{re.escape(SUFFIX)}$",
-        "description": "another spec whose values this one builds on: a file, or the name of one that comes with the package",
+        "description": "another spec whose values this one builds "
+        "on: a file, or the name of one that "
+        "comes with the package",
     }
     return {
         "$schema": DIALECT,
         "title": "wasp spec",
-        "description": "What to run: tasks, assistants, impaired operators, seeds, and every size and budget.",
+        "description": "What to run: tasks, assistants, impaired "
+        "operators, seeds, and every size and "
+        "budget.",
         "type": "object",
-        "properties": {EXTENDS: extends, "name": top.pop("name"), "preset": top.pop("preset"), SHORT: _task(), **top},
+        "properties": {
+            EXTENDS: extends,
+            "name": top.pop("name"),
+            "preset": top.pop("preset"),
+            SHORT: _task(),
+            **top,
+        },
         "additionalProperties": False,
         "required": ["name"],
         # A base may say what is missing here.
         "if": {"not": {"required": [EXTENDS]}},
-        "then": {"required": ["methods", "seeds"], "anyOf": [{"required": [SHORT]}, {"required": ["tasks"]}]},
+        "then": {
+            "required": ["methods", "seeds"],
+            "anyOf": [{"required": [SHORT]}, {"required": ["tasks"]}],
+        },
         "not": {"required": [SHORT, "tasks"]},
         "$defs": dict(sorted(definitions.items())),
     }
@@ -76,24 +93,37 @@ def _name_things(top: Schema, definitions: Schema) -> None:
     for name, known in (("stages", training_stages()), ("variants", assistant_variants())):
         top[name]["items"] = {"enum": known}
     top["tasks"]["items"] = _task()
-    named = {"enum": list(METHODS), "enumDescriptions": [info.rule for info in METHODS.values()]}  # editors show them
-    top["methods"]["items"] = {"anyOf": [named, {"type": "string", "pattern": OWN, "examples": ["my_module:MyAssistant"]}]}
+    # editors show them
+    named = {"enum": list(METHODS), "enumDescriptions": [info.rule for info in METHODS.values()]}
+    top["methods"]["items"] = {
+        "anyOf": [named, {"type": "string", "pattern": OWN, "examples": ["my_module:MyAssistant"]}]
+    }
     top["operators"]["propertyNames"] = {"enum": list(OPERATORS)}
     severities = top["operators"]["additionalProperties"]
     severities["additionalProperties"] = False  # names of severities have a pattern
     severities["type"] = ["object", "null"]  # null removes an operator of an extended spec
     sections = {name: top[name] for name in (*STAGES, *method_sections()) if name not in EVERYWHERE}
     top["by_task"]["propertyNames"] = _task()
-    top["by_task"]["additionalProperties"] = {"type": "object", "properties": sections, "additionalProperties": False}
+    top["by_task"]["additionalProperties"] = {
+        "type": "object",
+        "properties": sections,
+        "additionalProperties": False,
+    }
     for kind in mixing_stages():
-        _section(top[kind], definitions)["properties"]["operators"]["propertyNames"] = {"enum": list(OPERATORS)}
+        _section(top[kind], definitions)["properties"]["operators"]["propertyNames"] = {
+            "enum": list(OPERATORS)
+        }
     for name in (*STAGES, *method_sections()):
-        _section(top[name], definitions)["type"] = ["object", "null"]  # null removes the section of an extended spec
+        # null removes the section of an extended spec
+        _section(top[name], definitions)["type"] = ["object", "null"]
 
 
 def _task() -> Schema:
     foreign = {"type": "string", "pattern": FOREIGN, "examples": ["my_pkg:MyEnv-v0"]}
-    return {"description": "a task (`wasp list tasks`), or a gymnasium id", "anyOf": [{"enum": list(TASKS)}, foreign]}
+    return {
+        "description": "a task (`wasp list tasks`), or a gymnasium id",
+        "anyOf": [{"enum": list(TASKS)}, foreign],
+    }
 
 
 def _section(reference: Schema, definitions: Schema) -> Schema:
@@ -105,7 +135,8 @@ def _cleaned(properties: Schema) -> None:
     for field in properties.values():
         for mark in MARKS:
             field.pop(mark, None)
-        if field.get("type") == "array" and "minLength" in field:  # pydantic's word for a length behind a validator
+        # pydantic's word for a length behind a validator
+        if field.get("type") == "array" and "minLength" in field:
             field["minItems"] = field.pop("minLength")
 
 
@@ -115,4 +146,6 @@ def _without_defaults(properties: Schema, preset: Mapping[str, Any], definitions
             continue
         properties[name].pop("default", None)
         if isinstance(value, Mapping) and "$ref" in properties[name]:
-            _without_defaults(_section(properties[name], definitions)["properties"], value, definitions)
+            _without_defaults(
+                _section(properties[name], definitions)["properties"], value, definitions
+            )

@@ -1,8 +1,10 @@
-"""The specs and the published parts that come with the package: in a checkout the folders of the repository, in a wheel copies of them.
+"""The specs and the published parts that come with the package: in a checkout the folders of the
+repository, in a wheel copies of them.
 
 wasp run quickstart                  a spec by its name, from any folder
 wasp run specs/quickstart.yaml       the same; a file that is there comes first
-extends: quickstart                  the same inside a spec, where paths begin at the folder of its file
+extends: quickstart                  the same inside a spec, where paths begin at the folder of its
+file
 """
 
 from __future__ import annotations
@@ -26,13 +28,16 @@ def specs_folder() -> Path:
 
 
 def published_folder() -> Path | None:
-    """Return where the published parts are, laid out as a results folder; None where the package came without them.
+    """Return where the published parts are, laid out as a results folder; None where the package
+    came without them.
 
     They are copied, once, where nobody may write to the package.
     """
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
     folder = next((folder for folder in folders if (folder / "store").is_dir()), None)
-    return folder and writable(folder, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "wasp"))
+    return folder and writable(
+        folder, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "wasp")
+    )
 
 
 def shipped_names() -> list[str]:
@@ -40,12 +45,17 @@ def shipped_names() -> list[str]:
 
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
-    """Return the file that was meant by a file or a name: the typed one in `folder`, else one of that name there or in its `specs/`,
-    else the one that comes with the package. A folder is none.
+    """Return the file that was meant by a file or a name: the typed one in `folder`, else one of
+    that name there or in its `specs/`, else the one that comes with the package. A folder is none.
     """
     path = folder / typed
     there = os.path.exists(path) and not os.path.isdir(path)
-    if there or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
+    if (
+        there
+        or str(typed.parent) not in (".", FOLDER)
+        or typed.suffix not in ("", SUFFIX)
+        or not typed.stem.isprintable()
+    ):
         return path
     name = typed.stem + SUFFIX
     for candidate in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
@@ -55,12 +65,20 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays."""
+    """Copy the specs, the paper's numbers and the schema for editors; returns what was written,
+    and what was there and stays.
+    """
     source = specs_folder()
     if not source.is_dir():
-        raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")
+        raise UsageError(
+            f"this installation has no specs: '{source}' is not there",
+            "install the package from a wheel or a checkout",
+        )
     folder.mkdir(parents=True, exist_ok=True)
-    targets = {folder / path.name: path for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")])}
+    targets = {
+        folder / path.name: path
+        for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")])
+    }
     kept = [target for target in targets if target.exists()]
     written = [target for target in targets if target not in kept]
     for target in written:

@@ -25,32 +25,45 @@ class Job:
     task: str
     seed: int  # names the random streams of this node; every node of a training chain has the same
     config: Config  # the validated section of this stage (an instance of the stage's `config`)
-    settings: Mapping[str, Any]  # the spec's shared settings that the stage named in its `settings`, and no others
-    axes: Mapping[str, Any]  # what else identifies the node: method, variant, value (evaluate, calibration)
+    # the spec's shared settings that the stage named in its `settings`, and no others
+    settings: Mapping[str, Any]
+    # what else identifies the node: method, variant, value (evaluate, calibration)
+    axes: Mapping[str, Any]
     inputs: Mapping[str, Path]  # folders of the upstream artifacts, by stage kind
     out_dir: Path  # empty folder; what the stage leaves there becomes the artifact
     work_dir: Path  # survives an interruption; resumable stages keep their checkpoint here
     progress: Progress = field(default=no_progress)
     earlier: Path | None = None
-    """Folder of the same artifact with fewer episodes, whose rows may be taken over; what comes out is the same with and without it."""
-    threads: int = 1  # for physics and cameras, whose results do not depend on it: it varies with how many nodes run side by side
+    """Folder of the same artifact with fewer episodes, whose rows may be taken over; what comes
+    out is the same with and without it.
+    """
+    # for physics and cameras, whose results do not depend on it: it varies with how many nodes run
+    # side by side
+    threads: int = 1
 
 
 class Stage(Protocol):
     """A node kind. Heavy imports go inside `run`, so that planning needs no torch.
 
-    A class may name further `needs_informed`, which it reads on tasks whose operators know more than assistants perceive.
+    A class may name further `needs_informed`, which it reads on tasks whose operators know more
+    than assistants perceive.
 
-    A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage. It is a constant of the stage and not
-    an option of the run, because another number may round differently, and the same key must give the same bytes.
+    A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage.
+    It is a constant of the stage and not an option of the run, because another number may round
+    differently, and the same key must give the same bytes.
     """
 
     kind: ClassVar[str]
     config: ClassVar[type[Config]]
-    settings: ClassVar[tuple[str, ...]]  # names of shared spec settings that enter the node's configuration and key
+    # names of shared spec settings that enter the node's configuration and key
+    settings: ClassVar[tuple[str, ...]]
     needs: ClassVar[tuple[str, ...]]
-    """Stage kinds of the same task and seed whose artifacts `run` reads (methods add theirs in `evaluate` and `calibration`)."""
+    """Stage kinds of the same task and seed whose artifacts `run` reads (methods add theirs in
+    `evaluate` and `calibration`).
+    """
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Fill `job.out_dir` and return the numbers worth showing (JSON values; they go to the manifest)."""
+        """Fill `job.out_dir` and return the numbers worth showing (JSON values; they go to the
+        manifest).
+        """
         ...

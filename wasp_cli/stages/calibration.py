@@ -1,4 +1,6 @@
-"""Calibration of one method's thresholds on the held-out episodes. Artifact: `calibration.json` (by name, with their distributions)."""
+"""Calibration of one method's thresholds on the held-out episodes. Artifact: `calibration.json`
+(by name, with their distributions).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ class CalibrationStage:
     needs: tuple[str, ...] = ("heldout", "world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Ask the method for its thresholds on a spread of held-out decisions of the unimpaired expert."""
+        """Ask the method for its thresholds on a spread of held-out decisions of the unimpaired
+        expert.
+        """
         import numpy as np
         import torch
 
@@ -35,18 +39,28 @@ class CalibrationStage:
         config = cast(CalibrationConfig, job.config)
         heldout = load_heldout(job.inputs["heldout"])
         total = len(heldout.a_h)
-        cost_ahead = torch.from_numpy(sums_ahead(heldout.cost.numpy(), heldout.episode.numpy(), config.window))
+        cost_ahead = torch.from_numpy(
+            sums_ahead(heldout.cost.numpy(), heldout.episode.numpy(), config.window)
+        )
         index = torch.linspace(0, total - 1, min(config.decisions, total)).round().long()
-        chosen = Heldout(Latent(heldout.latent.h[index], heldout.latent.z[index]), *(field[index] for field in heldout[1:]))
+        chosen = Heldout(
+            Latent(heldout.latent.h[index], heldout.latent.z[index]),
+            *(field[index] for field in heldout[1:]),
+        )
         parts = load_parts(job.inputs, job.settings["returns"], motors=TASKS[job.task].motors)
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
-        # The unimpaired operator has no memory, so only its policy and its number of rows matter here.
+        # The unimpaired operator has no memory, so only its policy and its number of rows matter
+        # here.
         context = OperatorContext(parts.skills.at, heldout.a_h.shape[1], 0.0)
         operator = Operator.build(1.0, context, EpisodeNoise([0] * len(index)), len(index))
         with torch.inference_mode():
             seed = derive("calibration", job.task, job.seed)
-            thresholds: dict[str, float] = cast(CalibratedAssistant, assistant).calibrate(chosen, cost_ahead[index], operator, seed)
+            thresholds: dict[str, float] = cast(CalibratedAssistant, assistant).calibrate(
+                chosen, cost_ahead[index], operator, seed
+            )
         gained = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
         thresholds["tau_R"] = config.tau_R_fraction * float(np.nanmean(gained))
-        (job.out_dir / "calibration.json").write_text(json.dumps(thresholds, indent=1, sort_keys=True))
+        (job.out_dir / "calibration.json").write_text(
+            json.dumps(thresholds, indent=1, sort_keys=True)
+        )
         return {name: round(value, 4) for name, value in thresholds.items()}

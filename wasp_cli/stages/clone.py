@@ -1,4 +1,6 @@
-"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it (see `drive.clone` for its files); a run only reads it."""
+"""Clone: a policy fitted to what a person commanded. `wasp clone` makes it (see `drive.clone`
+for its files); a run only reads it.
+"""
 
 from __future__ import annotations
 
@@ -21,4 +23,6 @@ class CloneStage:
     def run(self, job: Job) -> Mapping[str, Any]:
         """Say that the clone is not there."""
         number = f"{job.axes['value']:g}"
-        raise UsageError(f"nobody has cloned participant {number}", f"wasp clone RESULTS --participant {number}")
+        raise UsageError(
+            f"nobody has cloned participant {number}", f"wasp clone RESULTS --participant {number}"
+        )

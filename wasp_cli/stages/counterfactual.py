@@ -1,4 +1,6 @@
-"""Counterfactual branches of a cell (section 5.3 of the paper). Artifact: `branches.parquet` (see `store.branches`)."""
+"""Counterfactual branches of a cell (section 5.3 of the paper). Artifact: `branches.parquet`
+(see `store.branches`).
+"""
 
 from __future__ import annotations
 
@@ -34,17 +36,26 @@ class CounterfactualStage:
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
-        from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
+        from wasp_cli.store.branches import (
+            BRANCHES_FILE,
+            BranchedCell,
+            BranchRow,
+            read_branches,
+            write_branches,
+        )
         from wasp_cli.store.recorded import read_recorded
         from wasp_cli.store.tables import CellIdentity, cell_file, read_steps
         from wasp_cli.tasks.make import make_task
 
         config = cast(CounterfactualConfig, job.config)
         driver, value = job.axes["operator"], job.axes["value"]
-        tau_R = least_gain(load_heldout(job.inputs["heldout"]), config.window, config.tau_R_fraction)
+        tau_R = least_gain(
+            load_heldout(job.inputs["heldout"]), config.window, config.tau_R_fraction
+        )
         if math.isnan(tau_R):
             raise TrainingError(
-                f"no held-out episode of the expert has {config.window} decisions, so there is no tau_R",
+                f"no held-out episode of the expert has {config.window} decisions, so "
+                "there is no tau_R",
                 "set a smaller counterfactual.window",
             )
         path = cell_file(job.inputs["evaluate"])
@@ -52,13 +63,22 @@ class CounterfactualStage:
         count = len(recorded.a)
         ends = np.cumsum([len(actions) for actions in recorded.a])[:-1]
         steps = read_steps(path)
-        deviation, gate = (np.split(np.asarray(steps[name]), ends) for name in ("deviation", "gate"))
+        deviation, gate = (
+            np.split(np.asarray(steps[name]), ends) for name in ("deviation", "gate")
+        )
         intervened = [norms > 0.0 for norms in deviation]
         interventions = int(sum(steps.sum() for steps in intervened))
-        stride = config.stride if config.most is None else max(config.stride, math.ceil(interventions / config.most))
+        stride = (
+            config.stride
+            if config.most is None
+            else max(config.stride, math.ceil(interventions / config.most))
+        )
         chosen = sampled(intervened, stride)
         informed = informed_policies(job.task, job.inputs)
-        model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
+        model, skills = (
+            load_world_model(job.inputs["world_model"]),
+            load_skills(job.inputs["policies"]),
+        )
         found: list[Branch] = []
         for episodes in batches(0, count, job.settings["side_by_side"]):  # as they were evaluated
 
@@ -67,21 +87,61 @@ class CounterfactualStage:
                 job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
 
             batch = len(episodes)
-            task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=observed(job.task), threads=job.threads)
+            task = make_task(
+                job.task,
+                batch,
+                action_repeat=job.settings["action_repeat"],
+                observe=observed(job.task),
+                threads=job.threads,
+            )
             context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
-            mistakes = EpisodeNoise([seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes])
-            rerun = Rerun(task, model, build_operator(driver, value, context, mistakes, batch), recorded.of(episodes))
+            mistakes = EpisodeNoise(
+                [seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes]
+            )
+            rerun = Rerun(
+                task,
+                model,
+                build_operator(driver, value, context, mistakes, batch),
+                recorded.of(episodes),
+            )
             begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)
             found += [branch._replace(episode=episodes[branch.episode]) for branch in begun]
 
-        identity = CellIdentity(job.task, job.axes["method"], job.axes["method_config"].get("variant", "full"), driver, value, job.seed)
+        identity = CellIdentity(
+            job.task,
+            job.axes["method"],
+            job.axes["method_config"].get("variant", "full"),
+            driver,
+            value,
+            job.seed,
+        )
         rows = [
-            BranchRow(b.episode, b.t, b.name, b.cost, b.cost_env, b.reward, float(deviation[b.episode][b.t]), int(gate[b.episode][b.t]))
+            BranchRow(
+                b.episode,
+                b.t,
+                b.name,
+                b.cost,
+                b.cost_env,
+                b.reward,
+                float(deviation[b.episode][b.t]),
+                int(gate[b.episode][b.t]),
+            )
             for b in found
         ]
-        write_branches(job.out_dir / BRANCHES_FILE, BranchedCell(identity, config.window, stride, tau_R, count), rows)
-        stored = read_branches(job.out_dir / BRANCHES_FILE)  # reports see the rewards as they are stored
-        judged = necessity(stored.cost[ALONE], stored.cost[ASSISTED], stored.reward[ALONE], stored.reward[ASSISTED], tau_R)
+        write_branches(
+            job.out_dir / BRANCHES_FILE,
+            BranchedCell(identity, config.window, stride, tau_R, count),
+            rows,
+        )
+        # reports see the rewards as they are stored
+        stored = read_branches(job.out_dir / BRANCHES_FILE)
+        judged = necessity(
+            stored.cost[ALONE],
+            stored.cost[ASSISTED],
+            stored.reward[ALONE],
+            stored.reward[ASSISTED],
+            tau_R,
+        )
         shown = {
             "uir": judged.unnecessary,
             "uir_swapped": judged.swapped,
@@ -89,5 +149,13 @@ class CounterfactualStage:
             "delta_c": judged.delta_c,
             "delta_r": judged.delta_r,
         }
-        numbers = {name: round(float(values.mean()), 4) if len(values) else None for name, values in shown.items()}
-        return {"interventions": interventions, "branched": len(stored.t), **numbers, "tau_R": round(tau_R, 4)}
+        numbers = {
+            name: round(float(values.mean()), 4) if len(values) else None
+            for name, values in shown.items()
+        }
+        return {
+            "interventions": interventions,
+            "branched": len(stored.t),
+            **numbers,
+            "tau_R": round(tau_R, 4),
+        }

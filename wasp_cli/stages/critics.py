@@ -1,4 +1,6 @@
-"""V_r and V_c. Artifact: `critics.safetensors` (+ .json), `curve.json`, `pairs.parquet`, `quality.json` (`learning.critic_quality`)."""
+"""V_r and V_c. Artifact: `critics.safetensors` (+ .json), `curve.json`, `pairs.parquet`,
+`quality.json` (`learning.critic_quality`).
+"""
 
 from __future__ import annotations
 
@@ -36,19 +38,30 @@ class CriticsStage:
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         latents = load_latents(job.inputs["latents"])
-        recording = read_shards(job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"])
+        recording = read_shards(
+            job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"]
+        )
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))
         stream = derive("critics", job.task, job.seed)
-        critics, curve = train_critics(model, skills, recording, latents, config, returns, stream, job.progress)
-        arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
+        critics, curve = train_critics(
+            model, skills, recording, latents, config, returns, stream, job.progress
+        )
+        arguments = {
+            "features": model.feature_size,
+            "hidden": list(config.hidden),
+            "bins": config.bins,
+            "reach": config.reach,
+        }
         save_weights(rounded(critics), job.out_dir / "critics.safetensors", **arguments)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
         found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
         judged = {name: quality(one) for name, one in found.items()}
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        write_pairs(job.out_dir / "pairs.parquet", {f"V_{name}": one for name, one in found.items()})
+        write_pairs(
+            job.out_dir / "pairs.parquet", {f"V_{name}": one for name, one in found.items()}
+        )
         return {
             f"{figure}_{name}": None if value is None else round(value, 3)
             for name, one in judged.items()

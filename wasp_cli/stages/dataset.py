@@ -1,4 +1,6 @@
-"""Dataset: episodes with images from a mixture of behaviours. Artifact: `shard-NNNN.parquet`, `contents.json` (see `learning.contents`)."""
+"""Dataset: episodes with images from a mixture of behaviours. Artifact: `shard-NNNN.parquet`,
+`contents.json` (see `learning.contents`).
+"""
 
 from __future__ import annotations
 
@@ -25,44 +27,77 @@ class DatasetStage:
 
         from wasp_cli.learning.contents import ALL, contents_of, unseen_sources
         from wasp_cli.learning.dataset import Commander, behaviours, record
-        from wasp_cli.learning.shards import HELD_OUT, count_rows, hand_over, held_out_period, write_shard
+        from wasp_cli.learning.shards import (
+            HELD_OUT,
+            count_rows,
+            hand_over,
+            held_out_period,
+            write_shard,
+        )
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
         config = cast(DatasetConfig, job.config)
         observe = ("pixels", "privileged")
-        task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
-        # Episodes may end early, so shards are added until the steps are there; the behaviours of a shard are drawn from its number.
+        task = make_task(
+            job.task,
+            config.envs,
+            action_repeat=job.settings["action_repeat"],
+            observe=observe,
+            threads=job.threads,
+        )
+        # Episodes may end early, so shards are added until the steps are there; the behaviours of a
+        # shard are drawn from its number.
         expert = job.inputs["expert"]
         skills = [load_privileged(expert, f) for f in checkpoint_fractions(expert)]
         steps = shard = 0
-        period = held_out_period(HELD_OUT)  # a schedule of whole periods stays balanced when it begins again
+        # a schedule of whole periods stays balanced when it begins again
+        period = held_out_period(HELD_OUT)
         planned = period * max(1, math.ceil(config.steps / task.max_decisions / period))
         schedule = behaviours(
-            config.mixture.model_dump(), planned, len(skills), np.random.default_rng(derive("dataset-mixture", job.task, job.seed))
+            config.mixture.model_dump(),
+            planned,
+            len(skills),
+            np.random.default_rng(derive("dataset-mixture", job.task, job.seed)),
         )
         files = []
         while steps < config.steps:
             path = job.work_dir / f"shard-{shard:04d}.parquet"
             rows = [schedule[(shard * config.envs + i) % planned] for i in range(config.envs)]
             if not path.exists():
-                random = np.random.default_rng(derive("dataset-commands", job.task, job.seed, shard))
+                random = np.random.default_rng(
+                    derive("dataset-commands", job.task, job.seed, shard)
+                )
                 commander = Commander(skills, rows, task.action_size, random)
-                seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
-                recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
+                seeds = [
+                    derive("dataset-episode", job.task, job.seed, shard * config.envs + i)
+                    for i in range(config.envs)
+                ]
+                recording = record(
+                    task, seeds, commander.command, [b.name for b in rows], shard * config.envs
+                )
                 partial = path.with_suffix(".partial")
                 write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             files.append(path)
             steps += count_rows(path) - config.envs
             shard += 1
-            job.progress(min(1.0, steps / config.steps), f"{steps} of {config.steps} decision steps")
+            job.progress(
+                min(1.0, steps / config.steps), f"{steps} of {config.steps} decision steps"
+            )
         for path in files:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
         whole, unseen = contents[ALL], unseen_sources(contents)
-        summary: dict[str, Any] = {"steps": steps, "episodes": whole["episodes"], "costly_share": round(whole["costly_share"], 4)}
-        summary |= {"sources_not_seen": len(unseen), "return": round(whole["return_per_episode"], 2)}
+        summary: dict[str, Any] = {
+            "steps": steps,
+            "episodes": whole["episodes"],
+            "costly_share": round(whole["costly_share"], 4),
+        }
+        summary |= {
+            "sources_not_seen": len(unseen),
+            "return": round(whole["return_per_episode"], 2),
+        }
         return summary | {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}

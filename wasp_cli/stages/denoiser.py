@@ -1,4 +1,6 @@
-"""Diffusion's denoiser. Artifact: `denoiser.safetensors` (+ .json with the schedule), `quality.json` (`learning.denoiser`)."""
+"""Diffusion's denoiser. Artifact: `denoiser.safetensors` (+ .json with the schedule),
+`quality.json` (`learning.denoiser`).
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,22 @@ class DenoiserStage:
         config = cast(DenoiserConfig, job.config)
         states = load_labelled(job.inputs)
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
-        denoiser, schedule, summary = train_denoiser(*states, config, derive("denoiser", job.task, job.seed), job.progress)
+        denoiser, schedule, summary = train_denoiser(
+            *states, config, derive("denoiser", job.task, job.seed), job.progress
+        )
         save_weights(
-            rounded(denoiser), job.out_dir / "denoiser.safetensors",
-            features=states.features, action=states.labels.shape[1], hidden=list(config.hidden),
-            steps=schedule.steps, schedule={"steps": config.steps, "beta_min": config.beta_min, "beta_max": config.beta_max},
-        )  # fmt: skip
+            rounded(denoiser),
+            job.out_dir / "denoiser.safetensors",
+            features=states.features,
+            action=states.labels.shape[1],
+            hidden=list(config.hidden),
+            steps=schedule.steps,
+            schedule={
+                "steps": config.steps,
+                "beta_min": config.beta_min,
+                "beta_max": config.beta_max,
+            },
+        )
         seen, labels, recorded = states.held_out()
         source = generator(derive("denoiser-quality", job.task, job.seed))
         summary["heldout_noise_loss"] = noise_loss(denoiser, schedule, seen, labels, source)

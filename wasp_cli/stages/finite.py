@@ -9,7 +9,9 @@ from typing import Any
 
 
 def finite_json(value: Any) -> str:
-    """Write a value of mappings, lists and plain values as JSON, with null for every number that is not finite."""
+    """Write a value of mappings, lists and plain values as JSON, with null for every number
+    that is not finite.
+    """
     return json.dumps(_finite(value), indent=1, allow_nan=False)
 
 

@@ -1,4 +1,6 @@
-"""Held-out episodes of the unimpaired expert, from which every threshold is taken. Artifact: `heldout.safetensors` (a row per decision)."""
+"""Held-out episodes of the unimpaired expert, from which every threshold is taken. Artifact:
+`heldout.safetensors` (a row per decision).
+"""
 
 from __future__ import annotations
 
@@ -30,11 +32,21 @@ class HeldoutStage:
 
         config = cast(HeldoutConfig, job.config)
         task = make_task(
-            job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=observed(job.task), threads=job.threads
+            job.task,
+            config.episodes,
+            action_repeat=job.settings["action_repeat"],
+            observe=observed(job.task),
+            threads=job.threads,
         )
         seeds = [derive("heldout-episode", job.task, job.seed, i) for i in range(config.episodes)]
         model = load_world_model(job.inputs["world_model"])
-        skills, informed = load_skills(job.inputs["policies"]), informed_policies(job.task, job.inputs)
+        skills, informed = (
+            load_skills(job.inputs["policies"]),
+            informed_policies(job.task, job.inputs),
+        )
         loop = expert_episodes(task, model, skills, seeds, keep_latents=True, informed=informed)
         save_heldout(heldout_rows(loop), job.out_dir)
-        return {"return": float(loop.reward.sum(0).mean()), "cost": float(loop.cost_env.sum(0).mean())}
+        return {
+            "return": float(loop.reward.sum(0).mean()),
+            "cost": float(loop.cost_env.sum(0).mean()),
+        }

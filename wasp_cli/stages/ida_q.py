@@ -1,4 +1,6 @@
-"""IDA's Q ensemble. Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `pairs.parquet` and `quality.json`."""
+"""IDA's Q ensemble. Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss),
+`pairs.parquet` and `quality.json`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ class IDAQStage:
     needs: tuple[str, ...] = ("dataset", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train on the dataset's latents; say how far Q tells the expert's action from a random one."""
+        """Train on the dataset's latents; say how far Q tells the expert's action from a random
+        one.
+        """
         import torch
 
         from wasp_cli.learning.critic_quality import quality, write_pairs
@@ -33,17 +37,28 @@ class IDAQStage:
         from wasp_cli.seeds import derive
 
         config = cast(EnsembleConfig, job.config)
-        recording = read_shards(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
+        recording = read_shards(
+            job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"]
+        )
         latents = load_latents(job.inputs["latents"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
         seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
-        ensemble, curve = train_ensemble(skills, recording, latents, config, gamma, seed, job.progress)
+        ensemble, curve = train_ensemble(
+            skills, recording, latents, config, gamma, seed, job.progress
+        )
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-        arguments = {"members": config.members, "features": features, "action": recording.action.shape[1], "hidden": list(config.hidden)}
+        arguments = {
+            "members": config.members,
+            "features": features,
+            "action": recording.action.shape[1],
+            "hidden": list(config.hidden),
+        }
         save_weights(rounded(ensemble), job.out_dir / "ensemble.safetensors", **arguments)
         with torch.inference_mode():
-            seen = latents.at(torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))).features
+            seen = latents.at(
+                torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))
+            ).features
             expert = skills.expert(seen)
             gap = (ensemble(seen, expert) - ensemble(seen, -expert)).mean()
         found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma)

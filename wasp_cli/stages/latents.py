@@ -1,4 +1,6 @@
-"""Latents of every recorded row, apart from the weights: evaluations do not read them. Artifact: `latents.safetensors` (h float16, z)."""
+"""Latents of every recorded row, apart from the weights: evaluations do not read them.
+Artifact: `latents.safetensors` (h float16, z).
+"""
 
 from __future__ import annotations
 

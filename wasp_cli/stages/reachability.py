@@ -1,4 +1,6 @@
-"""The reachability filter's safety value. Artifact: `safety.safetensors` (+ .json), `curve.json`, `quality.json`."""
+"""The reachability filter's safety value. Artifact: `safety.safetensors` (+ .json),
+`curve.json`, `quality.json`.
+"""
 
 from __future__ import annotations
 
@@ -33,21 +35,40 @@ class ReachabilityStage:
         from wasp_cli.seeds import derive
 
         config = cast(ReachabilityConfig, job.config)
-        model, latents = load_world_model(job.inputs["world_model"]), load_latents(job.inputs["latents"])
-        recording = read_shards(job.inputs["dataset"], ["action", "cost", "terminal", "first", "episode"])
+        model, latents = (
+            load_world_model(job.inputs["world_model"]),
+            load_latents(job.inputs["latents"]),
+        )
+        recording = read_shards(
+            job.inputs["dataset"], ["action", "cost", "terminal", "first", "episode"]
+        )
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("reachability-weights", job.task, job.seed))
         stream = derive("reachability", job.task, job.seed)
-        value, curve = train_safety_value(model, skills, recording, latents, config, stream, job.progress)
+        value, curve = train_safety_value(
+            model, skills, recording, latents, config, stream, job.progress
+        )
         save_weights(
-            rounded(value), job.out_dir / "safety.safetensors", features=model.feature_size, action=model.action_size, hidden=config.hidden,
-            action_scales=list(model.sizes.action_scales), members=len(value.members),
-        )  # fmt: skip
+            rounded(value),
+            job.out_dir / "safety.safetensors",
+            features=model.feature_size,
+            action=model.action_size,
+            hidden=config.hidden,
+            action_scales=list(model.sizes.action_scales),
+            members=len(value.members),
+        )
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
         judged = safety_quality(value, recording, latents, load_heldout(job.inputs["heldout"]))
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        return {"loss": round(curve[-1]["loss"], 4), "danger": round(curve[-1]["danger"], 4), **_told(judged)}
+        return {
+            "loss": round(curve[-1]["loss"], 4),
+            "danger": round(curve[-1]["danger"], 4),
+            **_told(judged),
+        }
 
 
 def _told(judged: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
-    return {f"auc_{name}": None if (value := one["auc"]) is None else round(value, 3) for name, one in judged.items()}
+    return {
+        f"auc_{name}": None if (value := one["auc"]) is None else round(value, 3)
+        for name, one in judged.items()
+    }

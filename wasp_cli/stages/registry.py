@@ -1,4 +1,6 @@
-"""The stages by kind, with what planning and running need to know of each. Adding one is a module and a line here or in `wasp.stages`."""
+"""The stages by kind, with what planning and running need to know of each. Adding one is a
+module and a line here or in `wasp.stages`.
+"""
 
 from __future__ import annotations
 
@@ -10,30 +12,45 @@ from typing import Any, Literal
 from wasp_cli.registry import Registry
 
 Unit = Literal["chain", "method", "person", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator at one severity, or a cell of the grid."""
+"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator
+at one severity, or a cell of the grid.
+"""
 
 
 @dataclass(frozen=True)
 class StageInfo:
-    """A node kind. The class says what it reads (`needs`) and which settings it shares; `stages.base.Stage` has the contract."""
+    """A node kind. The class says what it reads (`needs`) and which settings it shares;
+    `stages.base.Stage` has the contract.
+    """
 
     name: str
-    """Its kind: the name of its section in a spec, of its folder in the store, and what `needs` of stages and methods say."""
+    """Its kind: the name of its section in a spec, of its folder in the store, and what `needs`
+    of stages and methods say.
+    """
     target: str  # import string of its class (light to import: heavy imports are inside `run`)
     unit: Unit = "chain"
-    """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
-    `method` runs because a method is listed, `cell` for every cell whose method may intervene; `person` is made by a command of what a
-    person drove, and a run only reads it."""
-    by_default: bool = False  # whether a spec that lists no `stages` trains it, although no method needs it
+    """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others
+    are those of this package: `method` runs because a method is listed, `cell` for every cell whose
+    method may intervene; `person` is made by a command of what a person drove, and a run only reads
+    it."""
+    # whether a spec that lists no `stages` trains it, although no method needs it
+    by_default: bool = False
     weight: int = 10
-    """Where no time was measured, nodes of heavier stages start first, so that a run does not end with one busy worker."""
+    """Where no time was measured, nodes of heavier stages start first, so that a run does not
+    end with one busy worker.
+    """
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By preset, what that preset says instead of the defaults of the config. Presets of this package are in `spec.presets`."""
+    """By preset, what that preset says instead of the defaults of the config. Presets of this
+    package are in `spec.presets`.
+    """
 
     def __post_init__(self) -> None:
         """Refuse a name that cannot be a folder and a key of YAML alike."""
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", self.name):
-            raise ValueError(f"the stage name '{self.name}' should be small letters, digits and '_', at most 32, a letter first")
+            raise ValueError(
+                f"the stage name '{self.name}' should be small letters, digits and '_', at "
+                "most 32, a letter first"
+            )
 
 
 STAGES: Registry[StageInfo] = Registry(
@@ -44,7 +61,9 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", weight=10),
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage", weight=13),
         StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=7),
-        StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
+        StageInfo(
+            "diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6
+        ),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
         StageInfo("reachability", "wasp_cli.stages.reachability:ReachabilityStage", weight=7),
@@ -54,9 +73,13 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("consistency", "wasp_cli.stages.consistency:ConsistencyStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
         StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
-        StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),
+        StageInfo(
+            "calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3
+        ),
         StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
-        StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2),
+        StageInfo(
+            "counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2
+        ),
     ),
 )
 

@@ -1,4 +1,6 @@
-"""SafeRL-Res: a residual policy trained in the real task. Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout)."""
+"""SafeRL-Res: a residual policy trained in the real task. Artifact: `residual.safetensors` (+
+.json), `curve.json` (a row per rollout).
+"""
 
 from __future__ import annotations
 
@@ -33,12 +35,24 @@ class ResidualStage:
         config = cast(ResidualConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         repeat, shown = job.settings["action_repeat"], observed(job.task)
-        task = make_task(job.task, config.envs, action_repeat=repeat, observe=shown, threads=job.threads)
+        task = make_task(
+            job.task, config.envs, action_repeat=repeat, observe=shown, threads=job.threads
+        )
         informed = informed_policies(job.task, job.inputs)
         skills = json.loads((job.inputs["policies"] / "evaluation.json").read_text())["skills"]
-        expert = skills[max(skills, key=float)]["latent" if informed is None else "privileged"]["return"]
+        expert = skills[max(skills, key=float)]["latent" if informed is None else "privileged"][
+            "return"
+        ]
         policy, curve = train_residual(
-            task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress, expert, informed
+            task,
+            model,
+            load_skills(job.inputs["policies"]),
+            config,
+            job.task,
+            job.seed,
+            job.progress,
+            expert,
+            informed,
         )
         save_weights(
             rounded(policy),

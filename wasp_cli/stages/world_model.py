@@ -1,4 +1,6 @@
-"""World model: the encoder taught on images, Eq. 6, a refit of the heads. Artifact: `world_model.safetensors` (+ .json), `curves.json`."""
+"""World model: the encoder taught on images, Eq. 6, a refit of the heads. Artifact:
+`world_model.safetensors` (+ .json), `curves.json`.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,18 @@ from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.stages.base import Job
 
 TERMS = {
-    "alpha_q": "kl_representation", "alpha_p": "kl_prediction", "beta_o": "image_loss", "beta_r": "reward_loss", "beta_c": "cost_loss",
-    "beta_n": "continuation_loss", "ahead_r": "imagined_reward_loss", "ahead_c": "imagined_cost_loss",
-    "ahead_o": "imagined_image_loss", "privileged": "privileged_loss", "teaching": "teaching_error",
-}  # fmt: skip
+    "alpha_q": "kl_representation",
+    "alpha_p": "kl_prediction",
+    "beta_o": "image_loss",
+    "beta_r": "reward_loss",
+    "beta_c": "cost_loss",
+    "beta_n": "continuation_loss",
+    "ahead_r": "imagined_reward_loss",
+    "ahead_c": "imagined_cost_loss",
+    "ahead_o": "imagined_image_loss",
+    "privileged": "privileged_loss",
+    "teaching": "teaching_error",
+}
 """The terms of the loss by the weight that multiplies them, named for people."""
 
 
@@ -56,7 +66,10 @@ class WorldModelStage:
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
         matrix = TASKS[job.task].mirror if config.mirror else None
-        mirror, turned = None if matrix is None else np.array(matrix, np.float32), privileged_mirror(job.task)
+        mirror, turned = (
+            None if matrix is None else np.array(matrix, np.float32),
+            privileged_mirror(job.task),
+        )
         readout: Readout | None = None
         if config.privileged:
             torch.manual_seed(derive("world-model-readout", *names))
@@ -64,20 +77,46 @@ class WorldModelStage:
         teaching = job.work_dir / "teaching.json"
         if config.taught and not has_training(job.work_dir):
             # Not resumed: an interrupted teaching begins anew, and ends with the same bytes.
-            shown, teaching_seed = turned if config.mirror else None, derive("world-model-teaching", *names)
-            taught = teach_encoder(model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown)
+            shown, teaching_seed = (
+                turned if config.mirror else None,
+                derive("world-model-teaching", *names),
+            )
+            taught = teach_encoder(
+                model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown
+            )
             teaching.write_text(json.dumps(taught))
         curves, skipped = learning.train(
-            model, recording, rows, config, config.updates, seed, job.work_dir, during(0.1, 0.85),
-            readout=readout, mirror=mirror, privileged_mirror=turned,
-        )  # fmt: skip
+            model,
+            recording,
+            rows,
+            config,
+            config.updates,
+            seed,
+            job.work_dir,
+            during(0.1, 0.85),
+            readout=readout,
+            mirror=mirror,
+            privileged_mirror=turned,
+        )
         model.requires_grad_(False)
         latents = encode(model, recording, during(0.85, 0.95))
-        learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
+        learning.refit_heads(
+            model,
+            recording,
+            latents,
+            learned,
+            config,
+            derive("world-model-refit", *names),
+            during(0.95, 1.0),
+        )
         model.cpu()
         save_world_model(rounded(model), job.out_dir)
         if teaching.exists():
             curves["teaching"] = json.loads(teaching.read_text())
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
-        summary = {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values and name in TERMS}
+        summary = {
+            f"final_{TERMS[name]}": round(values[-1], 4)
+            for name, values in curves.items()
+            if values and name in TERMS
+        }
         return {**summary, "skipped": skipped}

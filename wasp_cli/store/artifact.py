@@ -28,12 +28,20 @@ def staging_folder(layout: Layout, key: str) -> Path:
     return folder
 
 
-def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any], copied: bool = False) -> Path:
+def commit(
+    layout: Layout,
+    kind: str,
+    key: str,
+    staging: Path,
+    manifest: Mapping[str, Any],
+    copied: bool = False,
+) -> Path:
     """Complete an artifact with its manifest and move it to its place.
 
-    Everything is on disk before the move, and the move is one rename, so that a reader sees the whole artifact or none.
-    When the place is taken, someone else has computed the same key: theirs stays, unless it is damaged.
-    `copied`: the original exists. Then nothing waits for the disk; what a power failure empties is damaged, and is copied again.
+    Everything is on disk before the move, and the move is one rename, so that a reader sees the
+    whole artifact or none. When the place is taken, someone else has computed the same key: theirs
+    stays, unless it is damaged. `copied`: the original exists. Then nothing waits for the disk;
+    what a power failure empties is damaged, and is copied again.
     """
     (staging / MANIFEST).write_text(dumps({**manifest, "files": _files(staging)}), encoding="utf-8")
     if not copied:
@@ -63,11 +71,17 @@ def artifact_keys(layout: Layout, kind: str) -> list[str]:
     """Return the keys of a kind that have a folder, whatever is in it."""
     try:
         with os.scandir(layout.within(layout.kind(kind))) as entries:
-            return sorted(entry.name for entry in entries if is_key(entry.name) and entry.is_dir(follow_symlinks=False))
+            return sorted(
+                entry.name
+                for entry in entries
+                if is_key(entry.name) and entry.is_dir(follow_symlinks=False)
+            )
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise StoreError(f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}") from error
+        raise StoreError(
+            f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}"
+        ) from error
 
 
 def stored_keys(layout: Layout, kind: str) -> set[str]:
@@ -78,7 +92,11 @@ def stored_keys(layout: Layout, kind: str) -> set[str]:
 def stored_kinds(layout: Layout) -> list[str]:
     """Return the kinds of which a store has artifacts, whatever version wrote them."""
     with suppress(OSError), os.scandir(layout.within(layout.store)) as entries:
-        return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
+        return sorted(
+            entry.name
+            for entry in entries
+            if entry.is_dir(follow_symlinks=False) and is_name(entry.name)
+        )
     return []
 
 
@@ -88,7 +106,8 @@ def exists(layout: Layout, kind: str, key: str) -> bool:
 
 
 def damage(layout: Layout, kind: str, key: str) -> str | None:
-    """Return what is wrong with an artifact (not there, no readable manifest, a file gone or of another size); None when it is whole.
+    """Return what is wrong with an artifact (not there, no readable manifest, a file gone or of
+    another size); None when it is whole.
 
     Sizes only: the manifest has each file's SHA-256 too, but planning must not read gigabytes.
     """
@@ -106,7 +125,9 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Return the size of each file that an artifact was committed with, by relative name; `path` is that of its manifest."""
+    """Return the size of each file that an artifact was committed with, by relative name;
+    `path` is that of its manifest.
+    """
     try:
         files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -133,11 +154,13 @@ def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str 
 
 WHY = "_why.txt"  # lies in an artifact that was taken out of use
 
-_verified: dict[str, tuple[int, int]] = {}  # time and size of each file whose bytes this process has seen to be those of the manifest
+# time and size of each file whose bytes this process has seen to be those of the manifest
+_verified: dict[str, tuple[int, int]] = {}
 
 
 def corruption(layout: Layout, kind: str, key: str) -> str | None:
-    """Return what is wrong with the bytes of an artifact, by the SHA-256 of each file; None when they are those of the manifest.
+    """Return what is wrong with the bytes of an artifact, by the SHA-256 of each file; None when
+    they are those of the manifest.
 
     A process reads a file once, as long as its time and size stay.
     """
@@ -155,7 +178,9 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
 
 
 def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
-    """Take an artifact out of use, so that it is computed again; its files stay until then. Another process may have done so before."""
+    """Take an artifact out of use, so that it is computed again; its files stay until then.
+    Another process may have done so before.
+    """
     manifest = layout.manifest(kind, key)
     with suppress(FileNotFoundError):
         os.replace(manifest, manifest.with_suffix(".invalid"))
@@ -166,13 +191,19 @@ def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
 def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
     """Return why an artifact was taken out of use; None of others."""
     with suppress(OSError, ValueError):
-        return " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
+        return (
+            " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
+        )
     return None
 
 
 def is_file_name(name: str) -> bool:
-    """Return whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
-    return len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
+    """Return whether a manifest may list a file of this name: it lies in the artifact, wherever
+    that is.
+    """
+    return (
+        len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
+    )
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
@@ -215,12 +246,16 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 
 def dumps(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON that people can read. What has no JSON form (a NaN too) is an error here, not in the reader."""
+    """Return a record as JSON that people can read. What has no JSON form (a NaN too) is an
+    error here, not in the reader.
+    """
     return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
 def sweep(layout: Layout) -> int:
-    """Remove what killed processes left in `tmp/`; what a living one still writes stays. Returns how many folders went."""
+    """Remove what killed processes left in `tmp/`; what a living one still writes stays.
+    Returns how many folders went.
+    """
     left = left_behind(layout)
     for folder in left:
         discard(folder)
@@ -234,7 +269,9 @@ def left_behind(layout: Layout) -> list[Path]:
 
 
 def discard(folder: Path) -> None:
-    """Remove a folder, or a file, that nobody needs any more; what is already gone is fine, and what a link leads to stays."""
+    """Remove a folder, or a file, that nobody needs any more; what is already gone is fine, and
+    what a link leads to stays.
+    """
     with suppress(FileNotFoundError):
         if folder.is_symlink() or not folder.is_dir():
             folder.unlink()

@@ -1,12 +1,14 @@
 """The counterfactual branches of one cell: a Parquet file with two rows per branched decision.
 
-    rows = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=..., deviation=0.8, gate=1), ...]
-    write_branches(path, BranchedCell(identity, window=15, stride=1, tau_R=0.06, episodes=10), rows)
+    rows = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=...,
+    deviation=0.8, gate=1), ...] write_branches(path, BranchedCell(identity, window=15, stride=1,
+    tau_R=0.06, episodes=10), rows)
 
     read_branches(path)   what the rows have in common, and the pairs of rows side by side
 
-The rows are sorted, the same input gives the same bytes, and a cell without interventions has a file without rows. Letters: N branched
-decisions, W decision steps of a branch at most, w <= W of one that ended early.
+The rows are sorted, the same input gives the same bytes, and a cell without interventions has a
+file without rows. Letters: N branched decisions, W decision steps of a branch at most, w <= W of
+one that ended early.
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ ROW = (
     pa.field("tau_R", pa.float64(), nullable=False),
     pa.field("window", pa.int16(), nullable=False),
 )
-"""A branch: the decision at which it begins, its decision steps, c_t, env steps with cost and reward of each, and of the decision the norm
-of a - a_h and the gate (`metrics.episode`)."""
+"""A branch: the decision at which it begins, its decision steps, c_t, env steps with cost and
+reward of each, and of the decision the norm of a - a_h and the gate (`metrics.episode`)."""
 SCHEMA = pa.schema([*(field for field in IDENTITY if field.name != "episode_seed"), *ROW])
 
 
@@ -73,7 +75,9 @@ class BranchRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Branches:
-    """The N pairs of branches of a cell, sorted by episode and decision. Steps after the end of an episode are 0."""
+    """The N pairs of branches of a cell, sorted by episode and decision. Steps after the end of
+    an episode are 0.
+    """
 
     cell: BranchedCell
     episode: NDArray[np.int64]  # [N]
@@ -85,7 +89,9 @@ class Branches:
 
 
 def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) -> None:
-    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows."""
+    """Write the branches of a cell. The file appears complete or not at all; the same input
+    gives the same bytes, in any order of rows.
+    """
     write_table(branches_table(cell, rows), path)
 
 
@@ -96,7 +102,10 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
     columns |= {name: [getattr(row, name) for row in rows] for name in BranchRow._fields}
     columns["steps"] = [len(row.costs) for row in rows]
     marks = {VERSION_KEY: str(VERSION), CELL_KEY: json.dumps(asdict(cell), sort_keys=True)}
-    return pa.table([pa.array(columns[field.name], field.type) for field in SCHEMA], schema=SCHEMA.with_metadata(marks))
+    return pa.table(
+        [pa.array(columns[field.name], field.type) for field in SCHEMA],
+        schema=SCHEMA.with_metadata(marks),
+    )
 
 
 def read_branches(path: Path) -> Branches:
@@ -111,7 +120,12 @@ def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
     episode, t, gate = (np.asarray(table[name], np.int64) for name in ("episode", "t", "gate"))
     later = np.diff(episode[::2]) * (1 << 32) + np.diff(t[::2])  # both are 32 bits wide
     alternating = table["branch"].to_pylist() == [ASSISTED, ALONE] * (len(t) // 2)
-    if not (alternating and (episode[::2] == episode[1::2]).all() and (t[::2] == t[1::2]).all() and (later > 0).all()):
+    if not (
+        alternating
+        and (episode[::2] == episode[1::2]).all()
+        and (t[::2] == t[1::2]).all()
+        and (later > 0).all()
+    ):
         raise ValueError("its rows are not sorted pairs of branches")
     costs, rewards = (_steps(table, name, cell.window) for name in ("costs", "rewards"))
     return Branches(
@@ -128,10 +142,16 @@ def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
 def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
     """[rows, W], zero after the end of a branch."""
     nested = table[name].combine_chunks()
-    lengths, steps = np.asarray(nested.value_lengths().fill_null(0), np.int64), np.asarray(table["steps"], np.int64)
+    lengths, steps = (
+        np.asarray(nested.value_lengths().fill_null(0), np.int64),
+        np.asarray(table["steps"], np.int64),
+    )
     wrong = np.flatnonzero((lengths != steps) | (steps < 1) | (steps > width))
     if wrong.size:
-        raise ValueError(f"a branch of {steps[wrong[0]]} steps has {lengths[wrong[0]]} {name}, in a window of {width}")
+        raise ValueError(
+            f"a branch of {steps[wrong[0]]} steps has {lengths[wrong[0]]} {name}, in a "
+            f"window of {width}"
+        )
     flat = np.asarray(nested.flatten().cast(pa.float64()).fill_null(np.nan))
     if not np.isfinite(flat).all():
         raise ValueError(f"{name} are not finite")
@@ -145,18 +165,25 @@ def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
     with opened_table(path, VERSION_KEY, VERSION, "a table of counterfactual branches") as file:
         renamed = RENAMED if int(file.schema_arrow.metadata[VERSION_KEY]) < RENAMED_IN else {}
         now = {former: name for name, former in renamed.items()}
-        table = file.read(columns=[renamed.get(name, name) for name in SCHEMA.names], use_threads=False)
+        table = file.read(
+            columns=[renamed.get(name, name) for name in SCHEMA.names], use_threads=False
+        )
         table = table.rename_columns([now.get(name, name) for name in table.column_names])
-        if table.column_names != SCHEMA.names:  # pyarrow leaves out, without a word, a column that the footer does not name
+        # pyarrow leaves out, without a word, a column that the footer does not name
+        if table.column_names != SCHEMA.names:
             raise ValueError(f"its columns are {', '.join(table.column_names)}")
         return table, _cell(file.schema_arrow.metadata[CELL_KEY], now)
 
 
 def _cell(text: bytes, renamed: Mapping[str, str]) -> BranchedCell:
     values = json.loads(text)
-    values["identity"] = {renamed.get(name, name): value for name, value in values["identity"].items()}
+    values["identity"] = {
+        renamed.get(name, name): value for name, value in values["identity"].items()
+    }
     cell = BranchedCell(**{**values, "identity": CellIdentity(**values["identity"])})
     numbers = (cell.window, cell.stride, cell.episodes)
-    if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(cell.tau_R):
+    if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(
+        cell.tau_R
+    ):
         raise ValueError("its window, stride, number of episodes or tau_R is none")
     return cell

@@ -1,9 +1,10 @@
 """Which node a person means: by key, by label, or, if it is an evaluated cell, by path.
 
     find_cell(Layout(Path("results")), "611a4993")                       the beginning of a key
-    find_cell(Layout(Path("results")), "goal1 s0 wasp/no-case2 laggy=0.7")   a label, as `wasp run` and the report print it
-    find_cell(Layout(Path("results")), "copied/episodes.parquet")        a file, or the folder of an artifact
-    find_node(Layout(Path("results")), "goal1 s0 world_model")           a node of any kind, also one that failed
+    find_cell(Layout(Path("results")), "goal1 s0 wasp/no-case2 laggy=0.7")   a label, as `wasp run`
+    and the report print it find_cell(Layout(Path("results")), "copied/episodes.parquet")        a
+    file, or the folder of an artifact find_node(Layout(Path("results")), "goal1 s0 world_model")
+    a node of any kind, also one that failed
 
 Keys and labels are compared with what is there; neither ever becomes a path.
 """
@@ -50,7 +51,8 @@ class FoundNode:
     key: str | None = None  # None of a file outside of a store
     manifest: Mapping[str, Any] = field(default_factory=dict)  # empty where there is none
     kind: str = ""
-    failure: Mapping[str, Any] = field(default_factory=dict)  # of its last failure; empty when it succeeded since
+    # of its last failure; empty when it succeeded since
+    failure: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str | None:
@@ -68,7 +70,9 @@ class FoundNode:
         return str(self.setting("provenance", "started_at") or "")
 
     def setting(self, *names: str) -> Any:
-        """Return a value of the manifest by the names on the way to it; None where it says nothing."""
+        """Return a value of the manifest by the names on the way to it; None where it says
+        nothing.
+        """
         value: Any = self.manifest
         for name in names:
             value = value.get(name) if isinstance(value, Mapping) else None
@@ -83,7 +87,8 @@ class FoundCell(FoundNode):
 def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -> FoundCell:
     """Return the one cell that `text` names: the beginning of a key, a label, or a path.
 
-    `within` are the keys that may be meant, of a run for example. Where it names several, a UsageError lists them, newest first.
+    `within` are the keys that may be meant, of a run for example. Where it names several, a
+    UsageError lists them, newest first.
     """
     nodes, labels = _stored(layout, [KIND], text, within)
     if (node := _newest(nodes, text, "evaluations")) is None:
@@ -92,26 +97,53 @@ def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -
 
 
 def find_node(layout: Layout, text: str, within: Container[str] | None = None) -> FoundNode:
-    """Return the one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed."""
-    failures = {node.key: node for node in _failures(layout) if within is None or node.key in within}
+    """Return the one node that `text` names: the beginning of a key, or a label; of any kind,
+    and also when it has only failed.
+    """
+    failures = {
+        node.key: node for node in _failures(layout) if within is None or node.key in within
+    }
     stored, labels = _stored(layout, stored_kinds(layout), text, within)
-    nodes = [replace(node, failure=failures[node.key].failure) if node.key in failures else node for node in stored]
-    nodes += [node for node in matching(failures.values(), text) if node.key not in {other.key for other in stored}]
+    nodes = [
+        replace(node, failure=failures[node.key].failure) if node.key in failures else node
+        for node in stored
+    ]
+    nodes += [
+        node
+        for node in matching(failures.values(), text)
+        if node.key not in {other.key for other in stored}
+    ]
     if (node := _newest(nodes, text, "nodes")) is not None:
         return node
     labels += [node.label or "" for node in failures.values()]
-    how = "give a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
-    raise UnknownName("node", text, set(labels), f"no node '{_one_line(text)}' in '{layout.root}'", otherwise=how)
+    how = "give a key (a folder name in store/<kind>), or a label" + (
+        f" such as '{labels[0]}'" if labels else ""
+    )
+    raise UnknownName(
+        "node", text, set(labels), f"no node '{_one_line(text)}' in '{layout.root}'", otherwise=how
+    )
 
 
-def _stored(layout: Layout, kinds: Sequence[str], text: str, within: Container[str] | None) -> tuple[list[FoundNode], list[str]]:
-    """The stored nodes that a text names; and, where it begins no key, the labels that there are."""
-    places = [(kind, key) for kind in kinds for key in sorted(stored_keys(layout, kind)) if within is None or key in within]
-    if by_key := [_node(layout, kind, key) for kind, key in places if _begins(key, _one_line(text))]:
+def _stored(
+    layout: Layout, kinds: Sequence[str], text: str, within: Container[str] | None
+) -> tuple[list[FoundNode], list[str]]:
+    """The stored nodes that a text names; and, where it begins no key, the labels that there
+    are.
+    """
+    places = [
+        (kind, key)
+        for kind in kinds
+        for key in sorted(stored_keys(layout, kind))
+        if within is None or key in within
+    ]
+    if by_key := [
+        _node(layout, kind, key) for kind, key in places if _begins(key, _one_line(text))
+    ]:
         return by_key, []
     nodes: list[FoundNode] = []
     for kind, key in places:
-        with suppress(ArtifactError):  # one that is damaged has lost its label; its key still finds it
+        # one that is damaged has lost its label; its key still finds it
+        with suppress(ArtifactError):
             nodes.append(_node(layout, kind, key))
     return matching(nodes, text), [node.label or "" for node in nodes]
 
@@ -121,33 +153,59 @@ def _node(layout: Layout, kind: str, key: str) -> FoundNode:
 
 
 def _newest(nodes: Iterable[FoundNode], text: str, what: str) -> FoundNode | None:
-    """The node that is meant; of several, the error lists the newest first, each with its date and its run."""
+    """The node that is meant; of several, the error lists the newest first, each with its date
+    and its run.
+    """
     ordered = sorted(nodes, key=lambda node: node.started_at, reverse=True)
-    about = {node.key: f"{node.date}  {f'run {run}' if (run := node.setting('provenance', 'run')) else ''}".rstrip() for node in ordered}
+    about = {
+        node.key: f"{node.date}  "
+        f"{f'run {run}' if (run := node.setting('provenance', 'run')) else ''}".rstrip()
+        for node in ordered
+    }
     return only(ordered, text, f"{what}, newest first", lambda node: printable(about[node.key]))
 
 
 def matching(things: Iterable[Thing], text: str) -> list[Thing]:
-    """Return the things whose key begins with what someone wrote; where there are none, those whose label it is."""
+    """Return the things whose key begins with what someone wrote; where there are none, those
+    whose label it is.
+    """
     things, text = list(things), _one_line(text)
     by_key = [thing for thing in things if _begins(thing.key or "", text)]
     return by_key or [thing for thing in things if same_label(thing.label or "", text)]
 
 
-def only(things: Sequence[Thing], text: str, what: str, about: Callable[[Thing], str] = lambda thing: "") -> Thing | None:
-    """Return the thing that a text names, or None; a UsageError lists several, with what there is to say `about` each."""
+def only(
+    things: Sequence[Thing], text: str, what: str, about: Callable[[Thing], str] = lambda thing: ""
+) -> Thing | None:
+    """Return the thing that a text names, or None; a UsageError lists several, with what there
+    is to say `about` each.
+    """
     if len(things) > 1:
-        lines = ["  ".join(filter(None, (thing.key, thing.label, about(thing)))) for thing in things]
-        lines = [f"'{_one_line(text)}' names {len(things)} {what}:", *first([f"  {line}" for line in lines], SHOWN)]
-        raise UsageError("\n".join(lines), "give the first characters of one of these keys, or the run with --run")
+        lines = [
+            "  ".join(filter(None, (thing.key, thing.label, about(thing)))) for thing in things
+        ]
+        lines = [
+            f"'{_one_line(text)}' names {len(things)} {what}:",
+            *first([f"  {line}" for line in lines], SHOWN),
+        ]
+        raise UsageError(
+            "\n".join(lines),
+            "give the first characters of one of these keys, or the run with --run",
+        )
     return things[0] if things else None
 
 
 def same_label(label: str, text: str) -> bool:
-    """Return whether what was written is a label, as a run or a report names it; capitals do not count."""
-    # As reports name a cell, `goal1 wasp laggy=0.7 seed 0`, in the order of the run: `goal1 s0 wasp laggy=0.7`.
+    """Return whether what was written is a label, as a run or a report names it; capitals do
+    not count.
+    """
+    # As reports name a cell, `goal1 wasp laggy=0.7 seed 0`, in the order of the run: `goal1 s0 wasp
+    # laggy=0.7`.
     reported = _REPORTED.fullmatch(text)
-    return label.casefold() == (f"{reported[1]} s{reported[3]} {reported[2]}" if reported else text).casefold()
+    return (
+        label.casefold()
+        == (f"{reported[1]} s{reported[3]} {reported[2]}" if reported else text).casefold()
+    )
 
 
 def _begins(key: str, text: str) -> bool:
@@ -185,12 +243,20 @@ def _by_path(layout: Layout, text: str, labels: Sequence[str]) -> FoundCell:
 
 def _unknown(layout: Layout, name: str, labels: Sequence[str]) -> UsageError:
     if _PREFIX.fullmatch(name.lower()) and len(name) < LEAST:
-        return UsageError(f"'{name}' is too short for a key", f"give at least {LEAST} characters of it, or a label")
+        return UsageError(
+            f"'{name}' is too short for a key",
+            f"give at least {LEAST} characters of it, or a label",
+        )
     for node in matching((node for node in _failures(layout) if node.kind == KIND), name):
         message = f"'{name}' has no rows: it failed with: {node.failure.get('message')}"
         return UsageError(message, "run the spec again: what failed runs again")
     if not labels:
         hint = "wasp run SPEC --results DIR writes them; --results chooses where to look"
         return UsageError(f"no evaluation '{name}': '{layout.root}' holds none", hint)
-    how = f"give a key (a folder name in store/evaluate), a label such as '{labels[0]}', or the path of an {EPISODES_FILE}"
-    return UnknownName("evaluation", name, set(labels), f"no evaluation '{name}' in '{layout.root}'", otherwise=how)
+    how = (
+        f"give a key (a folder name in store/evaluate), a label such as '{labels[0]}', or the "
+        f"path of an {EPISODES_FILE}"
+    )
+    return UnknownName(
+        "evaluation", name, set(labels), f"no evaluation '{name}' in '{layout.root}'", otherwise=how
+    )

@@ -1,14 +1,14 @@
 """The folders of `results/`: every path that wasp writes is made here, from checked names.
 
 results/
-  store/<kind>/<key>/      artifacts: what the stage wrote, and _manifest.json; complete or not there
-  failures/<key>.json      why a node failed last; removed when it succeeds
-  work/<key>/              checkpoints of nodes that can resume; removed when the node is done
-  locks/<key>              held by the process that computes a node; locks/planning while runs are planned or removed
-  tmp/                     artifacts being written; on the same file system, so that publishing is one rename
-  runs/<run>/              spec.yaml spec.json plan.json order journal.jsonl running/ logs/
-  reports/<spec>/          tables and figures
-  published/               results that lie in git: store/ and reports/ as above, packs/ that are unpacked to store/, and nothing else
+  store/<kind>/<key>/      artifacts: what the stage wrote, and _manifest.json; complete or not
+  there failures/<key>.json      why a node failed last; removed when it succeeds work/<key>/
+  checkpoints of nodes that can resume; removed when the node is done locks/<key>              held
+  by the process that computes a node; locks/planning while runs are planned or removed tmp/
+  artifacts being written; on the same file system, so that publishing is one rename runs/<run>/
+  spec.yaml spec.json plan.json order journal.jsonl running/ logs/ reports/<spec>/          tables
+  and figures published/               results that lie in git: store/ and reports/ as above, packs/
+  that are unpacked to store/, and nothing else
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from wasp_cli.store.packs import unpack
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
 MANIFEST = "_manifest.json"  # begins as what readers of Parquet folders leave alone
-SESSION_FILE = "_session.json"  # what only the cell of a person has, finished or not; see `store.people`
+# what only the cell of a person has, finished or not; see `store.people`
+SESSION_FILE = "_session.json"
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,9 @@ class Layout:
 
     @property
     def planning(self) -> Path:
-        """Held, shared, by a run from looking into the store until its plan is written; and alone by who removes what no plan reaches."""
+        """Held, shared, by a run from looking into the store until its plan is written; and
+        alone by who removes what no plan reaches.
+        """
         return self.locks / "planning"
 
     def kind(self, kind: str) -> Path:
@@ -83,7 +86,8 @@ class Layout:
         return self.root.joinpath("store", _name(kind), _key(key))
 
     def manifest(self, kind: str, key: str) -> Path:
-        return self.root.joinpath("store", _name(kind), _key(key), MANIFEST)  # in one step: a plan asks for thousands
+        # in one step: a plan asks for thousands
+        return self.root.joinpath("store", _name(kind), _key(key), MANIFEST)
 
     def failure(self, key: str) -> Path:
         """Return the record of a node's last failure."""
@@ -126,24 +130,33 @@ class Layout:
         return self.run(run_id) / "running" / f"{_key(key)}.json"
 
     def overdue(self, run_id: str, key: str) -> Path:
-        """Return the file that has text when a node's process was ended because it did not react to its time limit."""
+        """Return the file that has text when a node's process was ended because it did not
+        react to its time limit.
+        """
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
 
     def needed(self) -> tuple[Path, ...]:
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
-        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere."""
+        """See that none of the folders is a link: what is written to them, or removed, would be
+        so elsewhere.
+        """
         for folder in (*self.needed(), self.root / "reports"):
             self.within(folder)
 
     def within(self, path: Path) -> Path:
-        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else."""
+        """Return a path below the results folder as it is, after seeing that no link on the way
+        leads somewhere else.
+        """
         reached = str(self.root)
         for part in path.parts[len(self.root.parts) :]:
             reached = f"{reached}/{part}"
             if os.path.islink(reached):
-                raise StoreError(f"'{reached}' is a link; results hold plain files and folders", "link the whole results folder instead")
+                raise StoreError(
+                    f"'{reached}' is a link; results hold plain files and folders",
+                    "link the whole results folder instead",
+                )
         return path
 
     def prepare(self) -> None:
@@ -156,8 +169,15 @@ class Layout:
             with tempfile.TemporaryFile(dir=self.tmp):
                 pass
         except OSError as error:
-            reason = "it is a file" if os.path.isfile(self.root) else (error.strerror or str(error)).lower()
-            raise StoreError(f"cannot write results to '{self.root}': {reason}", "choose another folder with --results DIR") from error
+            reason = (
+                "it is a file"
+                if os.path.isfile(self.root)
+                else (error.strerror or str(error)).lower()
+            )
+            raise StoreError(
+                f"cannot write results to '{self.root}': {reason}",
+                "choose another folder with --results DIR",
+            ) from error
 
 
 def slug(text: str) -> str:

@@ -1,6 +1,7 @@
 """Who computes what: one lock file a node, held by the process that computes it.
 
-The kernel releases a lock however its process ends, so that no lock is ever stale and no clock or process id has to be trusted.
+The kernel releases a lock however its process ends, so that no lock is ever stale and no clock or
+process id has to be trusted.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from pathlib import Path
 
 POLL_SECONDS = 0.2
 _PLAIN = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # what a file system answers that has no locks
+# what a file system answers that has no locks
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 class Busy(Exception):
@@ -24,12 +26,14 @@ class Busy(Exception):
 
 @contextmanager
 def held(path: Path, waiting: Callable[[], bool], *, shared: bool = False) -> Iterator[None]:
-    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting; else it is Busy.
+    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether
+    to go on waiting; else it is Busy.
 
     Any number may hold it `shared`, and then nobody alone.
 
-    The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts when, once held, its file is still the
-    one that the path names. Otherwise two processes could hold two files of one name.
+    The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts
+    when, once held, its file is still the one that the path names. Otherwise two processes could
+    hold two files of one name.
     """
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
@@ -81,7 +85,8 @@ def remove_lock(path: Path) -> bool:
 
 def _opened(path: Path) -> int:
     """The file of a lock, made where there is none."""
-    path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
+    # and not the results folder: one that was moved away is not made again
+    path.parent.mkdir(exist_ok=True)
     return os.open(path, os.O_RDWR | os.O_CREAT | _PLAIN, 0o666)
 
 
@@ -94,7 +99,8 @@ def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise
-        # Two runs may then compute a node twice; what they publish is the same, and appears in one step.
+        # Two runs may then compute a node twice; what they publish is the same, and appears in one
+        # step.
     return True
 
 

@@ -1,11 +1,13 @@
-"""Packs: small artifacts of a published layer that lie in git as few compressed files, each written once.
+"""Packs: small artifacts of a published layer that lie in git as few compressed files, each written
+once.
 
 published/packs/<name>.tar.xz     <kind>/<key>/... of what was published together
 published/packs/.<name>.tar.xz    empty, and not in git: that pack was unpacked
 published/store/<kind>/<key>/     where it is unpacked to, and not in git
 
-Rows of 30 episodes are mostly descriptions of columns, the same in each file: together they take a sixth of the room. A pack is unpacked
-when a `Layout` of its folder is made; from then on the folder is like any other.
+Rows of 30 episodes are mostly descriptions of columns, the same in each file: together they take a
+sixth of the room. A pack is unpacked when a `Layout` of its folder is made; from then on the folder
+is like any other.
 """
 
 from __future__ import annotations
@@ -26,13 +28,16 @@ from pathlib import Path
 from wasp_cli.errors import ArtifactError, StoreError, described
 
 FOLDER, SUFFIX, LARGEST = "packs", ".tar.xz", 1 << 30  # bytes of a pack, unpacked
-KINDS = ("calibration", "counterfactual", "diagnostics", "evaluate")  # that go into packs: the others have weights, which nothing shrinks
+# that go into packs: the others have weights, which nothing shrinks
+KINDS = ("calibration", "counterfactual", "diagnostics", "evaluate")
 
 
 def unpack(root: Path) -> None:
-    """Unpack what a published folder has in packs and was not unpacked yet; what is there already stays.
+    """Unpack what a published folder has in packs and was not unpacked yet; what is there already
+    stays.
 
-    Several processes may do so at once. Raises ArtifactError where a pack is damaged, StoreError where the folder cannot be written.
+    Several processes may do so at once. Raises ArtifactError where a pack is damaged, StoreError
+    where the folder cannot be written.
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression leaves Python to others
         for _ in threads.map(partial(_unpack, root), _waiting(root)):
@@ -51,14 +56,19 @@ def _unpack(root: Path, pack: Path) -> None:
                 try:
                     unpacked.rename(place)
                 except OSError:
-                    if not place.is_dir():  # else it is there already, or another process was faster
+                    # else it is there already, or another process was faster
+                    if not place.is_dir():
                         raise
         _stamp(pack).touch()
     except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
-        raise ArtifactError(f"'{pack}' is damaged: {described(error)}", "restore it, or remove it") from error
+        raise ArtifactError(
+            f"'{pack}' is damaged: {described(error)}", "restore it, or remove it"
+        ) from error
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise StoreError(f"cannot unpack '{pack}': {reason}", "copy its folder to where you can write") from error
+        raise StoreError(
+            f"cannot unpack '{pack}': {reason}", "copy its folder to where you can write"
+        ) from error
 
 
 def _waiting(root: Path) -> list[Path]:
@@ -67,7 +77,11 @@ def _waiting(root: Path) -> list[Path]:
 
 def _packs(root: Path) -> list[Path]:
     with suppress(OSError, ValueError):  # no folder, or no name of one: who reads it says so
-        names = sorted(name for name in os.listdir(root / FOLDER) if name.endswith(SUFFIX) and not name.startswith("."))
+        names = sorted(
+            name
+            for name in os.listdir(root / FOLDER)
+            if name.endswith(SUFFIX) and not name.startswith(".")
+        )
         return [root / FOLDER / name for name in names]
     return []
 
@@ -79,8 +93,16 @@ def _stamp(pack: Path) -> Path:
 def _extract(pack: Path, folder: Path) -> None:
     with _archive(pack) as archive:
         for member in archive:
-            parts, file = member.name.split("/"), archive.extractfile(member) if member.isfile() else None
-            if file is None or len(parts) < 3 or parts[0] not in KINDS or {"", ".", ".."} & set(parts):
+            parts, file = (
+                member.name.split("/"),
+                archive.extractfile(member) if member.isfile() else None,
+            )
+            if (
+                file is None
+                or len(parts) < 3
+                or parts[0] not in KINDS
+                or {"", ".", ".."} & set(parts)
+            ):
                 raise ValueError(f"'{member.name}' is no file of an artifact")
             path = folder.joinpath(*parts)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,7 +110,9 @@ def _extract(pack: Path, folder: Path) -> None:
 
 
 def writable(root: Path, cache: Path) -> Path:
-    """Return a published folder whose packs can be unpacked: itself, or a copy in `cache` where it cannot be written."""
+    """Return a published folder whose packs can be unpacked: itself, or a copy in `cache` where
+    it cannot be written.
+    """
     waiting = _waiting(root)
     if not waiting or (os.access(root / FOLDER, os.W_OK) and os.access(root / "store", os.W_OK)):
         return root
@@ -103,18 +127,31 @@ def writable(root: Path, cache: Path) -> Path:
 
 
 def write_pack(root: Path, name: str) -> Path | None:
-    """Write what lies in the store of a published folder and in none of its packs to a new pack; None where there is nothing.
+    """Write what lies in the store of a published folder and in none of its packs to a new pack;
+    None where there is nothing.
 
     Its name ends with a digest of its bytes, so that no other pack ever has it.
     """
     store = root / "store"
-    packed = {store.joinpath(*member.split("/")[:2]) for pack in _packs(root) for member in _names(pack)}
-    new = [artifact for kind in KINDS for artifact in store.glob(f"{kind}/*") if artifact not in packed]
-    files = [path for artifact in new for path in artifact.rglob("*") if path.is_file() and not path.is_symlink()]
+    packed = {
+        store.joinpath(*member.split("/")[:2]) for pack in _packs(root) for member in _names(pack)
+    }
+    new = [
+        artifact for kind in KINDS for artifact in store.glob(f"{kind}/*") if artifact not in packed
+    ]
+    files = [
+        path
+        for artifact in new
+        for path in artifact.rglob("*")
+        if path.is_file() and not path.is_symlink()
+    ]
     if not files:
         return None
     # Files of one name lie side by side: they have most bytes in common.
-    members = {path.relative_to(store).as_posix(): path.read_bytes() for path in sorted(files, key=lambda path: (path.name, path))}
+    members = {
+        path.relative_to(store).as_posix(): path.read_bytes()
+        for path in sorted(files, key=lambda path: (path.name, path))
+    }
     data = lzma.compress(tar_of(members), preset=9 | lzma.PRESET_EXTREME)
     pack = root / FOLDER / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}{SUFFIX}"
     partial = pack.with_name(f"{_stamp(pack).name}-partial")
@@ -131,7 +168,9 @@ def _names(pack: Path) -> list[str]:
 def _archive(pack: Path) -> tarfile.TarFile:
     reader = lzma.LZMADecompressor()
     data = reader.decompress(pack.read_bytes(), LARGEST)
-    if not reader.eof:  # whole: the check sum is at the end. Few bytes of anybody may stand for as many as fill the memory.
+    # whole: the check sum is at the end. Few bytes of anybody may stand for as many as fill the
+    # memory.
+    if not reader.eof:
         raise EOFError(f"it was cut off, or has more than {LARGEST >> 20} MB")
     return tarfile.open(fileobj=io.BytesIO(data))
 

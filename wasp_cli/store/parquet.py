@@ -1,4 +1,6 @@
-"""How a table becomes a Parquet file and is read again: complete or not at all, with checksums and a version in its metadata."""
+"""How a table becomes a Parquet file and is read again: complete or not at all, with checksums
+and a version in its metadata.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,23 @@ from wasp_cli.errors import StoreError
 AGAIN = "run the spec again: what is damaged is computed again"
 
 
-def write_table(table: pa.Table, path: Path, compression: str = "zstd", *, use_dictionary: bool = True) -> None:
-    """Write a table. The file appears complete or not at all; the same table gives the same bytes."""
+def write_table(
+    table: pa.Table, path: Path, compression: str = "zstd", *, use_dictionary: bool = True
+) -> None:
+    """Write a table. The file appears complete or not at all; the same table gives the same
+    bytes.
+    """
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
             level = 3 if compression == "zstd" else None
             pq.write_table(
-                table, file, compression=compression, compression_level=level, use_dictionary=use_dictionary, write_page_checksum=True
+                table,
+                file,
+                compression=compression,
+                compression_level=level,
+                use_dictionary=use_dictionary,
+                write_page_checksum=True,
             )
             file.flush()
             os.fsync(file.fileno())
@@ -33,8 +44,12 @@ def write_table(table: pa.Table, path: Path, compression: str = "zstd", *, use_d
 
 
 @contextmanager
-def opened_table(path: Path, version_key: bytes, newest: int, what: str) -> Iterator[pq.ParquetFile]:
-    """Open a file that `write_table` wrote, after a look at its version; what goes wrong while it is read is an error of the file."""
+def opened_table(
+    path: Path, version_key: bytes, newest: int, what: str
+) -> Iterator[pq.ParquetFile]:
+    """Open a file that `write_table` wrote, after a look at its version; what goes wrong while
+    it is read is an error of the file.
+    """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             marks = file.schema_arrow.metadata or {}
@@ -43,17 +58,27 @@ def opened_table(path: Path, version_key: bytes, newest: int, what: str) -> Iter
             version = int(marks[version_key])
             if version > newest:
                 raise StoreError(
-                    f"{path} has table version {version}, this wasp reads up to {newest}", "upgrade wasp, or use another results folder"
+                    f"{path} has table version {version}, this wasp reads up to {newest}",
+                    "upgrade wasp, or use another results folder",
                 )
             yield file
     except FileNotFoundError as error:
-        raise StoreError(f"{path} does not exist", "run the spec again: what is finished is kept") from error
-    except (LookupError, TypeError, ValueError, pa.ArrowException) as error:  # some of pyarrow's errors are ValueErrors
+        raise StoreError(
+            f"{path} does not exist", "run the spec again: what is finished is kept"
+        ) from error
+    except (LookupError, TypeError, ValueError, pa.ArrowException) as error:
+        # some of pyarrow's errors are ValueErrors
         raise damaged(path, error) from error
     except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}") if error.errno else damaged(path, error) from error
+        raise (
+            StoreError(f"cannot read {path}: {error.strerror}")
+            if error.errno
+            else damaged(path, error)
+        ) from error
 
 
 def damaged(path: Path, error: Exception) -> StoreError:
     """Return the error of a file that cannot be what was written."""
-    return StoreError(f"{path} is damaged or was cut off: {' '.join(str(error).split())[:200]}", AGAIN)
+    return StoreError(
+        f"{path} is damaged or was cut off: {' '.join(str(error).split())[:200]}", AGAIN
+    )

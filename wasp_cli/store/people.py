@@ -1,4 +1,5 @@
-"""What the cell of a person has beside its rows: what the clock and the connection were like, and what the session was.
+"""What the cell of a person has beside its rows: what the clock and the connection were like, and
+what the session was.
 
 _timing.pq      a row per decision: BEAT
 _session.json   who drove when, how fast, what was shown, pauses, episodes that were cut, answers
@@ -44,15 +45,21 @@ def read_timing(path: Path) -> pa.Table:
 
 
 def timing_summary(beats: pa.Table) -> dict[str, Any]:
-    """Summarise decisions: how many, how many late, and percentiles of delays in ms; None where nothing is known.
+    """Summarise decisions: how many, how many late, and percentiles of delays in ms; None where
+    nothing is known.
 
-    The age of a key counts where the command was new: before that it is the time for which a key was held.
+    The age of a key counts where the command was new: before that it is the time for which a key
+    was held.
     """
     late = np.asarray(beats["late"], bool)
     share = round(float(late.mean()), 4) if len(late) else None
     summary: dict[str, Any] = {"decisions": len(late), "late": int(late.sum()), "late_share": share}
     inputs, episodes = np.asarray(beats["input"]), np.asarray(beats["episode"])
-    fresh = np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])]) if len(late) else late
+    fresh = (
+        np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])])
+        if len(late)
+        else late
+    )
     for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
         values = np.asarray(beats[name], np.float64)  # what is unknown is NaN
         if name == "input_age_ms":
@@ -65,4 +72,8 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
 def percentiles(values: Sequence[float]) -> tuple[float, float]:
     """Return the median and the 99th percentile; NaN of nothing."""
     known = [value for value in values if value == value]
-    return (float(np.median(known)), float(np.percentile(known, 99))) if known else (float("nan"), float("nan"))
+    return (
+        (float(np.median(known)), float(np.percentile(known, 99)))
+        if known
+        else (float("nan"), float("nan"))
+    )

@@ -1,7 +1,7 @@
 """Reading small files of a results folder, which may be untrusted.
 
-What is read is a plain file, no link, pipe or device, and fits into memory. What it says is text that a terminal shows as it is, nested no
-deeper than whoever walks over it can follow.
+What is read is a plain file, no link, pipe or device, and fits into memory. What it says is text
+that a terminal shows as it is, nested no deeper than whoever walks over it can follow.
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-LARGEST = 256 * 2**20  # bytes of a record or a journal at most; the plan of ten thousand nodes has four million
+# bytes of a record or a journal at most; the plan of ten thousand nodes has four million
+LARGEST = 256 * 2**20
 DEEPEST = 40  # how deep a record may be nested; ours stay below ten
 LONGEST = 308  # digits of a whole number at most: no float holds more
 
 _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
+"""Control characters (a terminal obeys them), changes of the reading direction, and halves of
+characters (no stream takes them).
+"""
 
 
 def open_plain(path: Path) -> io.BufferedReader:
@@ -51,12 +54,18 @@ def read_plain(path: Path) -> str:
 def parse(text: str) -> Any:
     """Return what a JSON text says, its strings printable."""
     value = json.loads(text, parse_int=_whole)
-    harmless = text.count("{") + text.count("[") <= DEEPEST and "\\u" not in text and not _UNPRINTABLE.search(text)
+    harmless = (
+        text.count("{") + text.count("[") <= DEEPEST
+        and "\\u" not in text
+        and not _UNPRINTABLE.search(text)
+    )
     return value if harmless else _tame(value, 0)
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out."""
+    """Return the objects of a file that has one a line; what a kill cut short, or is something
+    else, is left out.
+    """
     try:
         lines = read_plain(path).split("\n")  # JSON leaves rarer line ends in a text as they are
     except ValueError:
@@ -70,7 +79,8 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def append_line(descriptor: int, text: str) -> None:
-    """Append a line to a file that is open for reading and appending, in one write as long as the disk has room.
+    """Append a line to a file that is open for reading and appending, in one write as long as the
+    disk has room.
 
     What an earlier write could not finish stays a line of its own.
     """

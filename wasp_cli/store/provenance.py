@@ -1,4 +1,6 @@
-"""Where an artifact came from: source, versions, hardware. Recorded beside results, never part of a key."""
+"""Where an artifact came from: source, versions, hardware. Recorded beside results, never part
+of a key.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,16 @@ from typing import Any
 
 import wasp_cli
 
-RECORDED = ("torch", "mujoco", "numpy", "gymnasium", "stable-baselines3", "joblib", "pyarrow", "safetensors")
+RECORDED = (
+    "torch",
+    "mujoco",
+    "numpy",
+    "gymnasium",
+    "stable-baselines3",
+    "joblib",
+    "pyarrow",
+    "safetensors",
+)
 CHANGES_LENGTH = 16  # hexadecimal digits of the hash of what was changed
 
 
@@ -46,10 +57,12 @@ def installed(name: str) -> str | None:
 
 
 def git_state() -> dict[str, Any] | None:
-    """Commit of the source tree that runs, whether it was changed since, and a hash of what was changed; None outside a checkout.
+    """Commit of the source tree that runs, whether it was changed since, and a hash of what was
+    changed; None outside a checkout.
 
-    `dirty`: any tracked file differs, or the package has a Python file that is not tracked. `changes` tells two such runs apart: a
-    hash over the names and contents of what differs in the package, None where only something else does, such as a README.
+    `dirty`: any tracked file differs, or the package has a Python file that is not tracked.
+    `changes` tells two such runs apart: a hash over the names and contents of what differs in the
+    package, None where only something else does, such as a README.
     """
     package = Path(wasp_cli.__file__).resolve().parent
     root = package.parent
@@ -58,23 +71,39 @@ def git_state() -> dict[str, Any] | None:
     try:
         sha = _git(root, "rev-parse", "HEAD").strip()
         changed = _git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD").split("\0")[:-1]
-        added = _git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py").split("\0")[:-1]
-    except (OSError, ValueError, subprocess.SubprocessError):  # no git on this machine, or a damaged checkout
+        added = _git(
+            root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py"
+        ).split("\0")[:-1]
+    except (OSError, ValueError, subprocess.SubprocessError):
+        # no git on this machine, or a damaged checkout
         return None
     own = [name for name in changed if name.startswith(f"{package.name}/")]
-    return {"sha": sha, "dirty": bool(changed or added), "changes": _hash_of_files(root, own + added)}
+    return {
+        "sha": sha,
+        "dirty": bool(changed or added),
+        "changes": _hash_of_files(root, own + added),
+    }
 
 
 def _git(root: Path, *arguments: str) -> str:
     # Without optional locks: to look at a checkout must not make someone's commit in it fail.
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
     command = ["git", "-C", str(root), *arguments]
-    done = subprocess.run(command, capture_output=True, errors="surrogateescape", timeout=10, check=True, env=environment)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        errors="surrogateescape",
+        timeout=10,
+        check=True,
+        env=environment,
+    )
     return done.stdout
 
 
 def _hash_of_files(root: Path, names: list[str]) -> str | None:
-    """One hash over names and contents, None of no files. Not over a diff's text: that depends on each user's settings of git."""
+    """One hash over names and contents, None of no files. Not over a diff's text: that depends
+    on each user's settings of git.
+    """
     if not names:
         return None
     digest = hashlib.sha256()
@@ -83,14 +112,17 @@ def _hash_of_files(root: Path, names: list[str]) -> str | None:
             content = (root / name).read_bytes()
         except OSError:  # removed, or a folder that is a repository of its own
             content = b""
-        digest.update(f"{name}\0{hashlib.sha256(content).hexdigest()}\n".encode(errors="surrogateescape"))
+        digest.update(
+            f"{name}\0{hashlib.sha256(content).hexdigest()}\n".encode(errors="surrogateescape")
+        )
     return digest.hexdigest()[:CHANGES_LENGTH]
 
 
 def cuda_devices() -> list[str]:
     """Return the names of the CUDA devices that this process computes on; empty where it does not.
 
-    Never imports torch, and asks nothing of a device that is idle: only to name it would reserve hundreds of megabytes on it.
+    Never imports torch, and asks nothing of a device that is idle: only to name it would reserve
+    hundreds of megabytes on it.
     """
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
     if cuda is None or not cuda.is_initialized():
@@ -99,10 +131,16 @@ def cuda_devices() -> list[str]:
 
 
 def processor() -> str:
-    """Return its name and, where torch is loaded, the vector instructions of torch's kernels: both decide how results round."""
+    """Return its name and, where torch is loaded, the vector instructions of torch's kernels:
+    both decide how results round.
+    """
     name, details = platform.processor() or platform.machine(), Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
-        names = re.search(r"^model name\s*:\s*(.*\S)", details.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+        names = re.search(
+            r"^model name\s*:\s*(.*\S)",
+            details.read_text(encoding="utf-8", errors="replace"),
+            re.MULTILINE,
+        )
         name = names[1] if names else name
     torch = sys.modules.get("torch")
     return f"{name}, {torch.backends.cpu.get_cpu_capability()}" if torch else name

@@ -1,8 +1,11 @@
-"""The published layer: artifacts that lie in git, for runs that ask for the same configuration on a machine that has not computed it.
+"""The published layer: artifacts that lie in git, for runs that ask for the same configuration on a
+machine that has not computed it.
 
-It is laid out as a results folder, with `store/` and `reports/`. A manifest there says two things more: `recipe`, the configuration without
-the code that computed it, and `behind`, by recipe, the keys of everything that it was computed from. Who wrote it need not be trusted:
-nothing of an artifact is read before its form is seen to be ours, and nothing is used whose bytes are not those of its manifest.
+It is laid out as a results folder, with `store/` and `reports/`. A manifest there says two things
+more: `recipe`, the configuration without the code that computed it, and `behind`, by recipe, the
+keys of everything that it was computed from. Who wrote it need not be trusted: nothing of an
+artifact is read before its form is seen to be ours, and nothing is used whose bytes are not those
+of its manifest.
 """
 
 from __future__ import annotations
@@ -22,8 +25,11 @@ from wasp_cli.store.plain import open_plain
 from wasp_cli.store.slim import SLIM, first_episodes
 
 RECIPE, BEHIND = "recipe", "behind"  # what a published manifest has besides that of the store
-EARLIER = "earlier"  # in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like.
-FROM_PUBLISHED = "published"  # set in the provenance of an artifact that was brought into the store from the published layer
+# in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of
+# its like.
+EARLIER = "earlier"
+# set in the provenance of an artifact that was brought into the store from the published layer
+FROM_PUBLISHED = "published"
 
 SHA_LENGTH = 7  # hexadecimal digits of a commit that people are shown
 
@@ -37,7 +43,9 @@ class Offer:
     behind: Mapping[str, str]  # by recipe, the key of everything that it was computed from
     manifest: Mapping[str, Any]
     episodes: int | None = None
-    """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is then that of the cut one."""
+    """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is
+    then that of the cut one.
+    """
 
     @property
     def source_key(self) -> str:
@@ -66,7 +74,9 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
 
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
-    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at."""
+    """Return everything in a published layer whose manifest reads, and what is wrong with the
+    rest. No other file is looked at.
+    """
     by_key: dict[str, list[Offer]] = {}
     notes: list[str] = []
     for kind in artifact.stored_kinds(source):
@@ -76,7 +86,11 @@ def offers(source: Layout) -> tuple[list[Offer], list[str]]:
             except ArtifactError as error:
                 notes.append(not_used(kind, key, error.message))
     # A key is one node; two of one name would take each other's place.
-    notes += [not_used(same[-1].kind, key, "two kinds have this key") for key, same in sorted(by_key.items()) if len(same) > 1]
+    notes += [
+        not_used(same[-1].kind, key, "two kinds have this key")
+        for key, same in sorted(by_key.items())
+        if len(same) > 1
+    ]
     return [same[0] for same in by_key.values() if len(same) == 1], notes
 
 
@@ -85,11 +99,14 @@ def not_used(kind: str, key: str, why: str) -> str:
     return f"published {kind}/{key} is not used: {why}"
 
 
-_manifests: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by path, with time, size and inode: a sweep plans again and again
+# by path, with time, size and inode: a sweep plans again and again
+_manifests: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}
 
 
 def manifest_of(source: Layout, kind: str, key: str) -> Mapping[str, Any]:
-    """Return the manifest of a published artifact. A process reads it once, as long as its file stays the same."""
+    """Return the manifest of a published artifact. A process reads it once, as long as its file
+    stays the same.
+    """
     path = source.manifest(kind, key)
     with suppress(OSError):
         state = path.lstat()
@@ -110,15 +127,20 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
     named = manifest.get("kind") == kind and manifest.get("key") == key
     if not named or not texts or not all(isinstance(text, str) and is_key(text) for text in texts):
         raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
-    if not isinstance(manifest.get("provenance"), dict) or not isinstance(manifest.get("sources"), dict):
+    if not isinstance(manifest.get("provenance"), dict) or not isinstance(
+        manifest.get("sources"), dict
+    ):
         raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
-    if "half precision" in str(manifest.get(SLIM)):  # published before weights were rounded at the end of training
+    # published before weights were rounded at the end of training
+    if "half precision" in str(manifest.get(SLIM)):
         raise ArtifactError(f"'{path}' has other weights than its cells were computed with")
     return Offer(source, kind, key, str(recipe), dict(behind or {}), manifest)
 
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
-    """Return what is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
+    """Return what is wrong with the bytes of a published artifact; None when they are whole, or
+    when the store has them already.
+    """
     if artifact.exists(layout, offer.kind, offer.key):
         return None
     try:
@@ -128,21 +150,29 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
 
 
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> None:
-    """Copy a published artifact into the store, or the first episodes of a cell, unless it is there."""
+    """Copy a published artifact into the store, or the first episodes of a cell, unless it is
+    there.
+    """
     with held(layout.lock(offer.key), waiting):
         if artifact.exists(layout, offer.kind, offer.key):
             return
         staging = artifact.staging_folder(layout, offer.key)
         try:
             copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
-            manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
+            manifest = {
+                **offer.manifest,
+                "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True},
+            }
             if offer.episodes is not None:
                 import pyarrow as pa
 
                 try:
                     manifest["summary"] = first_episodes(staging, offer.episodes)
                 except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
-                    what = f"published {offer.kind}/{offer.source_key} does not read: {described(error)}"
+                    what = (
+                        f"published {offer.kind}/{offer.source_key} does not read: "
+                        f"{described(error)}"
+                    )
                     raise ArtifactError(what, "run with --reuse none") from error
             artifact.commit(layout, offer.kind, offer.key, staging, manifest, copied=True)
         except BaseException:
@@ -150,7 +180,9 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
             raise
 
 
-def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
+def copy_files(
+    source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path
+) -> None:
     """Copy what a manifest lists, and nothing else that lies beside it."""
     for name in artifact.listed_files(manifest, source.manifest(kind, key)):
         path, copy = source.within(source.artifact(kind, key) / name), folder / name

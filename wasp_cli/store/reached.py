@@ -1,4 +1,6 @@
-"""Everything that can be reached: what a node needs, through other nodes too; what a module imports; what reads something."""
+"""Everything that can be reached: what a node needs, through other nodes too; what a module
+imports; what reads something.
+"""
 
 from __future__ import annotations
 

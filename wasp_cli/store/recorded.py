@@ -1,4 +1,6 @@
-"""What brings the episodes of a stored cell back: worlds, commands, executed actions, and the rewards that show that they are the same."""
+"""What brings the episodes of a stored cell back: worlds, commands, executed actions, and the
+rewards that show that they are the same.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,27 @@ from wasp_cli.store.tables import read_episodes, read_steps
 
 
 def read_recorded(path: Path) -> dict[str, Any]:
-    """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are float32, exactly as they were executed."""
+    """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are
+    float32, exactly as they were executed.
+    """
     episodes, steps = read_episodes([path]), read_steps(path)
     numbers, lengths = np.asarray(episodes["episode"]), np.asarray(episodes["decisions"])
     of_steps = np.asarray(steps["episode"])
-    whole = (numbers == np.arange(len(numbers))).all() and np.array_equal(of_steps, np.repeat(numbers, lengths))
+    whole = (numbers == np.arange(len(numbers))).all() and np.array_equal(
+        of_steps, np.repeat(numbers, lengths)
+    )
     if not len(numbers) or not whole or (lengths < 1).any():
         raise StoreError(f"{path} does not hold whole episodes, one after the other", AGAIN)
     ends = np.cumsum(lengths)[:-1]
-    parts = {"a_h": _actions(path, steps, "a_h"), "a": _actions(path, steps, "a"), "reward": np.asarray(steps["reward"], np.float32)}
-    return {"layouts": episodes["episode_seed"].to_pylist(), **{name: np.split(values, ends) for name, values in parts.items()}}
+    parts = {
+        "a_h": _actions(path, steps, "a_h"),
+        "a": _actions(path, steps, "a"),
+        "reward": np.asarray(steps["reward"], np.float32),
+    }
+    return {
+        "layouts": episodes["episode_seed"].to_pylist(),
+        **{name: np.split(values, ends) for name, values in parts.items()},
+    }
 
 
 def _actions(path: Path, steps: pa.Table, name: str) -> NDArray[np.float32]:

@@ -1,7 +1,9 @@
-"""Smaller copies of what is published: of a cell the steps of its first episodes alone, of diagnostics no images.
+"""Smaller copies of what is published: of a cell the steps of its first episodes alone, of
+diagnostics no images.
 
-The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows of episodes are never touched, so that
-tables are the same. Nothing is computed from the steps of a slim cell: it is computed again instead.
+The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows
+of episodes are never touched, so that tables are the same. Nothing is computed from the steps of a
+slim cell: it is computed again instead.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import file_digest
 
 STEPS_FILE = "_steps.pq"  # as in `store.tables`, which needs pyarrow
-SLIM = "slim"  # in a published manifest: by file, what was left out of it, and the digest of the whole
+# in a published manifest: by file, what was left out of it, and the digest of the whole
+SLIM = "slim"
 WITHOUT_STEPS = "it was published without the steps of all its episodes, and they are needed"
-IMAGES_FILE = "images.parquet"  # of `diagnostics`: frames for pictures in reports; nothing is computed from them
+# of `diagnostics`: frames for pictures in reports; nothing is computed from them
+IMAGES_FILE = "images.parquet"
 
 
 class Slimming(NamedTuple):
@@ -35,7 +39,12 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
     changed: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
         whole = file_digest(path) if path.is_file() else ""
-        if wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
+        if (
+            wanted.steps is not None
+            and kind == "evaluate"
+            and path.name == STEPS_FILE
+            and _cut(path, wanted.steps)
+        ):
             few = "the first" if wanted.steps == 1 else f"the first {wanted.steps}"
             left_out = f"steps of all episodes but {few}" if wanted.steps else "all steps"
         elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
@@ -48,13 +57,17 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
 
 
 def without_steps(manifest: Mapping[str, Any]) -> bool:
-    """Return whether steps of a published cell were left out, so that nothing may be computed from it."""
+    """Return whether steps of a published cell were left out, so that nothing may be computed
+    from it.
+    """
     changed = manifest.get(SLIM)
     return manifest.get("kind") == "evaluate" and isinstance(changed, Mapping) and bool(changed)
 
 
 def steps_kept(manifest: Mapping[str, Any]) -> float:
-    """Return of how many episodes a published cell has the steps, by what its manifest says is left out."""
+    """Return of how many episodes a published cell has the steps, by what its manifest says is
+    left out.
+    """
     if not without_steps(manifest):
         return math.inf
     first = re.search(r"but the first(?: (\d{1,9}))?", str(manifest[SLIM]))
@@ -62,7 +75,9 @@ def steps_kept(manifest: Mapping[str, Any]) -> float:
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
-    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it."""
+    """Keep the rows of the first episodes of a copied cell, and their steps; return its
+    summary, as the stage gives it.
+    """
     import numpy as np
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
@@ -72,11 +87,17 @@ def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
     table = pq.read_table(folder / EPISODES_FILE)
     kept = table.filter(pc.less(table["episode"], episodes)).combine_chunks()
     if kept["episode"].to_pylist() != list(range(episodes)):
-        raise ArtifactError(f"'{folder / EPISODES_FILE}' does not have the first {episodes} episodes", "run with --reuse none")
+        raise ArtifactError(
+            f"'{folder / EPISODES_FILE}' does not have the first {episodes} episodes",
+            "run with --reuse none",
+        )
     write_episodes(kept, folder / EPISODES_FILE)
     _cut(folder / STEPS_FILE, episodes)
     shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
-    return {name: round(float(np.mean(kept[column])), digits) for name, (column, digits) in shown.items()}
+    return {
+        name: round(float(np.mean(kept[column])), digits)
+        for name, (column, digits) in shown.items()
+    }
 
 
 def _cut(path: Path, episodes: int) -> bool:

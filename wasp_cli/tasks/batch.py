@@ -1,4 +1,6 @@
-"""What every batch of episodes checks and adds up, whatever its episodes are. B = episodes, A = action size."""
+"""What every batch of episodes checks and adds up, whatever its episodes are. B = episodes, A =
+action size.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,20 @@ from wasp_cli.tasks.layout import checked_seed
 def check_options(batch: int, action_repeat: int, threads: int, observe: Sequence[str]) -> None:
     """Refuse sizes below 1 and observations that there are not."""
     if batch < 1 or action_repeat < 1 or threads < 1:
-        raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
+        raise TaskError(
+            f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1"
+        )
     unknown = sorted(set(observe) - set(Observation._fields))
     if unknown:
-        raise TaskError(f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}")
+        raise TaskError(
+            f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}"
+        )
 
 
 def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterator[tuple[int, int]]:
-    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the first one comes."""
+    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the
+    first one comes.
+    """
     if rows is not None and np.shape(rows) != (batch,):
         raise TaskError(f"rows has shape {np.shape(rows)}, expected ({batch},)")
     chosen = np.arange(batch) if rows is None else np.flatnonzero(rows)
@@ -40,7 +48,10 @@ def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
         raise TaskError(f"action has shape {control.shape}, expected ({batch}, {size})")
     finite = np.isfinite(control).all(axis=1)
     if not finite.all():
-        raise TaskError(f"action of row {int(np.argmin(finite))} is not finite: {control[np.argmin(finite)].tolist()}")
+        raise TaskError(
+            f"action of row {int(np.argmin(finite))} is not finite: "
+            f"{control[np.argmin(finite)].tolist()}"
+        )
     return np.clip(control, -1.0, 1.0)
 
 
@@ -56,7 +67,10 @@ def check_begun(begun: Bools) -> None:
     """Refuse a snapshot of rows (`begun` [B]) in which no episode was started."""
     if not begun.all():
         rows = ", ".join(map(str, np.flatnonzero(~begun)))
-        raise TaskError(f"a snapshot before the first reset: no episode has begun in row {rows}", "call reset first")
+        raise TaskError(
+            f"a snapshot before the first reset: no episode has begun in row {rows}",
+            "call reset first",
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +87,13 @@ class Totals:
     def zeros(cls, batch: int, sources: Sequence[str]) -> Totals:
         """Begin a decision step of B episodes: every sum [B] is zero."""
         counts = np.zeros((3 + len(sources), batch), np.int64)
-        return cls(np.zeros(batch), counts[0], counts[1], counts[2], dict(zip(sources, counts[3:], strict=True)))
+        return cls(
+            np.zeros(batch),
+            counts[0],
+            counts[1],
+            counts[2],
+            dict(zip(sources, counts[3:], strict=True)),
+        )
 
     def as_step(self, observation: Observation, ended: Bools, terminated: Bools) -> Step:
         """Return the outcome of the decision step; `ended` and `terminated` are [B]."""

@@ -1,7 +1,8 @@
-"""The car of Race and Formula One: two driven wheels at the back, a ball caster under the front, which is body -y.
+"""The car of Race and Formula One: two driven wheels at the back, a ball caster under the front,
+which is body -y.
 
-qpos (13) = position, quaternion, left and right wheel, caster quaternion; qvel (11) accordingly. "left" sits at -x, which is the
-driver's right: the action (1, -1) turns counter-clockwise.
+qpos (13) = position, quaternion, left and right wheel, caster quaternion; qvel (11) accordingly.
+"left" sits at -x, which is the driver's right: the action (1, -1) turns counter-clockwise.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ TIMESTEP = 0.004
 CAR_Z = 0.1
 NQ, NV = 13, 11
 SENSORS = 19
-"""Numbers of accelerometer, velocimeter, gyro, magnetometer (3 each), caster angular velocity (3) and caster quaternion (4)."""
+"""Numbers of accelerometer, velocimeter, gyro, magnetometer (3 each), caster angular velocity
+(3) and caster quaternion (4).
+"""
 STATE_SENSORS = 24  # the same with the caster's rotation as a matrix
 
-RADIUS = 0.22  # of the upright cylinder around the body's origin that holds the car (the wheels' corners), in m
+# of the upright cylinder around the body's origin that holds the car (the wheels' corners), in m
+RADIUS = 0.22
 REACH = RADIUS + 0.04  # the same after an env step, in which the car drives at most 0.04 m
 
 CHASSIS_GEOMS = (
@@ -54,7 +58,9 @@ _SENSORS = """
     <ballangvel joint="rear"/><ballquat joint="rear"/>"""
 
 
-def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: str | None = None) -> str:
+def car_mjcf(
+    integrator: str, *, others: str = "", assets: str = "", sensors: str | None = None
+) -> str:
     """Return the car on a floor as MJCF.
 
     Args:
@@ -63,7 +69,8 @@ def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: st
         assets: MJCF of their meshes.
         sensors: MJCF of sensors after the car's own; None: no sensors at all.
 
-    Sensors are read without a warm start, from which the solver may stop early: they get a finer tolerance.
+    Sensors are read without a warm start, from which the solver may stop early: they get a finer
+    tolerance.
     """
     return f"""
 <mujoco model="car">
@@ -106,7 +113,8 @@ def heading(qpos: Floats) -> Floats:
 
 
 def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
-    """Join float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar for each group of points.
+    """Join float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar
+    for each group of points.
 
     Args:
         sensors: [B, 19].
@@ -115,7 +123,9 @@ def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
     """
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))
-    return np.concatenate([sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1)
+    return np.concatenate(
+        [sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1
+    )
 
 
 CAMERA_HEIGHT = 0.2
@@ -130,5 +140,8 @@ _WHEELS = (
     '<geom type="sphere" pos="0 -0.1 -0.05" size="0.05"/>',
 )
 
-CAR_PARTS = (*(Part(geom, _RED) for geom in (*_WHEELS, _BODY)), *(Part(geom, _BLUE) for geom in _BUMPERS))
+CAR_PARTS = (
+    *(Part(geom, _RED) for geom in (*_WHEELS, _BODY)),
+    *(Part(geom, _BLUE) for geom in _BUMPERS),
+)
 """Lowest first, all in the frame of the car's body."""

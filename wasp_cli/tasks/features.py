@@ -1,4 +1,6 @@
-"""Parts of the vectors that tasks show: pseudo lidar, ray distances, and what only experts may know. B = episodes."""
+"""Parts of the vectors that tasks show: pseudo lidar, ray distances, and what only experts may
+know. B = episodes.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,11 @@ RANGE = 3.0  # distance in m from which an object is no longer seen
 
 
 def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
-    """Return the pseudo lidar: nearness in [0, 1] per bin [B, 16 J] of the centres [B, K, 2] in m of J kinds of objects, in the body frame.
+    """Return the pseudo lidar: nearness in [0, 1] per bin [B, 16 J] of the centres [B, K, 2] in m
+    of J kinds of objects, in the body frame.
 
-    Bin 0 starts at body +x, counter-clockwise. An object lights its own bin by s, and the neighbours by how near it is to their edge.
+    Bin 0 starts at body +x, counter-clockwise. An object lights its own bin by s, and the
+    neighbours by how near it is to their edge.
 
     Args:
         points: all kinds one after the other along K.
@@ -30,7 +34,9 @@ def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
     if not rows.size:
         return out
     first = BINS * np.repeat(np.arange(len(sizes)), sizes)[columns]
-    place = np.mod(np.arctan2(y[rows, columns], x[rows, columns]), 2.0 * np.pi) / (2.0 * np.pi / BINS)
+    place = np.mod(np.arctan2(y[rows, columns], x[rows, columns]), 2.0 * np.pi) / (
+        2.0 * np.pi / BINS
+    )
     floor = np.floor(place)
     # mod of a tiny negative angle rounds to 2 pi itself, hence the second mod.
     own, s, f = floor.astype(np.intp) % BINS, nearness[rows, columns], place - floor
@@ -42,8 +48,11 @@ def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
 RAYS = 32  # rays around the robot, the first one straight ahead, counter-clockwise
 
 
-def ray_distances(origin: Floats, heading: Floats, circles: Floats, radius: float, sides: Floats, limit: float) -> Floats:
-    """Measure the distance [B, 32] in m to the first circle or side on each ray, at most `limit`; 0 inside a circle.
+def ray_distances(
+    origin: Floats, heading: Floats, circles: Floats, radius: float, sides: Floats, limit: float
+) -> Floats:
+    """Measure the distance [B, 32] in m to the first circle or side on each ray, at most `limit`; 0
+    inside a circle.
 
     Args:
         origin: [B, 2] in m.
@@ -54,10 +63,14 @@ def ray_distances(origin: Floats, heading: Floats, circles: Floats, radius: floa
     """
     angle = heading[:, None] + np.arange(RAYS) * (2.0 * np.pi / RAYS)
     ux, uy = np.cos(angle), np.sin(angle)
-    return np.minimum(_to_circles(origin, ux, uy, circles, radius, limit), _to_sides(origin, ux, uy, sides, limit))
+    return np.minimum(
+        _to_circles(origin, ux, uy, circles, radius, limit), _to_sides(origin, ux, uy, sides, limit)
+    )
 
 
-def _to_circles(origin: Floats, ux: Floats, uy: Floats, circles: Floats, radius: float, limit: float) -> Floats:
+def _to_circles(
+    origin: Floats, ux: Floats, uy: Floats, circles: Floats, radius: float, limit: float
+) -> Floats:
     offset = circles - origin[:, None]
     near = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2) < limit + radius
     most = int(near.sum(axis=1).max(initial=0))
@@ -87,7 +100,10 @@ def _to_sides(origin: Floats, ux: Floats, uy: Floats, sides: Floats, limit: floa
     if not len(sides):
         return np.full_like(ux, limit)
     start, along = sides[:, 0], sides[:, 1] - sides[:, 0]
-    px, py = (start[:, 0] - origin[:, None, 0])[:, None], (start[:, 1] - origin[:, None, 1])[:, None]
+    px, py = (
+        (start[:, 0] - origin[:, None, 0])[:, None],
+        (start[:, 1] - origin[:, None, 1])[:, None],
+    )
     ux, uy = ux[..., None], uy[..., None]
     # origin + t u = start + s along
     turn = ux * along[:, 1] - uy * along[:, 0]
@@ -104,8 +120,11 @@ BOUND = 3.0  # bound of every entry of the privileged vector
 MOTION_AND_GOAL = 7
 
 
-def motion_and_goal(velocity: Floats, turn: Floats, xy: Floats, heading: Floats, goal: Floats) -> Floats:
-    """Join [B, 7]: own velocity (2, m/s), turn rate (3 rad/s), direction of the goal (2), its distance / 3 m and exp(-distance / 1 m).
+def motion_and_goal(
+    velocity: Floats, turn: Floats, xy: Floats, heading: Floats, goal: Floats
+) -> Floats:
+    """Join [B, 7]: own velocity (2, m/s), turn rate (3 rad/s), direction of the goal (2), its
+    distance / 3 m and exp(-distance / 1 m).
 
     Vectors are in the frame whose x axis is the robot's front.
 
@@ -119,16 +138,23 @@ def motion_and_goal(velocity: Floats, turn: Floats, xy: Floats, heading: Floats,
     own = to_body(velocity[:, None], np.zeros_like(velocity), heading)[:, 0]
     target = to_body(goal[:, None], xy, heading)[:, 0]
     apart = np.sqrt(target[:, :1] ** 2 + target[:, 1:] ** 2)
-    return np.concatenate([own, turn[:, None] / 3.0, target / np.maximum(apart, 1e-9), apart / 3.0, np.exp(-apart)], axis=1)
+    return np.concatenate(
+        [own, turn[:, None] / 3.0, target / np.maximum(apart, 1e-9), apart / 3.0, np.exp(-apart)],
+        axis=1,
+    )
 
 
 def nearness(distances: Floats) -> Floats:
-    """Turn ray distances [B, 32] in m into numbers that tell most where it matters: 1 at contact, 0.37 at 0.5 m, 0.05 at 1.5 m."""
+    """Turn ray distances [B, 32] in m into numbers that tell most where it matters: 1 at
+    contact, 0.37 at 0.5 m, 0.05 at 1.5 m.
+    """
     near: Floats = np.exp(-2.0 * distances)
     return near
 
 
 def bounded(*parts: Floats) -> NDArray[np.float32]:
     """Join parts [B, ...] into one float32 vector [B, P] within the bound."""
-    vector: NDArray[np.float32] = np.clip(np.concatenate(parts, axis=1), -BOUND, BOUND).astype(np.float32)
+    vector: NDArray[np.float32] = np.clip(np.concatenate(parts, axis=1), -BOUND, BOUND).astype(
+        np.float32
+    )
     return vector

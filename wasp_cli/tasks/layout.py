@@ -1,4 +1,6 @@
-"""Random layouts by rejection sampling from a legacy numpy stream, draw for draw as the reference package does it."""
+"""Random layouts by rejection sampling from a legacy numpy stream, draw for draw as the
+reference package does it.
+"""
 
 from __future__ import annotations
 
@@ -62,17 +64,30 @@ class Layout:
 def checked_seed(seed: int) -> int:
     """Return the seed itself."""
     if not 0 <= int(seed) < SEED_LIMIT:
-        raise TaskError(f"seed {seed} is out of range", f"a seed is an integer from 0 to {SEED_LIMIT - 1}")
+        raise TaskError(
+            f"seed {seed} is out of range", f"a seed is an integer from 0 to {SEED_LIMIT - 1}"
+        )
     return int(seed)
 
 
 def random_stream(seed: int) -> np.random.RandomState:
-    """Return the stream of one episode: numpy's legacy generator, on which the reference package's layouts are defined."""
+    """Return the stream of one episode: numpy's legacy generator, on which the reference
+    package's layouts are defined.
+    """
     return np.random.RandomState(checked_seed(seed))
 
 
-def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...], *, goal_again: bool = True) -> Layout:
-    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more (unless `goal_again` is false)."""
+def draw_layout(
+    stream: np.random.RandomState,
+    agent: Thing,
+    goal: Thing,
+    others: tuple[Thing, ...],
+    *,
+    goal_again: bool = True,
+) -> Layout:
+    """Draw agent, goal and others apart from each other, then their yaws, then the goal once
+    more (unless `goal_again` is false).
+    """
     things = (agent, goal, *others)
     for _ in range(TRIES_PER_LAYOUT):
         places = _try_layout(stream, things)
@@ -83,14 +98,20 @@ def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others
     yaws = [float(stream.uniform(0.0, 2.0 * np.pi)) for _ in things]
     goal_xy: Floats | None = places[1]
     if goal_again:
-        goal_xy = draw_goal(stream, goal, (agent, *others), np.concatenate([places[:1], places[2:]]))
+        goal_xy = draw_goal(
+            stream, goal, (agent, *others), np.concatenate([places[:1], places[2:]])
+        )
     if goal_xy is None:
         raise TaskError("no layout found: there is no free place for the goal")
     return Layout(places[0], yaws[0], goal_xy, places[2:], np.array(yaws[2:]))
 
 
-def draw_goal(stream: np.random.RandomState, goal: Thing, others: tuple[Thing, ...], others_xy: Floats) -> Floats | None:
-    """Draw a free place [2] in m for the goal among the others [K, 2], or None when none was found."""
+def draw_goal(
+    stream: np.random.RandomState, goal: Thing, others: tuple[Thing, ...], others_xy: Floats
+) -> Floats | None:
+    """Draw a free place [2] in m for the goal among the others [K, 2], or None when none was
+    found.
+    """
     limits = np.array([thing.keepout + goal.keepout for thing in others])
     for _ in range(TRIES_PER_GOAL):
         place = _draw(stream, goal)
@@ -131,7 +152,8 @@ def _free(place: Floats, others_xy: Floats, limits: Floats) -> bool:
 class Streams:
     """The random streams of B episodes, each with the draws that its env steps owe it.
 
-    Every env step consumes one uniform double. They are drawn only when a goal is drawn, which is the same stream and much faster.
+    Every env step consumes one uniform double. They are drawn only when a goal is drawn, which is
+    the same stream and much faster.
     """
 
     def __init__(self, batch: int) -> None:
@@ -164,8 +186,12 @@ class Streams:
             "stream_owed": self._owed.copy(),
         }
 
-    def restore(self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]) -> None:
-        """Return to a snapshot: `key` [B, 624], `position` [B], `owed` [B]. Uniform draws leave no cached Gaussian."""
+    def restore(
+        self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]
+    ) -> None:
+        """Return to a snapshot: `key` [B, 624], `position` [B], `owed` [B]. Uniform draws leave
+        no cached Gaussian.
+        """
         for stream, row_key, row_position in zip(self._streams, key, position, strict=True):
             stream.set_state(("MT19937", row_key, int(row_position), 0, 0.0))
         self._owed = owed.copy()

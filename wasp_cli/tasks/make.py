@@ -1,4 +1,6 @@
-"""Tasks from their names. Beside the registry, and not in it, because what is done here moves results: keys cover this module."""
+"""Tasks from their names. Beside the registry, and not in it, because what is done here moves
+results: keys cover this module.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,19 @@ def require_mujoco() -> None:
         chosen = os.environ.get("MUJOCO_GL")
         if chosen is None:
             raise
-        raise UsageError(f"MuJoCo does not import with MUJOCO_GL={chosen}: {error}", "unset MUJOCO_GL, or set it to egl") from error
+        raise UsageError(
+            f"MuJoCo does not import with MUJOCO_GL={chosen}: {error}",
+            "unset MUJOCO_GL, or set it to egl",
+        ) from error
 
 
 def make_task(
-    name: str, batch: int, *, action_repeat: int = 4, observe: Sequence[str] = ("pixels", "state", "privileged"), threads: int = 1
+    name: str,
+    batch: int,
+    *,
+    action_repeat: int = 4,
+    observe: Sequence[str] = ("pixels", "state", "privileged"),
+    threads: int = 1,
 ) -> VectorTask:
     """Build B = `batch` episodes of a task.
 
@@ -37,7 +47,12 @@ def make_task(
         threads: threads for physics and cameras; results do not depend on it.
     """
     info = TASKS[name]
-    options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}
+    options = {
+        "action_repeat": action_repeat,
+        "observe": tuple(observe),
+        "threads": threads,
+        **info.options,
+    }
     require_mujoco()
     task: VectorTask = TASKS.load(name)(batch, **options)
     return task

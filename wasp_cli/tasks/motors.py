@@ -1,8 +1,10 @@
-"""What an action does to a robot: motors saturate, and beyond their limit two commands are one and the same force.
+"""What an action does to a robot: motors saturate, and beyond their limit two commands are one and
+the same force.
 
-A motor of the cars turns a command u of [-1, 1] into the torque clip(u, -.02, .02) N m, one motor for each wheel (`tasks.car`). That of the
-point robot's throttle turns it into the force clip(u, -.05, .05) N (`tasks.goal.model`). Its turning is a velocity servo, whose torque
-depends on how fast it turns already: no two commands are alike there. A = action size.
+A motor of the cars turns a command u of [-1, 1] into the torque clip(u, -.02, .02) N m, one motor
+for each wheel (`tasks.car`). That of the point robot's throttle turns it into the force clip(u,
+-.05, .05) N (`tasks.goal.model`). Its turning is a velocity servo, whose torque depends on how fast
+it turns already: no two commands are alike there. A = action size.
 """
 
 from __future__ import annotations
@@ -15,17 +17,23 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from torch import Tensor
 
-BEYOND = 1 + 1e-6  # A command that saturates is this much above the limit: rounding to single precision must not make it weaker
+# A command that saturates is this much above the limit: rounding to single precision must not make
+# it weaker
+BEYOND = 1 + 1e-6
 
 
 class Motors(NamedTuple):
     """The motors of a robot, one for each component of an action."""
 
     saturation: tuple[float, ...] | None = None
-    """[A] absolute command from which on the force does not grow; 1 where it always does. None: no motor of which anything is known."""
+    """[A] absolute command from which on the force does not grow; 1 where it always does. None:
+    no motor of which anything is known.
+    """
 
     def force(self, action: NDArray[Any]) -> NDArray[Any]:
-        """Return the force of actions [..., A] as shares of each motor's largest, within [-1, 1]; the action itself where none is known."""
+        """Return the force of actions [..., A] as shares of each motor's largest, within [-1,
+        1]; the action itself where none is known.
+        """
         if self.saturation is None:
             return action
         limit = np.array(self.saturation)
@@ -33,7 +41,9 @@ class Motors(NamedTuple):
         return forced
 
     def least(self, command: Tensor, wanted: Tensor) -> Tensor:
-        """Return of all actions with the force of `wanted` [..., A] the one closest to `command` [..., A], both within [-1, 1]."""
+        """Return of all actions with the force of `wanted` [..., A] the one closest to
+        `command` [..., A], both within [-1, 1].
+        """
         if self.saturation is None:
             return wanted
         limit = wanted.new_tensor(self.saturation)

@@ -1,8 +1,10 @@
-"""What the tasks share: a batch of robots that drive to goals, advanced one decision step at a time.
+"""What the tasks share: a batch of robots that drive to goals, advanced one decision step at a
+time.
 
-An env step is 10 physics steps under a held action, then reward, cost, what happens at a reached goal, and the time limit, in this
-order. A decision step is `action_repeat` env steps. Every env step is a pure function of its row's own state: results do not depend on
-the batch size, the other rows, the number of threads, or how decision steps cut the time.
+An env step is 10 physics steps under a held action, then reward, cost, what happens at a reached
+goal, and the time limit, in this order. A decision step is `action_repeat` env steps. Every env
+step is a pure function of its row's own state: results do not depend on the batch size, the other
+rows, the number of threads, or how decision steps cut the time.
 """
 
 from __future__ import annotations
@@ -16,21 +18,38 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
-from wasp_cli.tasks.batch import Totals, check_begun, check_options, checked_action, chosen_rows, running_rows
+from wasp_cli.tasks.batch import (
+    Totals,
+    check_begun,
+    check_options,
+    checked_action,
+    chosen_rows,
+    running_rows,
+)
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.frames import distance, wrapped
 from wasp_cli.tasks.layout import Streams
-from wasp_cli.tasks.physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
+from wasp_cli.tasks.physics import (
+    BODY_POSE,
+    BODY_SPEED,
+    Contacts,
+    LocalPhysics,
+    ModelBuilder,
+    State,
+    Surroundings,
+)
 
 PHYSICS_STEPS = 10  # physics steps per env step
 _JUMP = 1.0  # way in m that no robot drives within an env step
 
 
 class Navigation(ABC):
-    """A `VectorTask`; see there for the meaning of its public members. Subclasses say what moves, what costs and what is seen."""
+    """A `VectorTask`; see there for the meaning of its public members. Subclasses say what
+    moves, what costs and what is seen.
+    """
 
-    # -- what a task is ---------------------------------------------------------------------------------------------------------
+    # -- what a task is ----------------------------------------------------------------------------
 
     name: ClassVar[str]
     level: int
@@ -40,7 +59,9 @@ class Navigation(ABC):
     reward_goal: ClassVar[float]
     reward_clip: ClassVar[float]  # bound of the reward of an env step
     drive: ClassVar[Literal["point", "car"]]
-    """What the two actions mean: throttle and turn rate, or the torques of the driver's right and left wheel."""
+    """What the two actions mean: throttle and turn rate, or the torques of the driver's right
+    and left wheel.
+    """
     action_size = 2
     privileged_size: int
     state_size: int
@@ -88,12 +109,21 @@ class Navigation(ABC):
 
     @abstractmethod
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays [B, ...] of the subclass that determine the future, by name: what is not pose, velocity, goal or counter."""
+        """The arrays [B, ...] of the subclass that determine the future, by name: what is not
+        pose, velocity, goal or counter.
+        """
 
-    # -- construction -----------------------------------------------------------------------------------------------------------
+    # -- construction ------------------------------------------------------------------------------
 
     def __init__(
-        self, batch: int, build_model: ModelBuilder, bodies: int, *, action_repeat: int, observe: Sequence[str], threads: int
+        self,
+        batch: int,
+        build_model: ModelBuilder,
+        bodies: int,
+        *,
+        action_repeat: int,
+        observe: Sequence[str],
+        threads: int,
     ) -> None:
         """Allocate B = `batch` episodes with F = `bodies` free bodies each."""
         check_options(batch, action_repeat, threads, observe)
@@ -104,28 +134,45 @@ class Navigation(ABC):
         self.decision_seconds = self.env_seconds * action_repeat
         self.max_decisions = -(-self.num_steps // action_repeat)
         self._physics = LocalPhysics(build_model, threads)
-        self._qpos, self._qvel = np.zeros((batch, self._physics.nq)), np.zeros((batch, self._physics.nv))
-        self._bodies, self._speeds = np.zeros((batch, bodies, BODY_POSE)), np.zeros((batch, bodies, BODY_SPEED))
+        self._qpos, self._qvel = (
+            np.zeros((batch, self._physics.nq)),
+            np.zeros((batch, self._physics.nv)),
+        )
+        self._bodies, self._speeds = (
+            np.zeros((batch, bodies, BODY_POSE)),
+            np.zeros((batch, bodies, BODY_SPEED)),
+        )
         self._active, self._walls = np.zeros((batch, bodies), np.bool_), np.zeros(batch, np.int64)
-        """What takes part in the next env step: follows from the other arrays (`_refresh`), so that no snapshot needs it."""
+        """What takes part in the next env step: follows from the other arrays (`_refresh`), so
+        that no snapshot needs it.
+        """
         self._control = np.zeros((batch, self.action_size))
-        self._velocity = np.zeros((batch, 2))  # world velocity over the last env step in m/s; the instantaneous one chatters
+        # world velocity over the last env step in m/s; the instantaneous one chatters
+        self._velocity = np.zeros((batch, 2))
         self._turn = np.zeros(batch)  # turn rate over the last decision step in rad/s
         self._goal = np.zeros((batch, 2))
         self._env_steps = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
-        self._begun = np.zeros(batch, np.bool_)  # an episode was started here: before that a row's arrays describe no world
+        # an episode was started here: before that a row's arrays describe no world
+        self._begun = np.zeros(batch, np.bool_)
         self._streams = Streams(batch)
         self._camera = Camera(self.appearance(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
 
-    # -- episodes ---------------------------------------------------------------------------------------------------------------
+    # -- episodes ----------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
         chosen = list(chosen_rows(self.batch, seeds, rows))
         for row, seed in chosen:
-            for zeroed in (self._control, self._velocity, self._turn, self._env_steps, self._ended, self._terminated):
+            for zeroed in (
+                self._control,
+                self._velocity,
+                self._turn,
+                self._env_steps,
+                self._ended,
+                self._terminated,
+            ):
                 zeroed[row] = 0
             self._qvel[row], self._speeds[row] = 0.0, 0.0
             self._start(row, self._streams.start(row, seed))
@@ -155,13 +202,19 @@ class Navigation(ABC):
             self._refresh(fresh)
         origin = self._qpos[rows, :2]
         before = distance(origin, self._goal[rows])
-        state = self._physics.advance(self._physical(rows), self._control[rows], self._around(rows), PHYSICS_STEPS)
+        state = self._physics.advance(
+            self._physical(rows), self._control[rows], self._around(rows), PHYSICS_STEPS
+        )
         self._qpos[rows], self._qvel[rows], self._bodies[rows], self._speeds[rows] = state
         xy = self._qpos[rows, :2]
         way = distance(xy, origin)
         if not (way < _JUMP).all():
-            # MuJoCo starts a state that it finds unstable anew, at the origin, and only writes a line into a log.
-            raise TaskError(f"the physics of row {rows[np.argmin(way < _JUMP)]} became unstable: its robot jumped")
+            # MuJoCo starts a state that it finds unstable anew, at the origin, and only writes a
+            # line into a log.
+            raise TaskError(
+                f"the physics of row {rows[np.argmin(way < _JUMP)]} became unstable: its "
+                "robot jumped"
+            )
         self._velocity[rows] = (xy - origin) / self.env_seconds
         self._streams.count_step(rows)
         self._env_steps[rows] += 1
@@ -186,14 +239,16 @@ class Navigation(ABC):
         self._ended[row] = self._terminated[row] = True
 
     def pose(self) -> tuple[Floats, Floats, Floats]:
-        """Return positions [B, 2] in m, directions [B] of the robots' front in rad, and velocities [B, 2] in m/s over the last env step."""
+        """Return positions [B, 2] in m, directions [B] of the robots' front in rad, and
+        velocities [B, 2] in m/s over the last env step.
+        """
         return self._qpos[:, :2].copy(), self._heading(np.arange(self.batch)), self._velocity.copy()
 
     def costs(self) -> dict[str, Bools]:
         """Tell whether each source costs in the present state [B]."""
         return self._costs(np.arange(self.batch))
 
-    # -- physics ----------------------------------------------------------------------------------------------------------------
+    # -- physics -----------------------------------------------------------------------------------
 
     def _settle(self, rows: NDArray[np.intp]) -> None:
         """What changes in the world with the first env step of an episode, before physics."""
@@ -217,7 +272,7 @@ class Navigation(ABC):
         rows = np.arange(self.batch)
         return self._physics.sensors(self._physical(rows), self._control, self._around(rows), count)
 
-    # -- observation ------------------------------------------------------------------------------------------------------------
+    # -- observation -------------------------------------------------------------------------------
 
     def _observe(self, changed: NDArray[np.intp]) -> Observation:
         pixels = state = privileged = None
@@ -230,7 +285,7 @@ class Navigation(ABC):
             privileged = self._privileged()
         return Observation(pixels, state, privileged)
 
-    # -- snapshot ---------------------------------------------------------------------------------------------------------------
+    # -- snapshot ----------------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {
@@ -250,18 +305,24 @@ class Navigation(ABC):
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         check_begun(self._begun)
-        return {name: array.copy() for name, array in self._arrays().items()} | self._streams.snapshot()
+        return {
+            name: array.copy() for name, array in self._arrays().items()
+        } | self._streams.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Observation:
         for name, array in (self._arrays() | self._streams.snapshot()).items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 what = f"{self.name}{self.level} with batch {self.batch}"
-                raise TaskError(f"the snapshot is not one of {what}: '{name}' is missing or has another shape")
+                raise TaskError(
+                    f"the snapshot is not one of {what}: '{name}' is missing or has another shape"
+                )
             if snapshot[name].dtype.kind == "f" and not np.isfinite(snapshot[name]).all():
                 raise TaskError(f"the snapshot holds what is no number, in '{name}'")
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
-        self._streams.restore(snapshot["stream_key"], snapshot["stream_position"], snapshot["stream_owed"])
+        self._streams.restore(
+            snapshot["stream_key"], snapshot["stream_position"], snapshot["stream_owed"]
+        )
         self._begun[:] = True
         self._refresh(np.arange(self.batch))
         return self._observe(np.arange(self.batch))

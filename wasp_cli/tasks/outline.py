@@ -1,4 +1,6 @@
-"""Outlines on the ground: closed rings of points, and their distances from places. V = corners, n = places."""
+"""Outlines on the ground: closed rings of points, and their distances from places. V = corners,
+n = places.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,24 @@ def segments(*rings: Floats) -> Floats:
 
 
 def distance_to_segments(places: Floats, sides: Floats) -> Floats:
-    """Measure the distance of every place [n, 2] from every side [V, 2, 2] -> [n, V], in their unit."""
+    """Measure the distance of every place [n, 2] from every side [V, 2, 2] -> [n, V], in their
+    unit.
+    """
     start, along = sides[:, 0], sides[:, 1] - sides[:, 0]
     offset = places[:, None, :] - start
     length2 = np.maximum(along[:, 0] ** 2 + along[:, 1] ** 2, 1e-18)
-    share = np.clip((offset[..., 0] * along[:, 0] + offset[..., 1] * along[:, 1]) / length2, 0.0, 1.0)
+    share = np.clip(
+        (offset[..., 0] * along[:, 0] + offset[..., 1] * along[:, 1]) / length2, 0.0, 1.0
+    )
     dx, dy = offset[..., 0] - share * along[:, 0], offset[..., 1] - share * along[:, 1]
     distance: Floats = np.sqrt(dx * dx + dy * dy)
     return distance
 
 
 def inside(places: Floats, ring: Floats) -> np.ndarray:
-    """Tell whether places [n, 2] lie within a closed ring [V, 2] -> bool [n], by the parity of crossings."""
+    """Tell whether places [n, 2] lie within a closed ring [V, 2] -> bool [n], by the parity of
+    crossings.
+    """
     x, y = places[:, 0, None], places[:, 1, None]
     x0, y0 = ring[:, 0], ring[:, 1]
     x1, y1 = np.roll(x0, -1), np.roll(y0, -1)

@@ -1,11 +1,14 @@
-"""Physics of a batch: an agent among free bodies and walls, of which only what is near it takes part.
+"""Physics of a batch: an agent among free bodies and walls, of which only what is near it takes
+part.
 
-`BatchPhysics` is MuJoCo's own C loop over rows. Every call starts the solver from zero, so that nothing but the state carries over: not the
-neighbours, not the thread, not the past. In `LocalPhysics`, a body at rest out of reach neither moves nor exerts a force: leaving it out
-changes no motion, and saves most of the time. Every row is stepped in the smallest model that holds its agent, its K active bodies and,
-when one of them can touch a wall, the walls around.
+`BatchPhysics` is MuJoCo's own C loop over rows. Every call starts the solver from zero, so that
+nothing but the state carries over: not the neighbours, not the thread, not the past. In
+`LocalPhysics`, a body at rest out of reach neither moves nor exerts a force: leaving it out changes
+no motion, and saves most of the time. Every row is stepped in the smallest model that holds its
+agent, its K active bodies and, when one of them can touch a wall, the walls around.
 
-n = rows, F = free bodies of a row, K = those that are active. Units are m, rad, s and kg, as in MuJoCo.
+n = rows, F = free bodies of a row, K = those that are active. Units are m, rad, s and kg, as in
+MuJoCo.
 """
 
 from __future__ import annotations
@@ -26,7 +29,9 @@ _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 
 
 class BatchPhysics:
-    """One model stepped for many rows. A row's state is qpos and qvel (these models have no other)."""
+    """One model stepped for many rows. A row's state is qpos and qvel (these models have no
+    other).
+    """
 
     def __init__(self, model: mujoco.MjModel, threads: int = 1) -> None:
         if mujoco.mj_stateSize(model, _STATE) != 1 + model.nq + model.nv:
@@ -35,8 +40,12 @@ class BatchPhysics:
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
-    def advance(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
-        """Advance states by `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
+    def advance(
+        self, qpos: Floats, qvel: Floats, control: Floats, steps: int
+    ) -> tuple[Floats, Floats]:
+        """Advance states by `steps` physics steps under a held control: [n, nq], [n, nv], [n,
+        nu] -> [n, nq], [n, nv].
+        """
         if len(qpos) == 1:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_step(self.model, data, nstep=steps)
@@ -51,18 +60,23 @@ class BatchPhysics:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_forward(self.model, data)
             return np.array(data.sensordata[None])
-        # A step reads its sensors before it integrates, so one more step tells those of the state it starts from.
+        # A step reads its sensors before it integrates, so one more step tells those of the state
+        # it starts from.
         return self._run(qpos, qvel, control, 1)[1][:, 0]
 
     def _placed(self, qpos: Floats, qvel: Floats, control: Floats) -> mujoco.MjData:
-        """The state of a single row: the same numbers as in a batch, without the batch's overhead."""
+        """The state of a single row: the same numbers as in a batch, without the batch's
+        overhead.
+        """
         data = self._data[0]
         data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[0], qvel[0], control[0]
         data.qacc_warmstart[:] = 0.0
         data.time = 0.0
         return data
 
-    def _run(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
+    def _run(
+        self, qpos: Floats, qvel: Floats, control: Floats, steps: int
+    ) -> tuple[Floats, Floats]:
         model, rows = self.model, len(qpos)
         start = np.concatenate([np.zeros((rows, 1)), qpos, qvel], axis=1)
         held = np.repeat(control[:, None, :], steps, axis=1)
@@ -84,9 +98,11 @@ class BatchPhysics:
         return state, sensordata
 
 
-BODY_POSE, BODY_SPEED = 7, 6  # numbers in the pose (x, y, z, quaternion) and the velocity of a free body
+# numbers in the pose (x, y, z, quaternion) and the velocity of a free body
+BODY_POSE, BODY_SPEED = 7, 6
 
-STATIC_SENSOR = "touches_static"  # name of the contact sensor between agent and walls; models with walls have it
+# name of the contact sensor between agent and walls; models with walls have it
+STATIC_SENSOR = "touches_static"
 
 
 def body_sensor(index: int) -> str:
@@ -100,8 +116,8 @@ class ModelBuilder(Protocol):
     def __call__(self, bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
         """The agent's joints come first, then one free joint per body; sensors of the agent first.
 
-        Walls are 0 (none), 1 (all of them), or a task's own number for a part of them. A model that is not to integrate only tells
-        sensors and contacts; it may be simpler.
+        Walls are 0 (none), 1 (all of them), or a task's own number for a part of them. A model that
+        is not to integrate only tells sensors and contacts; it may be simpler.
         """
         ...
 
@@ -140,30 +156,41 @@ class LocalPhysics:
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
 
     def __reduce__(self) -> tuple[type[LocalPhysics], tuple[ModelBuilder, int]]:
-        # MuJoCo's pool of threads cannot be copied, and nothing of a model outlives a call: a copy builds its own.
+        # MuJoCo's pool of threads cannot be copied, and nothing of a model outlives a call: a copy
+        # builds its own.
         return LocalPhysics, (self._build, self._threads)
 
     def advance(self, state: State, control: Floats, around: Surroundings, steps: int) -> State:
-        """Advance states by `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
+        """Advance states by `steps` physics steps under a held control [n, nu]. Bodies that are
+        not active stay as they are.
+        """
         after = State(*(array.copy() for array in state))
         for rows, picked, physics in self._groups(around, integrate=True):
             qpos, qvel = physics.advance(*_packed(state, rows, picked), control[rows], steps)
             after.qpos[rows], after.qvel[rows] = qpos[:, : self.nq], qvel[:, : self.nv]
             if picked.size:
                 count = picked.shape[1]
-                after.bodies[rows[:, None], picked] = qpos[:, self.nq :].reshape(-1, count, BODY_POSE)
-                after.speeds[rows[:, None], picked] = qvel[:, self.nv :].reshape(-1, count, BODY_SPEED)
+                after.bodies[rows[:, None], picked] = qpos[:, self.nq :].reshape(
+                    -1, count, BODY_POSE
+                )
+                after.speeds[rows[:, None], picked] = qvel[:, self.nv :].reshape(
+                    -1, count, BODY_SPEED
+                )
         return after
 
     def sensors(self, state: State, control: Floats, around: Surroundings, count: int) -> Floats:
-        """Read the first `count` sensor numbers [n, count] at these very states, under a control [n, nu]."""
+        """Read the first `count` sensor numbers [n, count] at these very states, under a
+        control [n, nu].
+        """
         out = np.empty((len(state.qpos), count))
         for rows, picked, physics in self._groups(around, integrate=False):
             out[rows] = physics.sensors(*_packed(state, rows, picked), control[rows])[:, :count]
         return out
 
     def contacts(self, state: State, control: Floats, around: Surroundings) -> Contacts:
-        """Tell whether the agents touch walls or bodies in these very states, under a control [n, nu]."""
+        """Tell whether the agents touch walls or bodies in these very states, under a control
+        [n, nu].
+        """
         static, bodies = np.zeros(len(state.qpos), np.bool_), np.zeros(len(state.qpos), np.bool_)
         if not around.walls.any() and not around.active.any():
             return Contacts(static, bodies)
@@ -176,18 +203,28 @@ class LocalPhysics:
             if walls:
                 static[rows] = found[:, model.sensor(STATIC_SENSOR).adr[0]] > 0
             if count:
-                bodies[rows] = (found[:, [model.sensor(body_sensor(i)).adr[0] for i in range(count)]] > 0).any(axis=1)
+                bodies[rows] = (
+                    found[:, [model.sensor(body_sensor(i)).adr[0] for i in range(count)]] > 0
+                ).any(axis=1)
         return Contacts(static, bodies)
 
-    def _groups(self, around: Surroundings, integrate: bool) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], BatchPhysics]]:
-        """Rows that share a model, the indices [n', K] of their active bodies, and the model's physics."""
+    def _groups(
+        self, around: Surroundings, integrate: bool
+    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], BatchPhysics]]:
+        """Rows that share a model, the indices [n', K] of their active bodies, and the model's
+        physics.
+        """
         counts = around.active.sum(axis=1)
         radix = int(around.walls.max(initial=0)) + 1
         keys = (radix * counts + around.walls).tolist()
         for key in sorted(set(keys)):
             rows = np.array([row for row, own in enumerate(keys) if own == key])
             count, walls = divmod(key, radix)
-            picked = np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count] if count else np.zeros((len(rows), 0), np.intp)
+            picked = (
+                np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count]
+                if count
+                else np.zeros((len(rows), 0), np.intp)
+            )
             yield rows, picked, self._of(count, walls, integrate)
 
     def _of(self, bodies: int, walls: int, integrate: bool) -> BatchPhysics:
@@ -197,28 +234,42 @@ class LocalPhysics:
         return self._physics[key]
 
 
-def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _packed(
+    state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]
+) -> tuple[Floats, Floats]:
     """qpos and qvel of some rows with their active bodies."""
     if not picked.size:
         return state.qpos[rows], state.qvel[rows]
     bodies = state.bodies[rows[:, None], picked].reshape(len(rows), -1)
     speeds = state.speeds[rows[:, None], picked].reshape(len(rows), -1)
-    return np.concatenate([state.qpos[rows], bodies], axis=1), np.concatenate([state.qvel[rows], speeds], axis=1)
+    return np.concatenate([state.qpos[rows], bodies], axis=1), np.concatenate(
+        [state.qvel[rows], speeds], axis=1
+    )
 
 
 def active_bodies(
-    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, max_distance: float = np.inf
+    agent_xy: Floats,
+    bodies: Floats,
+    speeds: Floats,
+    *,
+    reach: float | Floats,
+    apart: float,
+    rest: float,
+    max_distance: float = np.inf,
 ) -> Bools:
-    """Choose the free bodies [n, F] that take part: those in the agent's reach, those that move, and those in reach of one of these.
+    """Choose the free bodies [n, F] that take part: those in the agent's reach, those that move,
+    and those in reach of one of these.
 
     Args:
         agent_xy: [n, 2] in m.
         bodies: [n, F, 7] poses: m and quaternion.
         speeds: [n, F, 6] in m/s and rad/s.
-        reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
+        reach: distance of the agent's origin from a body's within which they can touch during an
+            env step, in m; one, or [n, F].
         apart: the same between two bodies, in m.
         rest: largest entry of a velocity that counts as rest, in m/s or rad/s.
-        max_distance: a body farther than this from the agent stands still, whatever its velocity, in m.
+        max_distance: a body farther than this from the agent stands still, whatever its velocity,
+            in m.
     """
     if not bodies.shape[1]:
         return np.zeros(bodies.shape[:2], np.bool_)

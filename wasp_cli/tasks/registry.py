@@ -1,4 +1,6 @@
-"""The tasks by name. Adding one is a class and a line here; every gymnasium id is a task too (see `wasp_cli.tasks.foreign`)."""
+"""The tasks by name. Adding one is a class and a line here; every gymnasium id is a task too
+(see `wasp_cli.tasks.foreign`).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ Matrix = tuple[tuple[float, ...], ...]
 NAMESPACE = "wasp/"  # of our own tasks in gymnasium's registry
 _GYM_MODULE = "wasp_cli.tasks.gym:"
 _GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}", re.ASCII)
-"""`module:namespace/Name-v0`. The alphabet is narrow because names appear in files, tables and terminals."""
+"""`module:namespace/Name-v0`. The alphabet is narrow because names appear in files, tables and
+terminals.
+"""
 
 
 @dataclass(frozen=True)
@@ -33,12 +37,19 @@ class _Named:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """The modules with which the task's code begins: the keys of its results cover what these import."""
+        """The modules with which the task's code begins: the keys of its results cover what
+        these import.
+        """
         return (module_of(self.target),)
 
     def facts(self) -> dict[str, Any]:
-        """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
-        return {name: getattr(self, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")}
+        """Return what the registry says of a task and moves results (the time limit, what
+        counts as success); its titles do not.
+        """
+        return {
+            name: getattr(self, name)
+            for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")
+        }
 
 
 @dataclass(frozen=True)
@@ -48,25 +59,30 @@ class TaskInfo(_Named):
     env_seconds: float  # simulated time of one env step in seconds
     env_steps: int  # time limit in env steps
     success_goals: int  # goals (stages) within the time limit that count as success
-    options: Mapping[str, Any] = field(default_factory=dict)  # what the class is built with, beside what `make_task` passes
+    # what the class is built with, beside what `make_task` passes
+    options: Mapping[str, Any] = field(default_factory=dict)
     mirror: Matrix | None = None
-    """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works and is seen the same with left and right
-    exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
+    """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works
+    and is seen the same with left and right exchanged: every recorded episode is then another
+    possible one. None where it does not, as on a track."""
 
     motors: Motors = UNKNOWN  # which commands are one and the same force
     informed: bool = False
-    """Whether operators know more than the cameras show: they read the privileged observation. Assistants imagine them by what the cameras
-    show."""
+    """Whether operators know more than the cameras show: they read the privileged observation.
+    Assistants imagine them by what the cameras show."""
 
 
 class ForeignInfo(_Named):
-    """A gymnasium id of somebody else's. Its numbers are asked of the environment when they are first read, which imports its module.
+    """A gymnasium id of somebody else's. Its numbers are asked of the environment when they are
+    first read, which imports its module.
 
-    A report of results needs the name alone, so that it can be printed where the environment is not installed.
+    A report of results needs the name alone, so that it can be printed where the environment is not
+    installed.
     """
 
     options: ClassVar[Mapping[str, Any]] = {}
-    mirror: ClassVar[Matrix | None] = None  # nothing is known of the symmetries of others' environments
+    # nothing is known of the symmetries of others' environments
+    mirror: ClassVar[Matrix | None] = None
     motors: ClassVar[Motors] = UNKNOWN
     informed: ClassVar[bool] = False
 
@@ -99,8 +115,11 @@ class ForeignInfo(_Named):
 
     def facts(self) -> dict[str, Any]:
         """Return how an environment is registered too, which moves results."""
-        # A function of the registration is written with its address, which is another in every process.
-        return super().facts() | {"registered": re.sub(r" at 0x[0-9a-fA-F]+", "", self.examine().registered)}
+        # A function of the registration is written with its address, which is another in every
+        # process.
+        return super().facts() | {
+            "registered": re.sub(r" at 0x[0-9a-fA-F]+", "", self.examine().registered)
+        }
 
 
 AnyTaskInfo = TaskInfo | ForeignInfo
@@ -117,7 +136,9 @@ class TaskRegistry(Registry[AnyTaskInfo]):
         except UnknownName:
             # Who writes something like a gymnasium id is told ours.
             ids = [info.gym_id for info in self.values()]
-            raise UnknownName("task", name, ids if closeness(name, ids) > closeness(name, self) else self) from None
+            raise UnknownName(
+                "task", name, ids if closeness(name, ids) > closeness(name, self) else self
+            ) from None
 
     def load(self, name: str) -> Any:
         """Return the class of a task, or for a gymnasium id what takes the same arguments."""
@@ -128,39 +149,133 @@ class TaskRegistry(Registry[AnyTaskInfo]):
         return functools.partial(made, name)
 
 
-_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))  # of throttle and turn rate: nothing is left or right in Goal but the turning
+# of throttle and turn rate: nothing is left or right in Goal but the turning
+_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
 
 _WHEELS, _POINT = Motors((0.02, 0.02)), Motors((0.05, 1.0))
 """Of the cars' left and right wheel; of the point robot's throttle and turn rate."""
 
 _TWO = "wasp_cli.tasks.goal.two:TwoGoals"
-_GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
+_GOAL, _RACE, _FORMULA = (
+    "wasp_cli.tasks.goal.task:Goal",
+    "wasp_cli.tasks.race.task:Race",
+    "wasp_cli.tasks.formula.task:Formula",
+)
 
 TASKS: Registry[AnyTaskInfo] = TaskRegistry(
     "task",
     "wasp.tasks",
     (
-        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}, motors=_WHEELS),
-        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}, motors=_WHEELS),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}, _TURNING, _POINT),
-        TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}, motors=_WHEELS),
-        TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}, motors=_WHEELS),
-        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING, _POINT),
-        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING, _POINT),
-        TaskInfo("goal1-two", "Goal1-Two", "wasp/SafetyPointGoalTwo1-v0", _TWO, 0.02, 1000, 7, {}, _TURNING, _POINT, informed=True),
+        TaskInfo(
+            "race1",
+            "Race1",
+            "wasp/SafetyCarRace1-v0",
+            _RACE,
+            0.04,
+            500,
+            1,
+            {"level": 1},
+            motors=_WHEELS,
+        ),
+        TaskInfo(
+            "formula1",
+            "FormulaOne1",
+            "wasp/SafetyCarFormulaOne1-v0",
+            _FORMULA,
+            0.04,
+            1000,
+            1,
+            {"level": 1},
+            motors=_WHEELS,
+        ),
+        TaskInfo(
+            "goal1",
+            "Goal1",
+            "wasp/SafetyPointGoal1-v0",
+            _GOAL,
+            0.02,
+            1000,
+            7,
+            {"level": 1},
+            _TURNING,
+            _POINT,
+        ),
+        TaskInfo(
+            "race0",
+            "Race0",
+            "wasp/SafetyCarRace0-v0",
+            _RACE,
+            0.04,
+            500,
+            1,
+            {"level": 0},
+            motors=_WHEELS,
+        ),
+        TaskInfo(
+            "formula0",
+            "FormulaOne0",
+            "wasp/SafetyCarFormulaOne0-v0",
+            _FORMULA,
+            0.04,
+            1000,
+            1,
+            {"level": 0},
+            motors=_WHEELS,
+        ),
+        TaskInfo(
+            "goal0",
+            "Goal0",
+            "wasp/SafetyPointGoal0-v0",
+            _GOAL,
+            0.02,
+            1000,
+            7,
+            {"level": 0},
+            _TURNING,
+            _POINT,
+        ),
+        TaskInfo(
+            "goal2",
+            "Goal2",
+            "wasp/SafetyPointGoal2-v0",
+            _GOAL,
+            0.02,
+            1000,
+            7,
+            {"level": 2},
+            _TURNING,
+            _POINT,
+        ),
+        TaskInfo(
+            "goal1-two",
+            "Goal1-Two",
+            "wasp/SafetyPointGoalTwo1-v0",
+            _TWO,
+            0.02,
+            1000,
+            7,
+            {},
+            _TURNING,
+            _POINT,
+            informed=True,
+        ),
     ),
 )
 
 
 def is_foreign(name: str) -> bool:
-    """Tell whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
+    """Tell whether a name has the form of a gymnasium id that is not ours: `module:Name`,
+    `space/Name` or `Name-v0`.
+    """
     own = name.removeprefix(_GYM_MODULE).startswith(NAMESPACE)
     marked = ":" in name or "/" in name or re.search(r"-v\d+$", name) is not None
     return marked and not own and _GYM_ID.fullmatch(name) is not None
 
 
 def task_named(text: str) -> str:
-    """Find a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`."""
+    """Find a task that people may also call by its gymnasium id: `goal1`,
+    `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
+    """
     ids = {TASKS[name].gym_id: name for name in TASKS}
     plain = text.removeprefix(_GYM_MODULE)
     for called in (plain, NAMESPACE + plain):

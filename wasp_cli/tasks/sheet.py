@@ -1,4 +1,6 @@
-"""A picture of a layout for people: the map, what both cameras see, and what the task is, as a PNG."""
+"""A picture of a layout for people: the map, what both cameras see, and what the task is, as a
+PNG.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task, require_mujoco
 from wasp_cli.tasks.registry import TASKS, task_named
 
-CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22  # sides and heights in px; a camera image is shown at four times its size
+# sides and heights in px; a camera image is shown at four times its size
+CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22
 MAP = 2 * CAMERA + GAP + CAPTION
 _INK, _PAPER = (20, 20, 20), (255, 255, 255)
 
@@ -22,7 +25,8 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
     """Draw an episode's first moment.
 
     Args:
-        task: a registered name, one of our gymnasium ids, or the gymnasium id of another environment (which has no map).
+        task: a registered name, one of our gymnasium ids, or the gymnasium id of another
+            environment (which has no map).
         path: the PNG to write; None: `<task>_seed<seed>.png` in the current folder.
 
     Returns:
@@ -33,7 +37,10 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
     if path is not None and path.suffix.lower() != ".png":
         raise UsageError(f"'{path}' is no name of a picture", "the sheet is a PNG: --out map.png")
     if path is not None and not path.parent.is_dir():
-        raise UsageError(f"cannot write '{path}': its parent folder does not exist", f"create the folder '{path.parent}'")
+        raise UsageError(
+            f"cannot write '{path}': its parent folder does not exist",
+            f"create the folder '{path.parent}'",
+        )
     require_mujoco()
     made = make_task(name, 1, observe=("pixels",))
     pixels = made.reset([seed]).pixels
@@ -47,35 +54,49 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
     goals = f"{info.success_goals} goal{'s' if info.success_goals > 1 else ''}"
     limit = f"{info.env_steps} env steps, {info.env_steps * info.env_seconds:g} s"
     lines = (
-        f"{name}   {info.gym_id}   seed {seed}" if not name.endswith(info.gym_id) else f"{name}   seed {seed}",
-        f"limit {limit}   ·   success: {goals}   ·   costs: {', '.join(made.cost_sources) or 'none'}",
+        f"{name}   {info.gym_id}   seed {seed}"
+        if not name.endswith(info.gym_id)
+        else f"{name}   seed {seed}",
+        f"limit {limit}   ·   success: {goals}   ·   costs: "
+        f"{', '.join(made.cost_sources) or 'none'}",
     )
     sheet = _composed(lines, pixels[0][: 3 * cameras], overview)
-    usable = "".join(character if character.isalnum() or character in "._-" else "-" for character in name).lstrip(".-")
+    usable = "".join(
+        character if character.isalnum() or character in "._-" else "-" for character in name
+    ).lstrip(".-")
     path = path or Path(f"{usable}_seed{seed}.png")
     sheet.save(path, format="PNG")
     return path
 
 
 def _composed(lines: tuple[str, ...], pixels: Pixels, overview: Pixels | None) -> Image.Image:
-    """The map, and beside it the images of the cameras that are there: `pixels` is [3 or 6, 64, 64]."""
+    """The map, and beside it the images of the cameras that are there: `pixels` is [3 or 6, 64,
+    64].
+    """
     left = MAP + GAP if overview is not None else 0
     cameras = len(pixels) // 3
     rows = cameras if overview is None else 2  # the map is as high as two cameras
     font, small = ImageFont.load_default(16), ImageFont.load_default(13)
     fonts = (font, *[small] * (len(lines) - 1))
-    width = max(GAP + left + CAMERA + GAP, *(int(face.getlength(line)) + 2 * GAP for line, face in zip(lines, fonts, strict=True)))
+    width = max(
+        GAP + left + CAMERA + GAP,
+        *(int(face.getlength(line)) + 2 * GAP for line, face in zip(lines, fonts, strict=True)),
+    )
     sheet = Image.new("RGB", (width, TITLE + rows * (CAMERA + CAPTION + GAP)), _PAPER)
     draw = ImageDraw.Draw(sheet)
     for row, (line, face) in enumerate(zip(lines, fonts, strict=True)):
         draw.text((GAP, 8 + 22 * row), line, _INK, face)
-    views = [] if overview is None else [("map: +x to the right, +y up", overview, MAP, (GAP, TITLE))]
+    views = (
+        [] if overview is None else [("map: +x to the right, +y up", overview, MAP, (GAP, TITLE))]
+    )
     names = ("front camera", "rear camera") if cameras == 2 else ("camera",)
     for row, name in enumerate(names):
         image = np.moveaxis(pixels[3 * row : 3 * row + 3], 0, -1)
         views.append((name, image, CAMERA, (GAP + left, TITLE + row * (CAMERA + GAP + CAPTION))))
     for name, image, side, (x, y) in views:
-        shown = Image.fromarray(np.ascontiguousarray(image)).resize((side, side), Image.Resampling.NEAREST)
+        shown = Image.fromarray(np.ascontiguousarray(image)).resize(
+            (side, side), Image.Resampling.NEAREST
+        )
         sheet.paste(shown, (x, y))
         draw.text((x, y + side + 3), name, _INK, small)
     return sheet

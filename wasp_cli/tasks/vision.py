@@ -1,4 +1,6 @@
-"""The observation of the reference package's `Vision` ids: its sensors by name, and the image of the front camera."""
+"""The observation of the reference package's `Vision` ids: its sensors by name, and the image
+of the front camera.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +14,43 @@ from wasp_cli.errors import UsageError
 from wasp_cli.tasks.base import Observation, VectorTask
 from wasp_cli.tasks.features import BINS
 
-_POINT: dict[str, tuple[int, ...]] = {"accelerometer": (3,), "velocimeter": (3,), "gyro": (3,), "magnetometer": (3,)}
+_POINT: dict[str, tuple[int, ...]] = {
+    "accelerometer": (3,),
+    "velocimeter": (3,),
+    "gyro": (3,),
+    "magnetometer": (3,),
+}
 _CAR: dict[str, tuple[int, ...]] = {**_POINT, "ballangvel_rear": (3,), "ballquat_rear": (3, 3)}
 _SENSORS = {"point": _POINT, "car": _CAR}
-_LIDARS = {"goal": ("goal", "hazards", "vases"), "race": ("goal", "hazards"), "formula": ("staged_goal", "vases")}
+_LIDARS = {
+    "goal": ("goal", "hazards", "vases"),
+    "race": ("goal", "hazards"),
+    "formula": ("staged_goal", "vases"),
+}
 """By the task's name, in the order of the state vector; lower levels have the first ones."""
 
 
 def sensor_shapes(task: VectorTask) -> dict[str, tuple[int, ...]]:
-    """Return the parts of a task's state vector in their order, each with its shape, by the reference package's names."""
-    sensors, lidars = _SENSORS.get(getattr(task, "drive", "")), _LIDARS.get(getattr(task, "name", ""))
+    """Return the parts of a task's state vector in their order, each with its shape, by the
+    reference package's names.
+    """
+    sensors, lidars = (
+        _SENSORS.get(getattr(task, "drive", "")),
+        _LIDARS.get(getattr(task, "name", "")),
+    )
     if sensors is None or lidars is None:
-        raise UsageError("the observation 'vision' is that of Safety-Gymnasium's tasks only", "'all' has the images of every task")
+        raise UsageError(
+            "the observation 'vision' is that of Safety-Gymnasium's tasks only",
+            "'all' has the images of every task",
+        )
     seen = (task.state_size - sum(map(prod, sensors.values()))) // BINS
     return {**sensors, **{f"{lidar}_lidar": (BINS,) for lidar in lidars[:seen]}}
 
 
 def with_vision(task: VectorTask, observation: Observation) -> dict[str, NDArray[Any]]:
-    """Return the sensors [B, ...] of a state vector by name, and as `vision` the front image, uint8 [B, 64, 64, 3]."""
+    """Return the sensors [B, ...] of a state vector by name, and as `vision` the front image,
+    uint8 [B, 64, 64, 3].
+    """
     assert observation.state is not None
     assert observation.pixels is not None
     parts: dict[str, NDArray[Any]] = {}

@@ -1,1 +1,3 @@
-"""Episodes as films: cells played again, what the world model imagines for them, and what is drawn of it."""
+"""Episodes as films: cells played again, what the world model imagines for them, and what is
+drawn of it.
+"""

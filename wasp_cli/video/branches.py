@@ -1,6 +1,8 @@
-"""The two counterfactual branches of one decision, side by side on the map: as it was executed, and as it was commanded.
+"""The two counterfactual branches of one decision, side by side on the map: as it was executed, and
+as it was commanded.
 
-Both then follow the operator alone (`learning.counterfactual`). W = decision steps of a branch at most, w <= W of one that ended early.
+Both then follow the operator alone (`learning.counterfactual`). W = decision steps of a branch at
+most, w <= W of one that ended early.
 """
 
 from __future__ import annotations
@@ -21,12 +23,26 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.film import STILL, write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, along, cameras_of, draw_actions, font, poses_of
+from wasp_cli.video.map import (
+    COMMAND,
+    COST,
+    EXECUTED,
+    WIDEST,
+    MapPicture,
+    along,
+    cameras_of,
+    draw_actions,
+    font,
+    poses_of,
+)
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
-"""In px: side of a map, between panels, height of the first line, of a title, and of what stands below a map."""
-NARROWEST, ROOM = 0.8, 1.35  # half the side of the maps in m at least, and how much more than both paths they show
+"""In px: side of a map, between panels, height of the first line, of a title, and of what
+stands below a map.
+"""
+# half the side of the maps in m at least, and how much more than both paths they show
+NARROWEST, ROOM = 0.8, 1.35
 MS, LAST_MS = 320, 2500  # how long a frame is shown, and the last one
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
 _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
@@ -41,7 +57,9 @@ class _BranchStates:
 
 
 class _RecordingTask:
-    """A task that keeps what one of its rows shows after every restore and step: two branches, after the cell was played again."""
+    """A task that keeps what one of its rows shows after every restore and step: two branches,
+    after the cell was played again.
+    """
 
     def __init__(self, task: VectorTask, row: int) -> None:
         self._task, self._row = task, row
@@ -71,14 +89,25 @@ class _RecordingTask:
 
 
 class BranchPair:
-    def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
+    def __init__(
+        self, source: Source, episode: int, t: int, window: int, progress: Progress
+    ) -> None:
         with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
-            rerun = Rerun(recording, load_world_model(source.world_model), source.operator_in(world), source.recorded)
-            played = branches(rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress)
+            rerun = Rerun(
+                recording,
+                load_world_model(source.world_model),
+                source.operator_in(world),
+                source.recorded,
+            )
+            played = branches(
+                rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress
+            )
         self.world, self.t, self.window = world, t, window
-        self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
+        self.appearance: Appearance | None = (
+            world.appearance() if isinstance(world, HasScene) else None
+        )
         self.branches: Mapping[str, Branch] = {branch.name: branch for branch in played}
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
@@ -87,11 +116,19 @@ class BranchPair:
         if out.suffix.lower() in STILL:
             self._frame(last, title, verdict).save(out, format="PNG")
             return
-        write(out, last + 1, lambda step: self._frame(step, title, verdict), [*[MS] * last, LAST_MS], lambda index: None)
+        write(
+            out,
+            last + 1,
+            lambda step: self._frame(step, title, verdict),
+            [*[MS] * last, LAST_MS],
+            lambda index: None,
+        )
 
     def _frame(self, step: int, title: str, verdict: Sequence[str]) -> Image.Image:
         width = 2 * MAP + 3 * GAP
-        image = Image.new("RGB", (width, HEADER + TITLE + MAP + BARS + 20 * len(verdict) + 8), _PAPER)
+        image = Image.new(
+            "RGB", (width, HEADER + TITLE + MAP + BARS + 20 * len(verdict) + 8), _PAPER
+        )
         draw = ImageDraw.Draw(image)
         draw.text((GAP, 9), title, _INK, font(15, True))
         time = f"{step} of {self.window} decisions later"
@@ -100,7 +137,12 @@ class BranchPair:
             x, states = GAP + column * (MAP + GAP), self._states[name]
             action = ", ".join(f"{part:+.2f}" for part in states.actions[0])
             draw.rectangle((x, HEADER + 4, x + 10, HEADER + 14), _COLOURS[name])
-            draw.text((x + 16, HEADER + 1), f"{_NAMES[name]}: ({action}), then the operator", _INK, font(12))
+            draw.text(
+                (x + 16, HEADER + 1),
+                f"{_NAMES[name]}: ({action}), then the operator",
+                _INK,
+                font(12),
+            )
             image.paste(self._state(name, step), (x, HEADER + TITLE))
             self._bars(draw, x, HEADER + TITLE + MAP + 6, self.branches[name], step)
         for row, line in enumerate(verdict):
@@ -111,9 +153,16 @@ class BranchPair:
         states = self._states[name]
         now = min(step, len(states.actions))
         if self.appearance is None:
-            return Image.fromarray(cameras_of(states.pixels[now])[0]).resize((MAP, MAP), Image.Resampling.BICUBIC)
-        paths = {branch: along([scene.position[0, :2] for scene in passed.scenes]) for branch, passed in self._states.items()}
-        picture = MapPicture.of(self.appearance, states.scenes[now], MAP, *_window(list(paths.values())))
+            return Image.fromarray(cameras_of(states.pixels[now])[0]).resize(
+                (MAP, MAP), Image.Resampling.BICUBIC
+            )
+        paths = {
+            branch: along([scene.position[0, :2] for scene in passed.scenes])
+            for branch, passed in self._states.items()
+        }
+        picture = MapPicture.of(
+            self.appearance, states.scenes[now], MAP, *_window(list(paths.values()))
+        )
         other = ALONE if name == ASSISTED else ASSISTED
         picture.line(paths[other][: step + 1], _COLOURS[other] + "60", 2.0)
         picture.line(paths[name][: now + 1], "#FFFFFFB0", 5.0)
@@ -122,7 +171,14 @@ class BranchPair:
         picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
         if now < len(states.actions):
             action, pose = states.actions[now], poses_of(self.appearance, states.scenes[now])[0]
-            draw_actions(picture, self.world, pose, action if name == ALONE or now else self._states[ALONE].actions[0], action, 4)
+            draw_actions(
+                picture,
+                self.world,
+                pose,
+                action if name == ALONE or now else self._states[ALONE].actions[0],
+                action,
+                4,
+            )
         return picture.finished()
 
     def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, branch: Branch, step: int) -> None:
@@ -133,12 +189,20 @@ class BranchPair:
             past = _PAPER if w < len(branch.cost) else _GREY
             fill = COST if paid else past if w < step else _NOTHING
             draw.rectangle((x + w * side, y, x + (w + 1) * side - 3, y + 14), fill, _GREY)
-        ended = "   (the episode has ended)" if len(branch.cost) <= step and len(branch.cost) < self.window else ""
+        ended = (
+            "   (the episode has ended)"
+            if len(branch.cost) <= step and len(branch.cost) < self.window
+            else ""
+        )
         costs, rewards = branch.cost[:step].sum(), branch.reward[:step].sum()
-        draw.text((x, y + 22), f"costly decisions {costs}    reward {rewards:+.3f}{ended}", _INK, font(13))
+        draw.text(
+            (x, y + 22), f"costly decisions {costs}    reward {rewards:+.3f}{ended}", _INK, font(13)
+        )
 
 
 def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
     places = np.concatenate(list(paths))
     low, high = places.min(0), places.max(0)
-    return (low + high) / 2.0, float(np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST))
+    return (low + high) / 2.0, float(
+        np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST)
+    )

@@ -1,4 +1,5 @@
-"""The small films of a report, from the physics alone, and how frames become an animation: GIF, APNG or WebP, with Pillow alone.
+"""The small films of a report, from the physics alone, and how frames become an animation: GIF,
+APNG or WebP, with Pillow alone.
 
 T = decisions of the episode, A = action size.
 """
@@ -21,28 +22,59 @@ from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapView, along, cameras_of, draw_actions, poses_of, things_of
+from wasp_cli.video.map import (
+    COMMAND,
+    COST,
+    EXECUTED,
+    MapView,
+    along,
+    cameras_of,
+    draw_actions,
+    poses_of,
+    things_of,
+)
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
-STILL = (".png",)  # endings of a still picture, where there may be one: an animated PNG is then called .apng
+# endings of a still picture, where there may be one: an animated PNG is then called .apng
+STILL = (".png",)
 RARE, COMMON = 24, 72
-"""Colours of the palette that all frames share (then a frame stores only what has changed): some that cover all that is seen, more for
-what there is most of. Beside them are those that mean something, which must not become others."""
+"""Colours of the palette that all frames share (then a frame stores only what has changed): some
+that cover all that is seen, more for what there is most of. Beside them are those that mean
+something, which must not become others."""
 MEANT = (
-    COMMAND, EXECUTED, COST, *(look.colour for look in LOOKS.values()), "#FFFFFF", "#F0D2E4", "#8F3F74", "#A0A0A0", "#D0D0D0", "#F2F2F2",
-)  # fmt: skip
-APART = 10  # by how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place
+    COMMAND,
+    EXECUTED,
+    COST,
+    *(look.colour for look in LOOKS.values()),
+    "#FFFFFF",
+    "#F0D2E4",
+    "#8F3F74",
+    "#A0A0A0",
+    "#D0D0D0",
+    "#F2F2F2",
+)
+# by how much of 255 a sampled colour differs from those at least; a nearer one would be taken in
+# their place
+APART = 10
 SAMPLES = 12  # frames from which the palette is made
-_OPTIONS: dict[str, dict[str, Any]] = {"GIF": {"optimize": True, "disposal": 1}, "PNG": {}, "WEBP": {"quality": 50, "method": 2}}
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "GIF": {"optimize": True, "disposal": 1},
+    "PNG": {},
+    "WEBP": {"quality": 50, "method": 2},
+}
 
 
 def checked(path: Path, still: Sequence[str] = ()) -> Path:
-    """Return the path if a video, or a picture with an ending of `still`, can be written there, else raise a UsageError."""
+    """Return the path if a video, or a picture with an ending of `still`, can be written there,
+    else raise a UsageError.
+    """
     if path.suffix.lower() not in ENDINGS:
         hint = f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
         raise UsageError(f"'{path}': unsupported video format", hint)
     if not path.parent.is_dir():
-        raise UsageError(f"'{path}': its folder does not exist", f"create the folder '{path.parent}'")
+        raise UsageError(
+            f"'{path}': its folder does not exist", f"create the folder '{path.parent}'"
+        )
     if path.is_dir():
         raise UsageError(f"'{path}' is a folder", "name a file")
     return path
@@ -55,16 +87,26 @@ def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
     for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):
         flat = sheet.quantize(count, method, dither=Image.Dither.NONE).getpalette("RGB") or []
         sampled = [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
-        colours += [one for one in sampled if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])]
+        colours += [
+            one
+            for one in sampled
+            if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])
+        ]
     palette = Image.new("P", (1, 1))
     palette.putpalette([part for colour in dict.fromkeys(colours) for part in colour])
     return palette
 
 
 def write(
-    path: Path, count: int, frame: Callable[[int], Image.Image], milliseconds: Sequence[int], progress: Callable[[int], None]
+    path: Path,
+    count: int,
+    frame: Callable[[int], Image.Image],
+    milliseconds: Sequence[int],
+    progress: Callable[[int], None],
 ) -> None:
-    """Write an animation of `count` frames, complete or not at all; some frames are painted twice."""
+    """Write an animation of `count` frames, complete or not at all; some frames are painted
+    twice.
+    """
     kind = ENDINGS[path.suffix.lower()]
     spread = np.unique(np.linspace(0, count - 1, min(SAMPLES, count)).round().astype(int)).tolist()
     palette = None if kind == "WEBP" else palette_of([frame(index) for index in spread])
@@ -73,13 +115,25 @@ def write(
         for index in range(count):
             progress(index)
             image = frame(index)
-            yield image if palette is None else image.quantize(palette=palette, dither=Image.Dither.NONE)
+            yield (
+                image
+                if palette is None
+                else image.quantize(palette=palette, dither=Image.Dither.NONE)
+            )
 
     whole = painted()
     first = next(whole)
     part = path.with_name(path.name + ".part")
     try:
-        first.save(part, format=kind, save_all=True, append_images=list(whole), duration=list(milliseconds), loop=0, **_OPTIONS[kind])
+        first.save(
+            part,
+            format=kind,
+            save_all=True,
+            append_images=list(whole),
+            duration=list(milliseconds),
+            loop=0,
+            **_OPTIONS[kind],
+        )
         part.replace(path)
     except BaseException as error:
         part.unlink(missing_ok=True)  # also of one that was interrupted
@@ -99,25 +153,43 @@ TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by l
 class Moment(NamedTuple):
     frame: Pixels  # uint8 [size, size, 3]
     decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
-    positions: Floats  # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is
-    things: tuple[tuple[str, str], ...]  # what its map shows, see `map.things_of`; nothing of a task without a map
-    seen: Pixels | None  # [cameras, side, side, 3] what the robot's cameras see, where that was asked for
+    # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say
+    # where it is
+    positions: Floats
+    # what its map shows, see `map.things_of`; nothing of a task without a map
+    things: tuple[tuple[str, str], ...]
+    # [cameras, side, side, 3] what the robot's cameras see, where that was asked for
+    seen: Pixels | None
 
 
 def film(
-    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, *, cameras: bool = False
+    task: str,
+    action_repeat: int,
+    layout_seed: int,
+    a: Array,
+    a_h: Array,
+    reward: Array,
+    every: int,
+    size: int,
+    *,
+    cameras: bool = False,
 ) -> Iterator[Moment]:
-    """Draw the map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
+    """Draw the map of an episode with trail, commands and costs; of a task without a map, what its
+    front camera sees.
 
-    A frame of `size` px has an orange edge when cost was paid since the frame before, `every` decisions ago. Arrows: see `map.stick`. An
-    ArtifactError where the episode of actions a [T, A], commands a_h [T, A] and rewards [T] is not what happens here.
+    A frame of `size` px has an orange edge when cost was paid since the frame before, `every`
+    decisions ago. Arrows: see `map.stick`. An ArtifactError where the episode of actions a [T, A],
+    commands a_h [T, A] and rewards [T] is not what happens here.
     """
     made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",) if cameras else ())
     if not isinstance(made, HasScene):
         made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
     for actions in (a, a_h):
         if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
-            raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
+            raise ArtifactError(
+                f"the rows do not have {made.action_size} finite numbers for every action",
+                "run the spec again",
+            )
     view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
     things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
     positions: list[Floats] = []
@@ -137,14 +209,23 @@ def film(
             picture.trail(along(positions), size / 160)
             picture.dots(along(paid), COST, size / 90)
             if played.t < len(a):
-                draw_actions(picture, made, poses_of(made.appearance(), scene)[0], a_h[played.t], a[played.t], size / 70)
+                draw_actions(
+                    picture,
+                    made,
+                    poses_of(made.appearance(), scene)[0],
+                    a_h[played.t],
+                    a[played.t],
+                    size / 70,
+                )
             if costly:
                 picture.edge(COST, size / 50)
             frame = np.asarray(picture.finished())
         else:
             image = Image.fromarray(_seen(played)[0]).resize((size, size), Image.Resampling.NEAREST)
             if costly:
-                ImageDraw.Draw(image).rectangle((0, 0, size - 1, size - 1), outline=COST, width=max(1, size // 50))
+                ImageDraw.Draw(image).rectangle(
+                    (0, 0, size - 1, size - 1), outline=COST, width=max(1, size // 50)
+                )
             frame = np.asarray(image)
         yield Moment(frame, played.t, along(positions), things, _seen(played) if cameras else None)
         costly = False
@@ -156,20 +237,39 @@ def _seen(played: Played) -> Pixels:
 
 
 def sprite_of(
-    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, columns: int = 10
+    task: str,
+    action_repeat: int,
+    layout_seed: int,
+    a: Array,
+    a_h: Array,
+    reward: Array,
+    every: int,
+    size: int,
+    columns: int = 10,
 ) -> Sprite:
-    """Draw the film of an episode as a sprite sheet of `columns` frames beside each other, or more where it would become too high.
+    """Draw the film of an episode as a sprite sheet of `columns` frames beside each other, or more
+    where it would become too high.
 
-    It is WebP of the best quality that stays below LIMIT. See `film` for the other arguments and the errors.
+    It is WebP of the best quality that stays below LIMIT. See `film` for the other arguments and
+    the errors.
     """
     moments = list(film(task, action_repeat, layout_seed, a, a_h, reward, every, size))
     columns = max(columns, -(-len(moments) // (LONGEST // size)))
     sheet = Image.new("RGB", (columns * size, -(-len(moments) // columns) * size))
     for index, moment in enumerate(moments):
-        sheet.paste(Image.fromarray(moment.frame), (index % columns * size, index // columns * size))
+        sheet.paste(
+            Image.fromarray(moment.frame), (index % columns * size, index // columns * size)
+        )
     for quality in _QUALITIES:
         file = io.BytesIO()
         sheet.save(file, format="WEBP", quality=quality, method=4)
         if file.tell() <= LIMIT:
             break
-    return Sprite(file.getvalue(), "image/webp", columns, size, [moment.decision for moment in moments], moments[-1].things)
+    return Sprite(
+        file.getvalue(),
+        "image/webp",
+        columns,
+        size,
+        [moment.decision for moment in moments],
+        moments[-1].things,
+    )

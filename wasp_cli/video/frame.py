@@ -1,7 +1,8 @@
 """The video of an episode, frame by frame.
 
-Left the map, right what the cameras saw and what the world model made of it: decoded from the filtered latent, and from imagined ones under
-the command uncorrected (upper block) and under the correction (lower block); below, the course of the whole episode.
+Left the map, right what the cameras saw and what the world model made of it: decoded from the
+filtered latent, and from imagined ones under the command uncorrected (upper block) and under the
+correction (lower block); below, the course of the whole episode.
 """
 
 from __future__ import annotations
@@ -21,14 +22,27 @@ from wasp_cli.report.explain.layout import action
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
 from wasp_cli.video.film import write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, cameras_of, draw_actions, font, poses_of, things_of
+from wasp_cli.video.map import (
+    COMMAND,
+    COST,
+    EXECUTED,
+    MapPicture,
+    MapView,
+    cameras_of,
+    draw_actions,
+    font,
+    poses_of,
+    things_of,
+)
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
 MAP, SIDE, BETWEEN = 436, 98, 4  # sides of the map and of a camera image, and between images
 TIMELINE = 178
-ARROW = 0.15  # length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for futures
+# length of the arrow of a full action as a share of the map's half side: shorter than in a film, to
+# leave room for futures
+ARROW = 0.15
 _RIGHT = GAP + MAP + 16
 # Of the two blocks of images, below a line for what they imagine and a line for the columns.
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
@@ -50,16 +64,34 @@ class Correction(NamedTuple):
 
 class WrittenVideo(NamedTuple):
     frames: int
-    r2: dict[str, float] | None  # of the readout that draws imagined paths (forward, left, turn); None where there is none
+    # of the readout that draws imagined paths (forward, left, turn); None where there is none
+    r2: dict[str, float] | None
 
 
 class Painter:
-    def __init__(self, source: Source, stored: Episode, correction: Correction, horizon: int, every: int, progress: Progress) -> None:
-        """Play a cell again; a frame shows a decision of the stored episode, every `every`-th one and the last."""
-        shown, row = {*range(0, stored.decisions, every), stored.decisions - 1}, int(stored.row["episode"]) - source.recorded.first
-        self.played = trace.play_episode(source, row, correction.residuals, shown, horizon, progress)
+    def __init__(
+        self,
+        source: Source,
+        stored: Episode,
+        correction: Correction,
+        horizon: int,
+        every: int,
+        progress: Progress,
+    ) -> None:
+        """Play a cell again; a frame shows a decision of the stored episode, every `every`-th
+        one and the last.
+        """
+        shown, row = (
+            {*range(0, stored.decisions, every), stored.decisions - 1},
+            int(stored.row["episode"]) - source.recorded.first,
+        )
+        self.played = trace.play_episode(
+            source, row, correction.residuals, shown, horizon, progress
+        )
         self._stored, self._horizon, self._correction = stored, horizon, correction
-        self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
+        self.shown = tuple(
+            dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0))
+        )
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
         self._view: MapView | None = None
         self._next = len(shown)
@@ -67,10 +99,19 @@ class Painter:
     def film(self, out: Path, progress: Progress) -> WrittenVideo:
         """Write all frames as a video."""
         decisions = [decision.start.t for decision in self.played.decisions]
-        times = [round(1000 * SLOWER * seconds_of(self._stored) * (after - t)) for t, after in pairwise(decisions)]
+        times = [
+            round(1000 * SLOWER * seconds_of(self._stored) * (after - t))
+            for t, after in pairwise(decisions)
+        ]
         count = len(decisions)
         with trace.threads_of_evaluations():
-            write(out, count, self.frame, [*times, LAST_MS], lambda index: progress(index / count, f"frame {index + 1} of {count}"))
+            write(
+                out,
+                count,
+                self.frame,
+                [*times, LAST_MS],
+                lambda index: progress(index / count, f"frame {index + 1} of {count}"),
+            )
         explained = dict(zip(MOVES, self.played.explained.tolist(), strict=True))
         return WrittenVideo(count, None if self.played.readout is None else explained)
 
@@ -84,10 +125,13 @@ class Painter:
     def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
         if index < self._next and self.played.appearance is not None:
-            self._view = MapView(self.played.appearance, MAP)  # one that follows its robot has to be painted from the first frame on
+            # one that follows its robot has to be painted from the first frame on
+            self._view = MapView(self.played.appearance, MAP)
         self._next = index + 1
         decision = self.played.decisions[index]
-        imagined = trace.imagine(self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
+        imagined = trace.imagine(
+            self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold
+        )
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
@@ -104,7 +148,13 @@ class Painter:
         draw.line((x, top + 4, x, HEIGHT - 34), _GREY, 2)
         return image
 
-    def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
+    def _overview(
+        self,
+        image: Image.Image,
+        draw: ImageDraw.ImageDraw,
+        decision: PlayedDecision,
+        imagined: ImaginedTrajectories,
+    ) -> None:
         where = (GAP, HEADER + TITLE)
         if self._view is None or decision.scene is None or self.played.appearance is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
@@ -119,7 +169,9 @@ class Painter:
         picture.trail(self.played.places[: t + 1], 1.2)
         picture.dots(self.played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
         pose = poses_of(self.played.appearance, decision.scene)[0]
-        draw_actions(picture, self.played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
+        draw_actions(
+            picture, self.played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW
+        )
         self._futures(picture, pose, imagined)
         if self._stored.costly[t]:
             picture.edge(COST, 4)
@@ -132,7 +184,9 @@ class Painter:
             return
         for sequence, colour in zip(imagined.features, _SEQUENCES, strict=False):
             dash = 0 if colour == EXECUTED else 1
-            for number, places in reversed(list(enumerate(trace.integrated(pose, self.played.readout(sequence))))):
+            for number, places in reversed(
+                list(enumerate(trace.integrated(pose, self.played.readout(sequence))))
+            ):
                 if number == 0:
                     picture.line(places, "#FFFFFFB0", 4.0)
                 picture.line(places, colour, 2.2 if number == 0 else 0.8, dash)
@@ -142,41 +196,67 @@ class Painter:
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         x, y = float(GAP), HEADER + TITLE + MAP + 5
         for text, colour, kind in (
-            ("command", COMMAND, "arrow"), ("executed instead", EXECUTED, "arrow"), ("imagined: uncorrected", COMMAND, "dash"),
-            ("corrected", EXECUTED, "line"), ("cost", COST, "dot"),
-        ):  # fmt: skip
+            ("command", COMMAND, "arrow"),
+            ("executed instead", EXECUTED, "arrow"),
+            ("imagined: uncorrected", COMMAND, "dash"),
+            ("corrected", EXECUTED, "line"),
+            ("cost", COST, "dot"),
+        ):
             x = _legend_entry(draw, x, y, text, colour, kind)
         note = "no imagined paths: the episode is too short to learn to read them out of latents"
         if self.played.readout is not None:
-            r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(MOVES, self.played.explained, strict=True))
+            r2 = ", ".join(
+                f"{name} {share:.2f}"
+                for name, share in zip(MOVES, self.played.explained, strict=True)
+            )
             poor = " (poor: a hint only)" if np.nanmin(self.played.explained) < POOR else ""
             note = f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
         draw.text((GAP, y + 17), note, _GREY, font(10))
 
-    def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
+    def _images(
+        self,
+        image: Image.Image,
+        draw: ImageDraw.ImageDraw,
+        decision: PlayedDecision,
+        imagined: ImaginedTrajectories,
+    ) -> None:
         rows = range(getattr(self.played.world, "cameras", 2))
         columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
-        for column, name, images in ((columns[0], "cameras", decision.pixels), (columns[1], "decoded", _bytes(decision.decoded))):
+        for column, name, images in (
+            (columns[0], "cameras", decision.pixels),
+            (columns[1], "decoded", _bytes(decision.decoded)),
+        ):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
                 image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
-        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)):
+        for block, (top, name, colour) in enumerate(
+            zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)
+        ):
             there = block < len(imagined.features)
             what = f"imagined: {name}" if there else "no correction at this decision"
-            draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
-            draw.text((columns[2] + 16, top - 2 * TITLE + 2), what, _INK if there else _GREY, font(12))
+            draw.rectangle(
+                (columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14),
+                colour if there else _NOTHING,
+            )
+            draw.text(
+                (columns[2] + 16, top - 2 * TITLE + 2), what, _INK if there else _GREY, font(12)
+            )
             for column, step in zip(columns[2:], self.shown, strict=True):
                 text = f"+{step}  ĉ {imagined.cost[block, step - 1]:.2f}" if there else ""
                 draw.text((column, top - TITLE + 2), text, _GREY, font(11))
                 for row in rows:
                     x, y = column, top + row * (SIDE + BETWEEN)
                     if there:
-                        image.paste(_camera(_bytes(imagined.images[step][block]), row, SIDE), (x, y))
+                        image.paste(
+                            _camera(_bytes(imagined.images[step][block]), row, SIDE), (x, y)
+                        )
                     else:
                         draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
 
 
-def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colour: str, kind: str) -> float:
+def _legend_entry(
+    draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colour: str, kind: str
+) -> float:
     middle = y + 8
     if kind == "dot":
         draw.ellipse((x + 6, middle - 4, x + 14, middle + 4), colour)
@@ -192,7 +272,9 @@ def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colo
 
 
 def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
-    return Image.fromarray(cameras_of(images)[camera]).resize((side, side), Image.Resampling.BICUBIC)
+    return Image.fromarray(cameras_of(images)[camera]).resize(
+        (side, side), Image.Resampling.BICUBIC
+    )
 
 
 def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -200,7 +282,9 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def seconds_of(stored: Episode) -> float:
-    """Return the simulated time of a decision; where nothing says it, something that can be watched."""
+    """Return the simulated time of a decision; where nothing says it, something that can be
+    watched.
+    """
     return stored.constants.decision_seconds or 0.1
 
 
@@ -211,31 +295,57 @@ class Timeline:
         rows = [lane for lane in timeline(episode) if lane.name != "acts"]
         kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
         rows.insert(-1, Lane("gate", STRIP, BASE, marks=spans(kinds)))
-        colours = {look.kind: look.colour for look in LOOKS.values()} | {"cost": COST, "limit": EXECUTED, "base": "#d0d0d0"}
+        colours = {look.kind: look.colour for look in LOOKS.values()} | {
+            "cost": COST,
+            "limit": EXECUTED,
+            "base": "#d0d0d0",
+        }
         scale = min((height - 44 - ROWS_APART * len(rows)) / sum(lane.height for lane in rows), 2.0)
-        large = Image.new("RGB", (2 * width, 2 * height), _PAPER)  # drawn twice as large, which smooths its edges
+        # drawn twice as large, which smooths its edges
+        large = Image.new("RGB", (2 * width, 2 * height), _PAPER)
         draw = ImageDraw.Draw(large)
         top = 8.0
         for i, lane in enumerate(rows):
             below = top + scale * lane.height
             draw.text((2 * _SIDES[0] - 12, top + below), lane.name, _INK, font(22), anchor="rm")
             for kind, first, many in lane.marks:
-                draw.rectangle((2 * self.x(first), 2 * top, 2 * self.x(first + many) - 2, 2 * below), colours[kind])
+                draw.rectangle(
+                    (2 * self.x(first), 2 * top, 2 * self.x(first + many) - 2, 2 * below),
+                    colours[kind],
+                )
             for kind, level in lane.levels:
                 y = 2 * (top + scale * float(level))
                 draw.line((2 * self.x(0), y, 2 * self.x(self._decisions), y), colours[kind], 2)
             for points in lane.curves:
                 places = [tuple(map(float, point.split(","))) for point in points.split()]
                 draw.line([(2 * self.x(x), 2 * (top + scale * y)) for x, y in places], COMMAND, 2)
-            for y in (2 * (top + scale * float(level)) for kind, level in lane.levels if kind == "limit"):
-                at, label = (2 * self.x(self._decisions) - 4, y - 2), f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
-                draw.text(at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER)  # readable on a curve too
+            for y in (
+                2 * (top + scale * float(level)) for kind, level in lane.levels if kind == "limit"
+            ):
+                at, label = (
+                    (2 * self.x(self._decisions) - 4, y - 2),
+                    f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}",
+                )
+                # readable on a curve too
+                draw.text(
+                    at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER
+                )
             top = below + ROWS_APART
         for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
-            draw.text((2 * self.x(t + (t > 0)), 2 * top - 4), f"decision {t}", _GREY, font(20), anchor=anchor)
+            draw.text(
+                (2 * self.x(t + (t > 0)), 2 * top - 4),
+                f"decision {t}",
+                _GREY,
+                font(20),
+                anchor=anchor,
+            )
         self.image = large.reduce(2)
         x, small = float(_SIDES[0]), ImageDraw.Draw(self.image)
-        fired = [(look.words, look.colour) for gate, look in LOOKS.items() if (episode.gate == gate).any()]
+        fired = [
+            (look.words, look.colour)
+            for gate, look in LOOKS.items()
+            if (episode.gate == gate).any()
+        ]
         for words, colour in [*fired, ("cost paid", COST)]:
             x = _legend_entry(small, x, height - 22, words, colour, "dot")
 
@@ -256,10 +366,16 @@ def numbers(episode: Episode, t: int) -> list[str]:
         lines += _against("Ḡᶜ", episode.at("g_cost", t), "τ_c", limits.tau_c)
         lines += _against("ΔG", episode.at("delta_g", t), "τ_r", limits.tau_r)
         if (cost := episode.at("plan_cost", t)) is not None:
-            lines.append(f"plan's cost {cost:.2f}" + ("" if alone is None else f", without it {alone:.2f}"))
+            lines.append(
+                f"plan's cost {cost:.2f}" + ("" if alone is None else f", without it {alone:.2f}")
+            )
     else:
-        lines += _against(episode.signal.name, episode.at("signal", t), "limit", episode.signal_limit)
-    reward, cost_env, goals = (episode.numbers[name][: t + 1] for name in ("reward", "cost_env", "goals"))
+        lines += _against(
+            episode.signal.name, episode.at("signal", t), "limit", episode.signal_limit
+        )
+    reward, cost_env, goals = (
+        episode.numbers[name][: t + 1] for name in ("reward", "cost_env", "goals")
+    )
     lines.append(f"reward {reward[-1]:+.3f}, so far {reward.sum():.2f}")
     lines.append(f"cost so far {int(cost_env.sum())}, goals {int(goals.sum())}")
     return lines
@@ -268,4 +384,7 @@ def numbers(episode: Episode, t: int) -> list[str]:
 def _against(name: str, value: float | None, limit_name: str, limit: float | None) -> list[str]:
     if value is None:
         return []
-    return [f"{name} {value:.2f}" + ("" if limit is None else f" {'>' if value > limit else '≤'} {limit_name} {limit:.3g}")]
+    return [
+        f"{name} {value:.2f}"
+        + ("" if limit is None else f" {'>' if value > limit else '≤'} {limit_name} {limit:.3g}")
+    ]

@@ -1,7 +1,8 @@
-"""The map of a running episode with what people want to see on it: arrows, trails, marks; and the typeface of every picture.
+"""The map of a running episode with what people want to see on it: arrows, trails, marks; and the
+typeface of every picture.
 
-A map of a small task stands still; that of a large one follows the robot, which may move freely in its middle. Everything is drawn twice as
-large as it is shown, which smooths its edges.
+A map of a small task stands still; that of a large one follows the robot, which may move freely in
+its middle. Everything is drawn twice as large as it is shown, which smooths its edges.
 """
 
 from __future__ import annotations
@@ -17,20 +18,26 @@ from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.make import require_mujoco
 
-# Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
-# colour blindness, and unlike the things on the maps.
+# Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and
+# Ito, distinguishable with every common colour blindness, and unlike the things on the maps.
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
-WIDEST = 4.0  # half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen
+# half the side of a map in m at most: on more of a track, the way of a few decisions is too short
+# to be seen
+WIDEST = 4.0
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
-REACH, ROBOT = 0.24, 0.05  # as shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins
+# as shares of the half side: length of the arrow of a full action, and how far from the robot's
+# middle it begins
+REACH, ROBOT = 0.24, 0.05
 _SMOOTH = 2
 
 
 def stick(task: object, action: Floats) -> Floats | None:
-    """Turn an action [A] into (forward, left) [2] in [-1, 1]; None of a task that does not say how it is driven.
+    """Turn an action [A] into (forward, left) [2] in [-1, 1]; None of a task that does not say how
+    it is driven.
 
-    A point is commanded by throttle and turn rate (left is positive), a car by the torques of the driver's right and left wheel: their mean
-    drives, half of what the right one has more turns left.
+    A point is commanded by throttle and turn rate (left is positive), a car by the torques of the
+    driver's right and left wheel: their mean drives, half of what the right one has more turns
+    left.
     """
     drive = getattr(task, "drive", None)
     if drive == "point":
@@ -41,18 +48,27 @@ def stick(task: object, action: Floats) -> Floats | None:
 
 
 def things_of(appearance: Appearance) -> tuple[tuple[str, str], ...]:
-    """Name what a map shows, the robot first, each with its colour `#rrggbb`; what lets the floor through is lightened."""
+    """Name what a map shows, the robot first, each with its colour `#rrggbb`; what lets the
+    floor through is lightened.
+    """
     shown = [("robot", appearance.robot[0].colour, 1.0)] if appearance.robot else []
     shown += [(kind.name, kind.colour, kind.alpha) for kind in appearance.kinds]
-    return tuple((name, "#" + "".join(f"{round(255 * (alpha * c + 1 - alpha)):02x}" for c in colour)) for name, colour, alpha in shown)
+    return tuple(
+        (name, "#" + "".join(f"{round(255 * (alpha * c + 1 - alpha)):02x}" for c in colour))
+        for name, colour, alpha in shown
+    )
 
 
 def legend_of(things: Sequence[tuple[str, str]]) -> tuple[tuple[str, str, str], ...]:
-    """Say what a map shows: name, colour `#rrggbb` and meaning of its things (`things_of`), then of the marks that are drawn on it."""
+    """Say what a map shows: name, colour `#rrggbb` and meaning of its things (`things_of`),
+    then of the marks that are drawn on it.
+    """
     meanings = {
-        "robot": "with its path so far", "goal": "where it should go", "hazard": "being there costs",
+        "robot": "with its path so far",
+        "goal": "where it should go",
+        "hazard": "being there costs",
         "vase": "an obstacle; in some tasks touching or moving it costs",
-    }  # fmt: skip
+    }
     marks = (
         ("command", COMMAND, "arrow: what the operator commands"),
         ("executed", EXECUTED, "arrow: what was executed instead, where the assistant corrected"),
@@ -61,7 +77,10 @@ def legend_of(things: Sequence[tuple[str, str]]) -> tuple[tuple[str, str, str], 
     return (*((name, colour, meanings.get(name, "")) for name, colour in things), *marks)
 
 
-SEEN = "The map is drawn for people. The assistant never sees it: it gets what the robot's own cameras see, here at the right."
+SEEN = (
+    "The map is drawn for people. The assistant never sees it: it gets what the robot's own "
+    "cameras see, here at the right."
+)
 
 
 def poses_of(appearance: Appearance, scene: Scene) -> Floats:
@@ -95,25 +114,45 @@ class MapPicture:
         self._draw = ImageDraw.Draw(image, "RGBA")
 
     @classmethod
-    def of(cls, appearance: Appearance, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
+    def of(
+        cls, appearance: Appearance, scene: Scene, size: int, centre: Floats, half: float
+    ) -> MapPicture:
         """Draw the only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
         require_mujoco()
         from wasp_cli.tasks.camera.topdown import draw_map
 
-        image = draw_map(appearance, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half))
+        image = draw_map(
+            appearance, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half)
+        )
         return cls(Image.fromarray(image), centre, half)
 
     def _pixels(self, places: Floats) -> list[tuple[float, float]]:
-        scaled = (np.asarray(places, np.float64).reshape(-1, 2) - self._centre) * np.array([1.0, -1.0]) / self._half
+        scaled = (
+            (np.asarray(places, np.float64).reshape(-1, 2) - self._centre)
+            * np.array([1.0, -1.0])
+            / self._half
+        )
         return [(float(x), float(y)) for x, y in (scaled + 1.0) / 2.0 * self._image.width]
 
     def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
-        """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is left out."""
+        """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is
+        left out.
+        """
         points = self._pixels(places)
-        stretches = [points[index : index + 2] for index in range(len(points) - 1) if (index + 1) % (dash + 1)] if dash else [points]
+        stretches = (
+            [
+                points[index : index + 2]
+                for index in range(len(points) - 1)
+                if (index + 1) % (dash + 1)
+            ]
+            if dash
+            else [points]
+        )
         for stretch in stretches:
             if len(stretch) > 1:
-                self._draw.line(stretch, colour, round(width * _SMOOTH), joint=None if dash else "curve")
+                self._draw.line(
+                    stretch, colour, round(width * _SMOOTH), joint=None if dash else "curve"
+                )
 
     def trail(self, places: Floats, width: float) -> None:
         """Draw where the robot has been [N, 2] in m: visible on light and dark ground."""
@@ -126,8 +165,12 @@ class MapPicture:
         for x, y in self._pixels(places):
             self._draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, edge, _SMOOTH)
 
-    def arrow(self, pose: Floats, push: Floats, colour: str, width: float, reach: float = REACH) -> None:
-        """Draw an action as (forward, left) [2] at a robot, (x, y, yaw) [3]: along its nose what drives, to the side what turns."""
+    def arrow(
+        self, pose: Floats, push: Floats, colour: str, width: float, reach: float = REACH
+    ) -> None:
+        """Draw an action as (forward, left) [2] at a robot, (x, y, yaw) [3]: along its nose
+        what drives, to the side what turns.
+        """
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         pushed = reach * np.array([push[0] * cos - push[1] * sin, push[0] * sin + push[1] * cos])
         # It begins beside the robot, which would else lie under it.
@@ -141,9 +184,17 @@ class MapPicture:
         for grown, shade in ((1.0, "#FFFFFF"), (0.0, colour)):
             head = min(3.2 * width * _SMOOTH, 0.7 * length) + 2 * grown
             base = np.array([x1, y1]) - head * along
-            corners = [np.array([x1, y1]) + 2 * grown * along, base + 0.6 * head * side, base - 0.6 * head * side]
+            corners = [
+                np.array([x1, y1]) + 2 * grown * along,
+                base + 0.6 * head * side,
+                base - 0.6 * head * side,
+            ]
             end = base + 0.3 * head * along
-            self._draw.line([(x0, y0), (float(end[0]), float(end[1]))], shade, round((width + 1.4 * grown) * _SMOOTH))
+            self._draw.line(
+                [(x0, y0), (float(end[0]), float(end[1]))],
+                shade,
+                round((width + 1.4 * grown) * _SMOOTH),
+            )
             self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
 
     def edge(self, colour: str, width: float) -> None:
@@ -154,8 +205,18 @@ class MapPicture:
         return self._image.reduce(_SMOOTH)
 
 
-def draw_actions(picture: MapPicture, task: object, pose: Floats, a_h: Floats, a: Floats, width: float, reach: float = REACH) -> None:
-    """Draw the command [A] and, where it was changed, what was executed [A], as arrows; nothing where `stick` is None."""
+def draw_actions(
+    picture: MapPicture,
+    task: object,
+    pose: Floats,
+    a_h: Floats,
+    a: Floats,
+    width: float,
+    reach: float = REACH,
+) -> None:
+    """Draw the command [A] and, where it was changed, what was executed [A], as arrows; nothing
+    where `stick` is None.
+    """
     command, executed = stick(task, a_h), stick(task, a)
     if command is None or executed is None:
         return
@@ -165,7 +226,9 @@ def draw_actions(picture: MapPicture, task: object, pose: Floats, a_h: Floats, a
 
 
 def cameras_of(pixels: Pixels) -> Pixels:
-    """Turn what cameras see, one behind the other in the channels [3 * cameras, side, side], into images [cameras, side, side, 3]."""
+    """Turn what cameras see, one behind the other in the channels [3 * cameras, side, side],
+    into images [cameras, side, side, 3].
+    """
     return np.ascontiguousarray(np.moveaxis(pixels.reshape(-1, 3, *pixels.shape[1:]), 1, -1))
 
 
@@ -178,4 +241,6 @@ def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     import matplotlib
 
     folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-    return ImageFont.truetype(str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size)
+    return ImageFont.truetype(
+        str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size
+    )

@@ -1,11 +1,13 @@
-"""What a video of a stored episode shows, gathered while its cell is played again, and what each decision imagines, in full.
+"""What a video of a stored episode shows, gathered while its cell is played again, and what each
+decision imagines, in full.
 
-Latents along rollouts of the commands alone and of a correction, and where they lead on the map: `methods.wasp.imagine` keeps only the
-returns of such rollouts. A latent has no position, but how the robot has moved can be read out of it: a ridge regression from the features
-of an arrived latent to the displacement of the robot within the decision, in the frame that it had before.
+Latents along rollouts of the commands alone and of a correction, and where they lead on the map:
+`methods.wasp.imagine` keeps only the returns of such rollouts. A latent has no position, but how
+the robot has moved can be read out of it: a ridge regression from the features of an arrived latent
+to the displacement of the robot within the decision, in the frame that it had before.
 
-B = episodes side by side, T, N = decisions, A = action size, F = features, S = sequences (alone, corrected), M = rollouts, H = horizon,
-L = residual steps.
+B = episodes side by side, T, N = decisions, A = action size, F = features, S = sequences (alone,
+corrected), M = rollouts, H = horizon, L = residual steps.
 """
 
 from __future__ import annotations
@@ -29,7 +31,15 @@ from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, NoiseSource, Operator, OperatorContext, Policy, build_operator
+from wasp_cli.operators.base import (
+    DrawnNoise,
+    EpisodeNoise,
+    NoiseSource,
+    Operator,
+    OperatorContext,
+    Policy,
+    build_operator,
+)
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
@@ -41,57 +51,95 @@ from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import poses_of
 
 ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
-STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)  # of the penalty; the best one on episodes that were left out is taken
+# of the penalty; the best one on episodes that were left out is taken
+STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
 FOLDS = 3
-PARTS = 6  # of an episode that is alone: consecutive decisions, so that what is left out is not beside what is fitted
+# of an episode that is alone: consecutive decisions, so that what is left out is not beside what is
+# fitted
+PARTS = 6
 
 
 class RolloutStart(NamedTuple):
     t: int
     latent: Latent  # [1, .] filtered
     a_h: NDArray[np.float32]  # [A]
-    operator: Operator  # who goes on, forked right after the command: S * M rows, sequence after sequence
-    residuals: NDArray[np.float32]  # [S, L, A]: the first sequence is that of the commands alone, all zero
+    # who goes on, forked right after the command: S * M rows, sequence after sequence
+    operator: Operator
+    # [S, L, A]: the first sequence is that of the commands alone, all zero
+    residuals: NDArray[np.float32]
 
 
 class ImaginedTrajectories(NamedTuple):
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
-    cost: NDArray[np.float32]  # [S, H] probability of a cost at the arrived states, mean over the rollouts
-    images: dict[int, NDArray[np.float32]]  # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
+    # [S, H] probability of a cost at the arrived states, mean over the rollouts
+    cost: NDArray[np.float32]
+    # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
+    images: dict[int, NDArray[np.float32]]
 
 
 def rollout_start(
-    t: int, latent: Latent, row: int, a_h: NDArray[np.float32], operator: Operator, residuals: NDArray[np.float32] | None, horizon: int
+    t: int,
+    latent: Latent,
+    row: int,
+    a_h: NDArray[np.float32],
+    operator: Operator,
+    residuals: NDArray[np.float32] | None,
+    horizon: int,
 ) -> RolloutStart:
     """Begin at row `row`; `residuals` [L, A] are those of a correction, None where there is none.
 
-    The sequences share the draws of their rollouts, and the draws of a decision depend on `t` alone.
+    The sequences share the draws of their rollouts, and the draws of a decision depend on `t`
+    alone.
     """
-    nothing = np.zeros((1, *np.shape(residuals)), np.float32) if residuals is not None else np.zeros((1, 1, len(a_h)), np.float32)
-    sequences = nothing if residuals is None else np.concatenate([nothing, residuals[None].astype(np.float32)])
-    draws = torch.rand((horizon, ROLLOUTS, operator.draws), generator=generator(2 * t)).repeat(1, len(sequences), 1)
+    nothing = (
+        np.zeros((1, *np.shape(residuals)), np.float32)
+        if residuals is not None
+        else np.zeros((1, 1, len(a_h)), np.float32)
+    )
+    sequences = (
+        nothing
+        if residuals is None
+        else np.concatenate([nothing, residuals[None].astype(np.float32)])
+    )
+    draws = torch.rand((horizon, ROLLOUTS, operator.draws), generator=generator(2 * t)).repeat(
+        1, len(sequences), 1
+    )
     forked = operator.fork(torch.tensor([row]), len(draws[0]), DrawnNoise(draws))
     return RolloutStart(t, latent.rows(torch.tensor([row])), a_h, forked, sequences)
 
 
 def following(expert: Policy, action_size: int, batch: int) -> Operator:
-    """Return who goes on where the assistant imagines the expert behind a command: B = `batch` rows without a memory."""
+    """Return who goes on where the assistant imagines the expert behind a command: B = `batch`
+    rows without a memory.
+    """
     return Operator(expert, action_size, DrawnNoise(torch.zeros(0, batch, 0)), batch)
 
 
 @torch.inference_mode()
 def imagine(
-    model: SafetyWorldModel, start: RolloutStart, horizon: int, shown: Sequence[int], *, hold: bool = False
+    model: SafetyWorldModel,
+    start: RolloutStart,
+    horizon: int,
+    shown: Sequence[int],
+    *,
+    hold: bool = False,
 ) -> ImaginedTrajectories:
-    """Imagine the sequences of a start over `horizon` steps, and decode the images of the `shown` ones; the same again gives the same.
+    """Imagine the sequences of a start over `horizon` steps, and decode the images of the `shown`
+    ones; the same again gives the same.
 
-    With `hold` residuals are added to the present command instead of the imagined ones, as Eq. 13 is printed.
+    With `hold` residuals are added to the present command instead of the imagined ones, as Eq. 13
+    is printed.
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
     rows, device = sequences * ROLLOUTS, start.latent.h.device
-    noise = gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1)).repeat(1, sequences, 1).to(device)
-    residuals = torch.from_numpy(start.residuals).to(device).repeat_interleave(ROLLOUTS, 0)  # [S * M, L, A]
+    noise = (
+        gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1))
+        .repeat(1, sequences, 1)
+        .to(device)
+    )
+    # [S * M, L, A]
+    residuals = torch.from_numpy(start.residuals).to(device).repeat_interleave(ROLLOUTS, 0)
     now = torch.from_numpy(start.a_h).to(device).expand(rows, -1)
     latent = start.latent.expand_rows(rows)
     features: list[Tensor] = []
@@ -99,14 +147,17 @@ def imagine(
     images: dict[int, NDArray[np.float32]] = {}
     for k in range(horizon):
         command = now if k == 0 else start.operator.command(latent.features)
-        base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]]) if hold else command  # of the first sequence the operator goes on
+        # of the first sequence the operator goes on
+        base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]]) if hold else command
         action = (base + residuals[:, k]).clamp(-1, 1) if k < steps else command
         start.operator.observe(action)
         latent = model.imagine(latent, action, noise[k])
         features.append(latent.features)
         costs.append(model.cost(latent).view(sequences, ROLLOUTS).mean(1))
         if k + 1 in shown:
-            images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).cpu().numpy()
+            images[k + 1] = (
+                model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).cpu().numpy()
+            )
     start.operator.restore(begun)
     whole = torch.stack(features, 1).unflatten(0, (sequences, ROLLOUTS))
     return ImaginedTrajectories(whole.cpu().numpy(), torch.stack(costs, 1).cpu().numpy(), images)
@@ -122,16 +173,26 @@ class Readout:
 
     def __call__(self, features: NDArray[Any]) -> Floats:
         """[..., F] to [..., 3]."""
-        return np.asarray((np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset)
+        return np.asarray(
+            (np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset
+        )
 
 
 def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
-    """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each; its penalty is chosen by leaving episodes out."""
-    folds = [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))] if len(features) > 1 else []
+    """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each; its penalty is
+    chosen by leaving episodes out.
+    """
+    folds = (
+        [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))]
+        if len(features) > 1
+        else []
+    )
     errors = np.zeros(len(STRENGTHS))
     for held in folds:
         rest = [e for e in range(len(features)) if e not in held]
-        candidates = _ridges(np.concatenate([features[e] for e in rest]), np.concatenate([moves[e] for e in rest]))
+        candidates = _ridges(
+            np.concatenate([features[e] for e in rest]), np.concatenate([moves[e] for e in rest])
+        )
         x, y = np.concatenate([features[e] for e in held]), np.concatenate([moves[e] for e in held])
         # Forward, left and turn weigh the same, whatever their units.
         errors += [np.nansum(1.0 - explained(candidate(x), y)) for candidate in candidates]
@@ -140,7 +201,9 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
 
 
 def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, Floats]:
-    """Fit a readout to one episode, features [N, F] and moves [N, 3]: None where it is too short; its R2 [3], each part from the others."""
+    """Fit a readout to one episode, features [N, F] and moves [N, 3]: None where it is too
+    short; its R2 [3], each part from the others.
+    """
     if len(moves) < 2 * PARTS:
         return None, np.full(3, np.nan)
     xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
@@ -155,7 +218,14 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     z, offset = (x - mean) / scale, moves.mean(0)
     gram, right = z.T @ z, z.T @ (moves - offset)
-    return [Readout(mean, np.linalg.solve(gram + strength * np.eye(len(gram)), right) / scale[:, None], offset) for strength in STRENGTHS]
+    return [
+        Readout(
+            mean,
+            np.linalg.solve(gram + strength * np.eye(len(gram)), right) / scale[:, None],
+            offset,
+        )
+        for strength in STRENGTHS
+    ]
 
 
 def explained(predicted: Floats, true: Floats) -> Floats:
@@ -165,7 +235,9 @@ def explained(predicted: Floats, true: Floats) -> Floats:
 
 
 def displacements(places: Floats) -> Floats:
-    """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left of the former pose in m, turn in rad."""
+    """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left of the
+    former pose in m, turn in rad.
+    """
     before, after = places[:-1], places[1:]
     way, (sin, cos) = after[:, :2] - before[:, :2], (np.sin(before[:, 2]), np.cos(before[:, 2]))
     forward, left = way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin
@@ -173,10 +245,19 @@ def displacements(places: Floats) -> Floats:
 
 
 def integrated(start: Floats, moves: Floats) -> Floats:
-    """Turn a pose [3] (x, y, yaw) and displacements [..., H, 3] into places [..., H + 1, 2] in m."""
-    turned = start[2] + np.concatenate([np.zeros_like(moves[..., :1, 2]), np.cumsum(moves[..., 2], -1)], -1)[..., :-1]
+    """Turn a pose [3] (x, y, yaw) and displacements [..., H, 3] into places [..., H + 1, 2] in
+    m.
+    """
+    turned = (
+        start[2]
+        + np.concatenate([np.zeros_like(moves[..., :1, 2]), np.cumsum(moves[..., 2], -1)], -1)[
+            ..., :-1
+        ]
+    )
     cos, sin = np.cos(turned), np.sin(turned)
-    steps = np.stack([moves[..., 0] * cos - moves[..., 1] * sin, moves[..., 0] * sin + moves[..., 1] * cos], -1)
+    steps = np.stack(
+        [moves[..., 0] * cos - moves[..., 1] * sin, moves[..., 0] * sin + moves[..., 1] * cos], -1
+    )
     begun = np.broadcast_to(start[:2], (*moves.shape[:-2], 1, 2))
     return np.concatenate([begun, start[:2] + np.cumsum(steps, -2)], -2)
 
@@ -195,33 +276,53 @@ class Source:
     world_model: Path
     policies: Path
     threads: int = 1  # of the simulator; they change nothing
-    expert: Path | None = None  # whose privileged policies operators follow who know more than assistants perceive; None: they do not
+    # whose privileged policies operators follow who know more than assistants perceive; None: they
+    # do not
+    expert: Path | None = None
     clone: Path | None = None  # of the person in whose place an operator drove
     alone: bool = False
-    """The episode is played without the others of its cell: matrix products round by the number of rows, so that the operator says what was
-    recorded, and imagines from nearly the same memory."""
-    expert_goes_on: bool = False  # the assistant imagines the expert behind every command, not the operator
+    """The episode is played without the others of its cell: matrix products round by the number of
+    rows, so that the operator says what was recorded, and imagines from nearly the same memory."""
+    # the assistant imagines the expert behind every command, not the operator
+    expert_goes_on: bool = False
 
     def world(self) -> VectorTask:
         shown = observed(self.task)
-        return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
+        return make_task(
+            self.task,
+            len(self.recorded.a),
+            action_repeat=self.action_repeat,
+            observe=shown,
+            threads=self.threads,
+        )
 
     def operator_in(self, world: VectorTask) -> Operator:
         batch = len(self.recorded.a)
         if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
-        mistakes = [seeds.operator_seed(self.task, self.operator, self.seed, self.recorded.first + row) for row in range(batch)]
-        informed = None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
-        context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds, informed)
+        mistakes = [
+            seeds.operator_seed(self.task, self.operator, self.seed, self.recorded.first + row)
+            for row in range(batch)
+        ]
+        informed = (
+            None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
+        )
+        context = OperatorContext(
+            load_skills(self.policies).at, world.action_size, world.decision_seconds, informed
+        )
         with placed(None if self.clone is None else PlacedClone(self.clone)):
-            operator = build_operator(self.operator, self.value, context, EpisodeNoise(mistakes), batch)
+            operator = build_operator(
+                self.operator, self.value, context, EpisodeNoise(mistakes), batch
+            )
         return AsRecorded(operator, self.recorded) if self.alone else operator
 
 
 class AsRecorded(Operator):
-    """An operator whose commands are the recorded ones; its memory and its forks go on from those that it would have issued.
+    """An operator whose commands are the recorded ones; its memory and its forks go on from those
+    that it would have issued.
 
-    It goes forward only: a snapshot would not bring the recorded commands back, and no branches are played from it.
+    It goes forward only: a snapshot would not bring the recorded commands back, and no branches are
+    played from it.
     """
 
     def __init__(self, operator: Operator, recorded: Recorded) -> None:
@@ -254,7 +355,12 @@ class SaidAgain(PersonOperator):
 
     def __init__(self, recorded: Recorded, action_size: int) -> None:
         nothing = DrawnNoise(torch.zeros(0, len(recorded.a_h), 0))
-        super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))
+        super().__init__(
+            lambda features: features.new_zeros(len(features), action_size),
+            action_size,
+            nothing,
+            len(recorded.a_h),
+        )
         self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
@@ -265,7 +371,9 @@ class SaidAgain(PersonOperator):
 
 @contextmanager
 def threads_of_evaluations() -> Iterator[None]:
-    """Let matrix products use as many threads meanwhile as in evaluations: rounding may depend on them."""
+    """Let matrix products use as many threads meanwhile as in evaluations: rounding may depend
+    on them.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(getattr(EvaluateStage, "torch_threads", 1))
     try:
@@ -287,20 +395,33 @@ class PlayedEpisode(NamedTuple):
     appearance: Appearance | None
     decisions: list[PlayedDecision]  # in order; the decisions that are shown
     places: Floats  # [T, 2] of the robot before every decision; [0, 2] of a task without a map
-    readout: Readout | None  # fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map
+    # fitted to the other episodes, or to this one where it is alone; None where it is too short, or
+    # without a map
+    readout: Readout | None
     explained: Floats  # [3] its R2 of the displacements of this episode: forward, left, turn
 
 
 @threads_of_evaluations()
 def play_episode(
-    source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
+    source: Source,
+    episode: int,
+    residuals: Sequence[NDArray[Any] | None],
+    shown: Collection[int],
+    horizon: int,
+    progress: Progress,
 ) -> PlayedEpisode:
-    """Play a cell again and keep what is shown of one row of its episodes, with T corrections [L, A], None where the command stood."""
+    """Play a cell again and keep what is shown of one row of its episodes, with T corrections
+    [L, A], None where the command stood.
+    """
     world, model = source.world(), load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
-    follower = following(load_skills(source.policies).expert, world.action_size, world.batch) if source.expert_goes_on else rerun.operator
+    follower = (
+        following(load_skills(source.policies).expert, world.action_size, world.batch)
+        if source.expert_goes_on
+        else rerun.operator
+    )
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
@@ -311,21 +432,43 @@ def play_episode(
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
-            begun = rollout_start(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), follower, residuals[t], horizon)
+            begun = rollout_start(
+                t,
+                moment.latent,
+                episode,
+                moment.a_h[episode].numpy().copy(),
+                follower,
+                residuals[t],
+                horizon,
+            )
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
-            decisions.append(PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene))
+            decisions.append(
+                PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene)
+            )
         if t % 25 == 0:
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
-    return PlayedEpisode(model, world, appearance, decisions, places, *_read_out(features, poses, rerun.lengths, episode))
+    return PlayedEpisode(
+        model,
+        world,
+        appearance,
+        decisions,
+        places,
+        *_read_out(features, poses, rerun.lengths, episode),
+    )
 
 
 def _read_out(
-    features: list[NDArray[np.float32]], poses: list[Floats], lengths: NDArray[np.int64], episode: int
+    features: list[NDArray[np.float32]],
+    poses: list[Floats],
+    lengths: NDArray[np.int64],
+    episode: int,
 ) -> tuple[Readout | None, Floats]:
-    """A readout from the other episodes and its R2 on this one; of an episode that is alone, from its parts."""
+    """A readout from the other episodes and its R2 on this one; of an episode that is alone,
+    from its parts.
+    """
     if not poses:
         return None, np.full(3, np.nan)
     latents, places = np.stack(features), np.stack(poses)  # [T, B, .]

@@ -1,4 +1,6 @@
-"""An episode for its page: film, gate timeline, the decisions worth a stop, and of each decision its explanation and both branches."""
+"""An episode for its page: film, gate timeline, the decisions worth a stop, and of each
+decision its explanation and both branches.
+"""
 
 from __future__ import annotations
 
@@ -34,53 +36,108 @@ from wasp_cli.view.site import Site
 WIDTH = 74  # columns of an explanation
 KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
-    Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
-    Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
-)  # fmt: skip
+    Column("return", "Return", "up"),
+    Column("cost", "Cost", "down", digits=0),
+    Column("goals", "Goals", "up", digits=0),
+    Column("int_rate", "Int.", "down"),
+    Column("mag", "Mag.", "down"),
+    Column("decisions", "Decisions", digits=0),
+)
 """What is shown of an episode in numbers."""
-COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}  # classes of a page by the colours of a terminal
+# classes of a page by the colours of a terminal
+COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad"}
 
 
-def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
-    """Return an episode; in a bundle with the explanation of every decision, and `film` says what is known of its film."""
+def episode_page(
+    site: Site,
+    text: str,
+    number: int,
+    step: int | None = None,
+    film: Mapping[str, Any] | None = None,
+) -> str:
+    """Return an episode; in a bundle with the explanation of every decision, and `film` says
+    what is known of its film.
+    """
     cell, artifact = site.one(text)
     stored = load(artifact, number)
     whole = not without_steps(artifact.manifest)
     return site.render(
-        "episode.html", f"{cell.label}, episode {number}", view=episode_view(site, cell, stored, step, film), cell=cell, number=number,
+        "episode.html",
+        f"{cell.label}, episode {number}",
+        view=episode_view(site, cell, stored, step, film),
+        cell=cell,
+        number=number,
         summary=as_html(episode_lines(stored, WIDTH, f"wasp explain {cell.key[:8]}")),
-        notes=[note for note in site.notes() if note.key == cell.key and note.episode in (None, number)],
+        notes=[
+            note for note in site.notes() if note.key == cell.key and note.episode in (None, number)
+        ],
         command=open_command(site.name, cell_address(site.cells.ref(cell), number)),
         before=site.links.episode(cell, number - 1) if whole and number > 0 else "",
-        after=site.links.episode(cell, number + 1) if whole and number + 1 < stored.episodes else "",
-    )  # fmt: skip
+        after=site.links.episode(cell, number + 1)
+        if whole and number + 1 < stored.episodes
+        else "",
+    )
 
 
 def episode_view(
-    site: Site, cell: ListedCell, stored: Episode, step: int | None = None, film: Mapping[str, Any] | None = None
+    site: Site,
+    cell: ListedCell,
+    stored: Episode,
+    step: int | None = None,
+    film: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     number, live, film = int(stored.row["episode"]), site.links.live, film or {}
     branches, problem = branches_of(site.layout, cell)
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
     return {
-        "label": cell.label, "number": number, "decisions": stored.decisions, "step": first, "lanes": timeline(stored),
-        "stops": stops(stored), "branched": [] if branches is None else branches.t[branches.episode == number].tolist(),
-        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN,
+        "label": cell.label,
+        "number": number,
+        "decisions": stored.decisions,
+        "step": first,
+        "lanes": timeline(stored),
+        "stops": stops(stored),
+        "branched": [] if branches is None else branches.t[branches.episode == number].tolist(),
+        "seconds": stored.constants.decision_seconds or 0,
+        "problem": problem,
+        "seen": SEEN,
         "part": step_part(site, cell, stored, first, branches),
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
-        "every": [] if live else [step_part(site, cell, stored, t, branches) for t in range(stored.decisions)],
+        "every": []
+        if live
+        else [step_part(site, cell, stored, t, branches) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
         "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)},
-        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "legend")},
-    }  # fmt: skip
+        "frames": {
+            name: film.get(name) for name in ("state", "ready", "frames", "every", "legend")
+        },
+    }
 
 
-def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None) -> Markup:
+def step_part(
+    site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None
+) -> Markup:
     stored.require(step)
     verdict = verdict_of(stored, branches, step)
-    drawn = verdict is not None and site.links.live and plays_on(stored.cell) and not without_steps(stored.cell.manifest)
-    film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    return Markup(site.render("step.html", "", words=as_html(decision_lines(stored, step, WIDTH)), verdict=verdict, film=film))
+    drawn = (
+        verdict is not None
+        and site.links.live
+        and plays_on(stored.cell)
+        and not without_steps(stored.cell.manifest)
+    )
+    film = (
+        f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}"
+        if drawn
+        else ""
+    )
+    return Markup(
+        site.render(
+            "step.html",
+            "",
+            words=as_html(decision_lines(stored, step, WIDTH)),
+            verdict=verdict,
+            film=film,
+        )
+    )
 
 
 def load(cell: FoundCell, number: int) -> Episode:
@@ -88,7 +145,9 @@ def load(cell: FoundCell, number: int) -> Episode:
         state = cell.path.stat()
         return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
     except FileNotFoundError as error:
-        raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
+        raise StoreError(
+            f"{cell.path} is not there: the cell is not computed yet, or was removed"
+        ) from error
 
 
 @lru_cache(KEPT)
@@ -97,14 +156,21 @@ def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> E
 
 
 def stops(stored: Episode) -> list[int]:
-    interventions, costs = (marks & ~np.concatenate([[False], marks[:-1]]) for marks in (stored.intervened, stored.costly))
+    interventions, costs = (
+        marks & ~np.concatenate([[False], marks[:-1]])
+        for marks in (stored.intervened, stored.costly)
+    )
     return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> tuple[Branches | None, str]:
     """Return the branches of a cell where it has some, and what is wrong with them."""
     try:
-        path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE) if cell.branches else None
+        path = (
+            layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
+            if cell.branches
+            else None
+        )
         if path is None or not path.is_file():
             return None, ""
         with odd_tables_refused(path):
@@ -117,14 +183,26 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
     """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
-    rows = np.flatnonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step)).tolist()
+    rows = np.flatnonzero(
+        (branches.episode == int(stored.row["episode"])) & (branches.t == step)
+    ).tolist()
     if not rows:
         return None
     traces: dict[str, dict[str, list[Any]]] = {
-        name: {"cost": (branches.cost[name][rows[0]] > 0).tolist(), "reward": branches.reward[name][rows[0]].tolist()}
+        name: {
+            "cost": (branches.cost[name][rows[0]] > 0).tolist(),
+            "reward": branches.reward[name][rows[0]].tolist(),
+        }
         for name in (ASSISTED, ALONE)
     }
-    return judge(stored, step, Criterion(branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell"), traces)
+    return judge(
+        stored,
+        step,
+        Criterion(
+            branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell"
+        ),
+        traces,
+    )
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
@@ -133,7 +211,12 @@ def as_html(lines: Iterable[Text]) -> Markup:
     def piece(text: str, style: Style | None) -> str:
         look = style or Style.null()
         colour = COLOURS.get(look.color.name, "") if look.color is not None else ""
-        classes = " ".join(filter(None, ("b" if look.bold else "", "dim" if look.dim else "", colour)))
+        classes = " ".join(
+            filter(None, ("b" if look.bold else "", "dim" if look.dim else "", colour))
+        )
         return span.format(classes, text) if classes else text
 
-    return Markup("\n").join(Markup("").join(piece(part.text, part.style) for part in line.render(console)) for line in lines)
+    return Markup("\n").join(
+        Markup("").join(piece(part.text, part.style) for part in line.render(console))
+        for line in lines
+    )

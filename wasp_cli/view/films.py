@@ -1,4 +1,6 @@
-"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room."""
+"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store
+until there is no room.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,12 @@ FOLDER, STATE = ".wasp-view", "film.json"
 FILM, REPLAY, BRANCHES = "film", "replay", "branches"
 """From the physics alone; with cameras and imagined futures; both branches of one decision."""
 KINDS = (FILM, REPLAY, BRANCHES)
-ROOM = 400 * 2**20  # bytes of all films together, beyond which the ones that were drawn longest ago go
+# bytes of all films together, beyond which the ones that were drawn longest ago go
+ROOM = 400 * 2**20
 AT_ONCE = 2  # films that are drawn side by side
 LARGEST = 32 * 2**20  # bytes of a frame
-DRAWS = "import sys; from wasp_cli.view.films import main; main(*sys.argv[1:])"  # the process that draws one film
+# the process that draws one film
+DRAWS = "import sys; from wasp_cli.view.films import main; main(*sys.argv[1:])"
 NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 
@@ -56,7 +60,8 @@ class Films:
     def ask(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
         """Begin a film unless it is there or being drawn; return how far it is, see `state`."""
         name = _name(key, episode, kind, step)
-        with self._lock, held(self.folder / "lock", lambda: True):  # of all servers: two drew one film at once
+        # of all servers: two drew one film at once
+        with self._lock, held(self.folder / "lock", lambda: True):
             state = self._state(name)
             if state["state"] in ("done", "drawing"):
                 return state
@@ -68,19 +73,30 @@ class Films:
             folder.mkdir(parents=True)
             with (folder / "log").open("wb") as log:
                 with suppress(OSError):  # a file system without locks
-                    fcntl.flock(log, fcntl.LOCK_EX)  # held by the process that has it for its output, until that ends
-                command, environment = drawing(self._layout, key, episode, kind, step, folder), {**os.environ, "OMP_NUM_THREADS": "1"}
-                self._drawing[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
+                    # held by the process that has it for its output, until that ends
+                    fcntl.flock(log, fcntl.LOCK_EX)
+                command, environment = (
+                    drawing(self._layout, key, episode, kind, step, folder),
+                    {**os.environ, "OMP_NUM_THREADS": "1"},
+                )
+                self._drawing[name] = subprocess.Popen(
+                    command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment
+                )
             return {**NOTHING, "state": "drawing"}
 
     def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
-        """Return `state`: absent, drawing, done, or failed, with `problem`; of a film also frames, ready ones, `every` and `legend`."""
+        """Return `state`: absent, drawing, done, or failed, with `problem`; of a film also
+        frames, ready ones, `every` and `legend`.
+        """
         with self._lock:
             return self._state(_name(key, episode, kind, step))
 
     def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> bytes | None:
         """Return a frame as WebP; None where it is not there."""
-        with suppress(OSError), open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file:
+        with (
+            suppress(OSError),
+            open_plain(self.folder / _name(key, episode, kind, step) / frame_name(number)) as file,
+        ):
             return file.read(LARGEST)
         return None
 
@@ -98,7 +114,9 @@ class Films:
         """Whether a film is being drawn, by this server or by another one on the same results."""
         process = self._drawing.get(name)
         with suppress(OSError):
-            return (process is not None and process.poll() is None) or is_held(self.folder / name / "log")
+            return (process is not None and process.poll() is None) or is_held(
+                self.folder / name / "log"
+            )
         return False
 
     def _state(self, name: str) -> dict[str, Any]:
@@ -113,13 +131,23 @@ class Films:
         lines: list[str] = []
         with suppress(OSError, ValueError):
             lines = [line for line in read_plain(folder / "log").splitlines() if line.strip()]
-        return {**NOTHING, "state": "failed", "problem": lines[-1][:500] if lines else f"its process ended ({process.poll()})"}
+        return {
+            **NOTHING,
+            "state": "failed",
+            "problem": lines[-1][:500] if lines else f"its process ended ({process.poll()})",
+        }
 
     def _make_room(self) -> None:
         films = []
         for folder in self.folder.iterdir():
             if not folder.is_symlink() and folder.is_dir() and not self._is_drawn(folder.name):
-                films.append((folder.lstat().st_mtime_ns, sum(path.lstat().st_size for path in folder.iterdir()), folder))
+                films.append(
+                    (
+                        folder.lstat().st_mtime_ns,
+                        sum(path.lstat().st_size for path in folder.iterdir()),
+                        folder,
+                    )
+                )
         total = sum(size for _, size, _ in films)
         for _, size, folder in sorted(films):
             if total > self._room:
@@ -127,9 +155,17 @@ class Films:
                 total -= size
 
 
-def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> list[str]:
+def drawing(
+    layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0
+) -> list[str]:
     # -P: the working directory may be the results themselves: their modules are not ours.
-    return [sys.executable, "-P", "-c", DRAWS, *map(str, (layout.root.absolute(), key, episode, kind, step, folder, every))]
+    return [
+        sys.executable,
+        "-P",
+        "-c",
+        DRAWS,
+        *map(str, (layout.root.absolute(), key, episode, kind, step, folder, every)),
+    ]
 
 
 def frame_name(number: int) -> str:
@@ -137,7 +173,9 @@ def frame_name(number: int) -> str:
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
-    """Return what the drawing process says; None before it has said anything, or where that does not read."""
+    """Return what the drawing process says; None before it has said anything, or where that
+    does not read.
+    """
     with suppress(ArtifactError):
         record = read_record(folder / STATE)
         return record if record is not None and isinstance(record.get("state"), str) else None
@@ -163,7 +201,10 @@ Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and 
 def _require_drawable(stored: Episode) -> int:
     task, repeat = str(stored.row["task"]), stored.constants.action_repeat
     if task not in TASKS:
-        raise UsageError(f"'{task}' is no task of ours: drawing it would run a module that these results name", "wasp replay does so")
+        raise UsageError(
+            f"'{task}' is no task of ours: drawing it would run a module that these results name",
+            "wasp replay does so",
+        )
     if repeat is None or not 0 < repeat <= TASKS[task].env_steps:
         raise UsageError("its manifest does not say how long a decision is")
     return repeat
@@ -175,7 +216,9 @@ def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Leg
 
     repeat, row = _require_drawable(stored), stored.row
     seed, rewards = int(row["episode_seed"]), stored.numbers["reward"]
-    for moment in film(str(row["task"]), repeat, seed, stored.a, stored.a_h, rewards, every, SIZE, cameras=True):
+    for moment in film(
+        str(row["task"]), repeat, seed, stored.a, stored.a_h, rewards, every, SIZE, cameras=True
+    ):
         image = Image.new("RGB", (SIZE + GAP + CAMERA, SIZE), (255, 255, 255))
         image.paste(Image.fromarray(moment.frame), (0, 0))
         for place, seen in enumerate((moment.seen if moment.seen is not None else ())[:2]):
@@ -184,7 +227,15 @@ def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Leg
         yield image, legend_of(moment.things)
 
 
-def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int = 0) -> dict[str, Any]:
+def draw(
+    layout: Layout,
+    cell: FoundCell,
+    episode: int,
+    kind: str,
+    step: int,
+    folder: Path,
+    every: int = 0,
+) -> dict[str, Any]:
     stored = read_episode(cell, episode)
     state: dict[str, Any] = {**NOTHING, "state": "drawing", "every": every or 1, "legend": []}
     if kind != FILM:
@@ -202,10 +253,14 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
         from wasp_cli.video.replay import replay_frames
 
         state["every"] = every or math.ceil(stored.decisions / REPLAYED)
-        images = ((Image.fromarray(frame), ()) for frame in replay_frames(layout, cell, episode, state["every"]))
+        images = (
+            (Image.fromarray(frame), ())
+            for frame in replay_frames(layout, cell, episode, state["every"])
+        )
     else:
         images = _film_frames(stored, state["every"])
-    state["frames"] = math.ceil(stored.decisions / state["every"]) + (kind == FILM)  # which also shows where the last decision led
+    # which also shows where the last decision led
+    state["frames"] = math.ceil(stored.decisions / state["every"]) + (kind == FILM)
     for number, (image, legend) in enumerate(images):
         part = folder / "frame.part"
         image.save(part, format="WEBP", quality=QUALITY, method=2)
@@ -215,11 +270,15 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
     return {**state, "state": "done", "frames": state["ready"]}
 
 
-def main(results: str, key: str, episode: str, kind: str, step: str, target: str, every: str) -> None:
+def main(
+    results: str, key: str, episode: str, kind: str, step: str, target: str, every: str
+) -> None:
     os.nice(5)  # pages go first
     layout, folder = Layout(Path(results)), Path(target)
     try:
-        state = draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(every))
+        state = draw(
+            layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(every)
+        )
     except WaspError as error:
         state = {**NOTHING, "state": "failed", "problem": problem_of(error)}
     except Exception as error:

@@ -1,4 +1,6 @@
-"""The pages: runs and their nodes, the table of cells, a cell with its episodes, two cells beside each other on the same worlds."""
+"""The pages: runs and their nodes, the table of cells, a cell with its episodes, two cells
+beside each other on the same worlds.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ from wasp_cli.view import episode
 from wasp_cli.view.films import problem_of
 from wasp_cli.view.site import COLUMNS, Shown, Site, words
 
-FIRST = 400  # rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls.
+# rows that are laid out at once; a browser takes seconds for thousands. The others are on the page,
+# and come as one scrolls.
+FIRST = 400
 MOST = 1500  # cells whose numbers are read for the first page: seconds
 FACTS = 200  # lines of what is known of a person's session, at most
 NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
@@ -50,13 +54,29 @@ def cells_page(site: Site) -> str:
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
     rows: list[dict[str, Any]] = [
-        {"key": cell.key, "href": site.links.cell(cell), "words": words(cell), "numbers": known.get(cell.key, Shown(None)).row}
+        {
+            "key": cell.key,
+            "href": site.links.cell(cell),
+            "words": words(cell),
+            "numbers": known.get(cell.key, Shown(None)).row,
+        }
         for cell in site.cells.listed()
     ]
-    choices = {name: sorted({row["words"][place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
+    choices = {
+        name: sorted({row["words"][place] for row in rows} - {""}, key=_numeric)
+        for place, name in enumerate(NAMES)
+    }
     problems = site.cells.problems
     return site.render(
-        "cells.html", "Cells", rows=rows, choices=choices, columns=COLUMNS, names=NAMES, left=left, problems=problems, first=FIRST
+        "cells.html",
+        "Cells",
+        rows=rows,
+        choices=choices,
+        columns=COLUMNS,
+        names=NAMES,
+        left=left,
+        problems=problems,
+        first=FIRST,
     )
 
 
@@ -69,7 +89,10 @@ def numbers(site: Site) -> dict[str, Any]:
 def cell_page(site: Site, text: str) -> str:
     cell, artifact = site.one(text)
     if not artifact.path.is_file():
-        raise StoreError(f"{cell.label} has no rows", "it is not computed yet, failed, or was removed; the page of its run says which")
+        raise StoreError(
+            f"{cell.label} has no rows",
+            "it is not computed yet, failed, or was removed; the page of its run says which",
+        )
     shown = site.cells.one(cell)
     problem, rows = shown.reason, []
     try:
@@ -79,35 +102,59 @@ def cell_page(site: Site, text: str) -> str:
     settings = (cell.task, cell.operator, cell.value, cell.seed)
     git = artifact.setting("provenance", "git", "sha")
     return site.render(
-        "cell.html", cell.label, cell=cell, rows=rows, problem=problem, columns=episode.COLUMNS, session=list(_session(site, artifact)),
-        numbers=[(column.heading, text) for column, text in zip(COLUMNS, shown.texts, strict=False)], slim=without_steps(artifact.manifest),
+        "cell.html",
+        cell.label,
+        cell=cell,
+        rows=rows,
+        problem=problem,
+        columns=episode.COLUMNS,
+        session=list(_session(site, artifact)),
+        numbers=[
+            (column.heading, text) for column, text in zip(COLUMNS, shown.texts, strict=False)
+        ],
+        slim=without_steps(artifact.manifest),
         same=[
-            other for other in site.cells.listed()
-            if other.key != cell.key and (other.task, other.operator, other.value, other.seed) == settings
+            other
+            for other in site.cells.listed()
+            if other.key != cell.key
+            and (other.task, other.operator, other.value, other.seed) == settings
         ],
-        notes=[note for note in site.notes() if note.key == cell.key], command=open_command(site.name, cell_address(site.cells.ref(cell))),
+        notes=[note for note in site.notes() if note.key == cell.key],
+        command=open_command(site.name, cell_address(site.cells.ref(cell))),
         facts=[
-            ("key", cell.key), ("computed", artifact.date), ("commit", str(git)[:12] if isinstance(git, str) else ""), ("spec", cell.spec),
+            ("key", cell.key),
+            ("computed", artifact.date),
+            ("commit", str(git)[:12] if isinstance(git, str) else ""),
+            ("spec", cell.spec),
         ],
-    )  # fmt: skip
+    )
 
 
 def _episode_rows(site: Site, cell: ListedCell, artifact: FoundCell) -> list[dict[str, Any]]:
     with odd_tables_refused(artifact.path):
         table = read_episodes([artifact.path]).to_pylist()
-        with_steps = set(read_steps(artifact.path)["episode"].unique().to_pylist()) if without_steps(artifact.manifest) else None
+        with_steps = (
+            set(read_steps(artifact.path)["episode"].unique().to_pylist())
+            if without_steps(artifact.manifest)
+            else None
+        )
     notes = site.notes()
     marked = {number for key, number in invalid(notes) if key == cell.key}
     noted = {note.episode for note in notes if note.key == cell.key}
     return [
         {
-            "number": row["episode"], "world": row["episode_seed"], "success": bool(row["success"]),
-            "href": site.links.episode(cell, row["episode"]) if with_steps is None or row["episode"] in with_steps else "",
+            "number": row["episode"],
+            "world": row["episode_seed"],
+            "success": bool(row["success"]),
+            "href": site.links.episode(cell, row["episode"])
+            if with_steps is None or row["episode"] in with_steps
+            else "",
             "texts": [column.number(row[column.key]) for column in episode.COLUMNS],
-            "invalid": row["episode"] in marked, "noted": row["episode"] in noted,
+            "invalid": row["episode"] in marked,
+            "noted": row["episode"] in noted,
         }
         for row in table
-    ]  # fmt: skip
+    ]
 
 
 def _numeric(text: str) -> tuple[float, str]:
@@ -117,7 +164,9 @@ def _numeric(text: str) -> tuple[float, str]:
 
 
 def _session(site: Site, artifact: FoundCell) -> Iterator[tuple[str, str]]:
-    """Who drove when and how well in time, of a cell that a person drove; names and values, one a line."""
+    """Who drove when and how well in time, of a cell that a person drove; names and values, one
+    a line.
+    """
     if artifact.key is None:
         return
     try:
@@ -140,7 +189,10 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
             for place, entry in enumerate(part, 1):
                 yield from _flat(entry, f"{before}{name} {place}: ")
         else:
-            yield f"{before}{name}", ", ".join(map(str, part)) if isinstance(part, list) else str(part)
+            yield (
+                f"{before}{name}",
+                ", ".join(map(str, part)) if isinstance(part, list) else str(part),
+            )
 
 
 def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
@@ -150,37 +202,64 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     tables = []
     for _, artifact in pair:
         with odd_tables_refused(artifact.path):
-            tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
-    worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}  # both episodes in a world
+            tables.append(
+                {row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()}
+            )
+    # both episodes in a world
+    worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}
     first, second = (site.cells.one(cell).numbers for cell, _ in pair)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
         for column in COLUMNS:
             texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
             apart = paired_difference([second], [first], column.key)
-            rows.append((column.heading, texts[0], texts[1], "" if apart is None else column.number(apart, sign=True)))
+            rows.append(
+                (
+                    column.heading,
+                    texts[0],
+                    texts[1],
+                    "" if apart is None else column.number(apart, sign=True),
+                )
+            )
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
     episodes: list[Episode] = []
     problem = ""
     try:
-        episodes = [episode.load(artifact, row["episode"]) for (_, artifact), row in zip(pair, met, strict=False)]
+        episodes = [
+            episode.load(artifact, row["episode"])
+            for (_, artifact), row in zip(pair, met, strict=False)
+        ]
     except WaspError as error:  # where one does not read, neither is shown
         problem = problem_of(error)
     differs = first_difference(*episodes) if len(episodes) == 2 else None
     start = step if step is not None else differs
     return site.render(
-        "beside.html", " and ".join(cell.label for cell, _ in pair), cells=[cell for cell, _ in pair], rows=rows, world=world,
-        views=[episode.episode_view(site, cell, stored, start) for (cell, _), stored in zip(pair, episodes, strict=False)],
-        problem=problem, differs=differs, worlds=worlds, pair=(a, b),
-    )  # fmt: skip
+        "beside.html",
+        " and ".join(cell.label for cell, _ in pair),
+        cells=[cell for cell, _ in pair],
+        rows=rows,
+        world=world,
+        views=[
+            episode.episode_view(site, cell, stored, start)
+            for (cell, _), stored in zip(pair, episodes, strict=False)
+        ],
+        problem=problem,
+        differs=differs,
+        worlds=worlds,
+        pair=(a, b),
+    )
 
 
 def first_difference(a: Episode, b: Episode) -> int | None:
-    """Return the first decision at which two episodes were driven differently, or were rewarded so; None where there is none."""
+    """Return the first decision at which two episodes were driven differently, or were rewarded
+    so; None where there is none.
+    """
     shared = min(a.decisions, b.decisions)
-    apart = (a.numbers["reward"][:shared] != b.numbers["reward"][:shared]) | (a.costly[:shared] != b.costly[:shared])
+    apart = (a.numbers["reward"][:shared] != b.numbers["reward"][:shared]) | (
+        a.costly[:shared] != b.costly[:shared]
+    )
     if a.a.shape[1:] == b.a.shape[1:]:
         apart |= (a.a[:shared] != b.a[:shared]).any(1) | (a.a_h[:shared] != b.a_h[:shared]).any(1)
     if apart.any():
@@ -190,7 +269,8 @@ def first_difference(a: Episode, b: Episode) -> int | None:
 
 LISTED = 30  # runs on the first page; the newest ones
 TAIL = 200_000  # bytes of a log that are shown: its end
-UNNEEDED = "not needed"  # said of a node that is not in the store, since everything that needs it was there
+# said of a node that is not in the store, since everything that needs it was there
+UNNEEDED = "not needed"
 STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
@@ -209,48 +289,82 @@ def home_page(site: Site) -> str:
     except StoreError as error:
         problems.append(error.message)
     return site.render(
-        "home.html", "Results", states=[(state, life(state, datetime.now(UTC))) for state in states], more=max(len(runs) - LISTED, 0),
-        kinds=[(kind, len(stored_keys(site.layout, kind))) for kind in stored_kinds(site.layout)], published=list(_published(site)),
-        notes=notes[-50:][::-1], left_out=len(invalid(notes)), problems=problems,
-        listed={cell.key: cell for cell in site.cells.listed()}, tables=list(main_tables(site)), columns=PAPER_COLUMNS,
-    )  # fmt: skip
+        "home.html",
+        "Results",
+        states=[(state, life(state, datetime.now(UTC))) for state in states],
+        more=max(len(runs) - LISTED, 0),
+        kinds=[(kind, len(stored_keys(site.layout, kind))) for kind in stored_kinds(site.layout)],
+        published=list(_published(site)),
+        notes=notes[-50:][::-1],
+        left_out=len(invalid(notes)),
+        problems=problems,
+        listed={cell.key: cell for cell in site.cells.listed()},
+        tables=list(main_tables(site)),
+        columns=PAPER_COLUMNS,
+    )
 
 
 def main_tables(site: Site) -> Iterator[dict[str, Any]]:
-    """Yield of each recorded spec, the newest first: its main table, where its rows lead, the same in words, and its report.
+    """Yield of each recorded spec, the newest first: its main table, where its rows lead, the same
+    in words, and its report.
 
-    All its cells are read for it. Folders with more than MOST cells have the table in their reports alone.
+    All its cells are read for it. Folders with more than MOST cells have the table in their reports
+    alone.
     """
     listed: dict[str, list[ListedCell]] = {}
     with suppress(StoreError):  # what is wrong is among the problems of the page
         for spec, plan in reversed(recorded_plans(site.layout).items()):
             with suppress(ArtifactError):
-                here = [cell for cell in planned_cells(spec, plan) if cell.method in METHODS and cell.task in TASKS]  # what is installed
+                # what is installed
+                here = [
+                    cell
+                    for cell in planned_cells(spec, plan)
+                    if cell.method in METHODS and cell.task in TASKS
+                ]
                 listed |= {spec: here} if here else {}
     if not listed or sum(map(len, listed.values())) > MOST:
         return
     known = site.cells.wait()
     for spec, cells in listed.items():
-        there = [(cell.identity, cell, known.get(cell.key) or site.cells.one(cell)) for cell in cells]  # the listing may be older
+        # the listing may be older
+        there = [
+            (cell.identity, cell, known.get(cell.key) or site.cells.one(cell)) for cell in cells
+        ]
         numbers = tuple(shown.numbers for _, _, shown in there if shown.numbers is not None)
-        missing = [Missing(who, cell.label, shown.reason, cell.key, shown.damaged) for who, cell, shown in there if shown.numbers is None]
+        missing = [
+            Missing(who, cell.label, shown.reason, cell.key, shown.damaged)
+            for who, cell, shown in there
+            if shown.numbers is None
+        ]
         frame = Frame(numbers, tuple(missing), tuple(who for who, _, _ in there))
         if numbers:
             yield {
-                "spec": spec, "table": main_table(frame), "said": in_words(frame), "report": site.links.shown_report(spec, site.layout),
-                "rows": [site.links.row(group.task, who_title(group.method, "full")) for group in full_groups(frame)],
-            }  # fmt: skip
+                "spec": spec,
+                "table": main_table(frame),
+                "said": in_words(frame),
+                "report": site.links.shown_report(spec, site.layout),
+                "rows": [
+                    site.links.row(group.task, who_title(group.method, "full"))
+                    for group in full_groups(frame)
+                ],
+            }
 
 
 def reports(site: Site) -> Iterator[Path]:
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
-            yield from (report for report in sorted(site.layout.within(folder).iterdir()) if report.is_dir() and not report.is_symlink())
+            yield from (
+                report
+                for report in sorted(site.layout.within(folder).iterdir())
+                if report.is_dir() and not report.is_symlink()
+            )
 
 
 def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     for report in reports(site):
-        pages = [path for path in (report / "report.html", report / "report.md") if os.path.lexists(path)]
+        pages = [
+            path for path in (report / "report.html", report / "report.md") if os.path.lexists(path)
+        ]
         name = str(report if site.links.live else report.relative_to(site.layout.root))
         yield name, [(path.name, site.links.report(str(path))) for path in pages]
 
@@ -263,26 +377,48 @@ def run_page(site: Site, run_id: str) -> str:
 def run_now(site: Site, run_id: str) -> Markup:
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
-    counts = {"done": state.done + state.shared, "running": state.running, "failed": len(state.failed)}
+    counts = {
+        "done": state.done + state.shared,
+        "running": state.running,
+        "failed": len(state.failed),
+    }
     moment, stages = datetime.now(UTC), stages_of(site, run, state)
-    running = [(node, duration((moment - node.started).total_seconds()) if node.started else "") for node in state.active if not node.gone]
+    running = [
+        (node, duration((moment - node.started).total_seconds()) if node.started else "")
+        for node in state.active
+        if not node.gone
+    ]
     return Markup(
         site.render(
-            "now.html", "", run=run, state=state, life=life(state, moment), pace=pace(state), counts=counts,
-            stages=stages, states=[name for name in STATES if any(counts[name] for counts in stages.values())],
+            "now.html",
+            "",
+            run=run,
+            state=state,
+            life=life(state, moment),
+            pace=pace(state),
+            counts=counts,
+            stages=stages,
+            states=[name for name in STATES if any(counts[name] for counts in stages.values())],
             running=running if state.state == "running" else [],
         )
-    )  # fmt: skip
+    )
 
 
 def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter[str]]:
     ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
-    ends = {str(event.get("key")): "done" if event["event"] == "shared" else event["event"] for event in ended}
-    active = {node.key for node in state.active if not node.gone} if state.state == "running" else set()
+    ends = {
+        str(event.get("key")): "done" if event["event"] == "shared" else event["event"]
+        for event in ended
+    }
+    active = (
+        {node.key for node in state.active if not node.gone} if state.state == "running" else set()
+    )
     stages: dict[str, Counter[str]] = {}
     for node in run.nodes.values():
         before = UNNEEDED if node.state == "unneeded" else "waiting" if node.runs else "cached"
-        stages.setdefault(node.kind, Counter())["running" if node.key in active else ends.get(node.key) or before] += 1
+        stages.setdefault(node.kind, Counter())[
+            "running" if node.key in active else ends.get(node.key) or before
+        ] += 1
     return stages
 
 
@@ -293,5 +429,9 @@ def log_text(site: Site, run: str, key: str) -> str:
             file.seek(max(file.seek(0, 2) - TAIL, 0))
             text = file.read(TAIL).decode("utf-8", "replace")
     except OSError as error:
-        raise StoreError(f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}") from error
-    return "\n".join(printable(line.rpartition("\r")[2]) for line in text.replace("\r\n", "\n").split("\n"))
+        raise StoreError(
+            f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}"
+        ) from error
+    return "\n".join(
+        printable(line.rpartition("\r")[2]) for line in text.replace("\r\n", "\n").split("\n")
+    )

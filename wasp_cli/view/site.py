@@ -1,4 +1,5 @@
-"""The results folder behind the pages: its cells and their numbers, where links lead, templates, which escape.
+"""The results folder behind the pages: its cells and their numbers, where links lead, templates,
+which escape.
 
 Names of cells come at once, from plans and manifests; numbers are read in the background.
 """
@@ -49,20 +50,35 @@ class Shown:
     @property
     def texts(self) -> list[str]:
         numbers = self.numbers
-        return [] if numbers is None else [column.number(numbers.pooled[column.key]) for column in COLUMNS]
+        return (
+            []
+            if numbers is None
+            else [column.number(numbers.pooled[column.key]) for column in COLUMNS]
+        )
 
     @property
     def row(self) -> list[str]:
-        """The line of the table of cells: the number of episodes, one text for each of COLUMNS, what is odd."""
-        return [str(self.episodes or ""), *(self.texts or [""] * len(COLUMNS)), "damaged" if self.damaged else self.reason]
+        """The line of the table of cells: the number of episodes, one text for each of COLUMNS,
+        what is odd.
+        """
+        return [
+            str(self.episodes or ""),
+            *(self.texts or [""] * len(COLUMNS)),
+            "damaged" if self.damaged else self.reason,
+        ]
 
     def without(self, invalid: Collection[int | None]) -> Shown:
-        """Return the cell without the episodes that are marked as invalid; None stands for the whole cell."""
+        """Return the cell without the episodes that are marked as invalid; None stands for the
+        whole cell.
+        """
         if self.numbers is None:
             return self
         if None in invalid:
             return replace(self, numbers=None, reason="marked as invalid")
-        numbers = of_episodes(self.numbers, ~np.isin(np.arange(self.numbers.count), [each for each in invalid if each is not None]))
+        numbers = of_episodes(
+            self.numbers,
+            ~np.isin(np.arange(self.numbers.count), [each for each in invalid if each is not None]),
+        )
         if numbers is None:
             return Shown(None, 0, "all episodes are marked as invalid")
         return Shown(numbers, numbers.count, "has invalid episodes")
@@ -77,12 +93,15 @@ class Cells:
         self._labels: Counter[str] = Counter()
         self._problems: list[str] = []
         self._at = -FRESH
-        self._read: dict[str, Shown] = {}  # as they are stored: what is marked as invalid is in them
+        # as they are stored: what is marked as invalid is in them
+        self._read: dict[str, Shown] = {}
         self._lock = threading.RLock()
         self._reader: threading.Thread | None = None
 
     def listed(self) -> list[ListedCell]:
-        """Return every cell: those of the last run of each spec, then what else is in the store; each key once."""
+        """Return every cell: those of the last run of each spec, then what else is in the
+        store; each key once.
+        """
         with self._lock:
             if time.monotonic() - self._at > FRESH:
                 self._listed, self._problems = _listed(self.layout)
@@ -100,11 +119,15 @@ class Cells:
         return self._problems
 
     def numbers(self) -> tuple[Mapping[str, Shown], int]:
-        """Return what is known by key, and how many cells are yet to be read; reading goes on in the background."""
+        """Return what is known by key, and how many cells are yet to be read; reading goes on
+        in the background.
+        """
         left = [cell for cell in self.listed() if cell.key not in self._read]
         with self._lock:
             if left and (self._reader is None or not self._reader.is_alive()):
-                self._reader = threading.Thread(target=self._read_all, args=(left,), daemon=True, name="cells")
+                self._reader = threading.Thread(
+                    target=self._read_all, args=(left,), daemon=True, name="cells"
+                )
                 self._reader.start()
         return self._without_invalid(self._read), len(left)
 
@@ -118,7 +141,9 @@ class Cells:
     def refresh(self) -> None:
         """Read the cells without rows again: what was absent may be there by now."""
         with self._lock:
-            self._read = {key: shown for key, shown in self._read.items() if shown.numbers is not None}
+            self._read = {
+                key: shown for key, shown in self._read.items() if shown.numbers is not None
+            }
 
     def one(self, cell: ListedCell) -> Shown:
         return self._without_invalid(self._shown([cell]))[cell.key]
@@ -128,19 +153,30 @@ class Cells:
             part = cells[first : first + TOGETHER]
             try:
                 shown = self._shown(part)
-            except Exception as error:  # whatever is wrong with one of them, the page must not wait for ever
-                shown = {cell.key: Shown(None, 0, described(error)[:200], damaged=True) for cell in part}
+            except Exception as error:
+                # whatever is wrong with one of them, the page must not wait for ever
+                shown = {
+                    cell.key: Shown(None, 0, described(error)[:200], damaged=True) for cell in part
+                }
             with self._lock:
                 self._read = {**self._read, **shown}
 
     def _shown(self, cells: Sequence[ListedCell]) -> dict[str, Shown]:
         """Read single cells; what is wrong with one is said of that one."""
         # The key as the label: two cells of one identity have two keys.
-        known = (Wanted.stored(self.layout, KIND, cell.key, cell.identity, cell.key, severity=cell.severity) for cell in cells)
+        known = (
+            Wanted.stored(
+                self.layout, KIND, cell.key, cell.identity, cell.key, severity=cell.severity
+            )
+            for cell in cells
+        )
         frame = read_frame(known)
         shown = {gap.label: Shown(None, 0, gap.reason, gap.damaged) for gap in frame.missing}
         there = [cell.key for cell in cells if cell.key not in shown]
-        return shown | {key: Shown(numbers, numbers.count) for key, numbers in zip(there, frame.cells, strict=True)}
+        return shown | {
+            key: Shown(numbers, numbers.count)
+            for key, numbers in zip(there, frame.cells, strict=True)
+        }
 
     def _without_invalid(self, shown: Mapping[str, Shown]) -> Mapping[str, Shown]:
         marked: dict[str, set[int | None]] = {}
@@ -151,10 +187,13 @@ class Cells:
         return {**shown, **{key: shown[key].without(episodes) for key, episodes in marked.items()}}
 
     def find(self, text: str) -> tuple[list[ListedCell], FoundCell | None]:
-        """Return the listed cells that a label or the beginning of a key names, and the artifact where it is only one."""
+        """Return the listed cells that a label or the beginning of a key names, and the
+        artifact where it is only one.
+        """
         cells = matching(self.listed(), text)
         if len(cells) > 1:
-            # Of several versions of one cell the one of the newest run of its spec is meant; the page names the others.
+            # Of several versions of one cell the one of the newest run of its spec is meant; the
+            # page names the others.
             planned = [cell for cell in cells if cell.spec is not None]
             if len({cell.key for cell in planned}) != 1:
                 return cells, None
@@ -162,9 +201,16 @@ class Cells:
         if cells:
             key = cells[0].key
             # Of a cell that is planned and not computed nothing is known.
-            manifest = read_manifest(self.layout, KIND, key) if os.path.lexists(self.layout.artifact(KIND, key)) else {}
-            return cells, FoundCell(self.layout.within(cell_file(self.layout.artifact(KIND, key))), key, manifest)
-        # What a person typed is compared with keys and labels, and never becomes a path: only what begins with a key may be a file.
+            manifest = (
+                read_manifest(self.layout, KIND, key)
+                if os.path.lexists(self.layout.artifact(KIND, key))
+                else {}
+            )
+            return cells, FoundCell(
+                self.layout.within(cell_file(self.layout.artifact(KIND, key))), key, manifest
+            )
+        # What a person typed is compared with keys and labels, and never becomes a path: only what
+        # begins with a key may be a file.
         typed = " ".join(text.split())
         if typed and not is_key(typed):
             raise UnknownName("cell", typed, [cell.label for cell in self.listed()])
@@ -185,23 +231,43 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
     with suppress(StoreError):
         others = stored_keys(layout, KIND) - cells.keys()
         stored = {cell.key: cell for cell in stored_cells(layout)} if others else {}
-        cells |= {key: stored[key] for key in sorted(others & stored.keys(), key=lambda key: (stored[key].label, key))}
-        problems += [f"the manifest of evaluate/{key} is damaged, or of another version" for key in sorted(others - stored.keys())]
+        cells |= {
+            key: stored[key]
+            for key in sorted(others & stored.keys(), key=lambda key: (stored[key].label, key))
+        }
+        problems += [
+            f"the manifest of evaluate/{key} is damaged, or of another version"
+            for key in sorted(others - stored.keys())
+        ]
     return list(cells.values()), problems
 
 
 def words(cell: ListedCell) -> tuple[str, ...]:
-    severity = "" if cell.value is None else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
+    severity = (
+        ""
+        if cell.value is None
+        else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
+    )
     return cell.task, who_title(cell.method, cell.variant), cell.operator, severity, str(cell.seed)
 
 
 class Links:
-    """Addresses of the server; with `episodes` (numbers by key of a cell) the files of a bundle, which has no runs and no comparisons."""
+    """Addresses of the server; with `episodes` (numbers by key of a cell) the files of a
+    bundle, which has no runs and no comparisons.
+    """
 
     def __init__(
-        self, cells: Cells, episodes: Mapping[str, Collection[int]] | None = None, reports: Mapping[str, str] | None = None
+        self,
+        cells: Cells,
+        episodes: Mapping[str, Collection[int]] | None = None,
+        reports: Mapping[str, str] | None = None,
     ) -> None:
-        self._known, self._episodes, self._reports, self.live = cells, episodes or {}, reports or {}, episodes is None
+        self._known, self._episodes, self._reports, self.live = (
+            cells,
+            episodes or {},
+            reports or {},
+            episodes is None,
+        )
         self.home, self.cells = ("/", "/cells") if self.live else ("index.html", "cells.html")
 
     def static(self, name: str) -> str:
@@ -212,7 +278,11 @@ class Links:
         return quote(self._reports.get(file, ""))
 
     def shown_report(self, spec: str, layout: Layout) -> str:
-        return f"/report/{quote(spec, '')}" if self.live and (layout.reports(spec) / REPORT).is_file() else ""
+        return (
+            f"/report/{quote(spec, '')}"
+            if self.live and (layout.reports(spec) / REPORT).is_file()
+            else ""
+        )
 
     def row(self, task: str, method: str) -> str:
         return f"{self.cells}?{urlencode({'task': task, 'method': method})}"
@@ -229,7 +299,11 @@ class Links:
         """Return an episode; nothing where it has no page."""
         if self.live:
             return cell_address(self._known.ref(cell), number).replace(" ", "%20")
-        return f"episode-{_name(cell)}-{number}.html" if number in self._episodes.get(cell.key, ()) else ""
+        return (
+            f"episode-{_name(cell)}-{number}.html"
+            if number in self._episodes.get(cell.key, ())
+            else ""
+        )
 
     def film(self, cell: ListedCell, number: int, kind: str) -> str:
         return f"/film/{cell.key}/{number}/{kind}" if self.live else f"films/{cell.key}-{number}"
@@ -251,15 +325,22 @@ class Site:
 
     @property
     def name(self) -> str:
-        """Return the name of the folder; in a bundle, which is for others, without the way to it."""
+        """Return the name of the folder; in a bundle, which is for others, without the way to
+        it.
+        """
         return str(self.layout.root) if self.links.live else self.layout.root.absolute().name
 
     def render(self, template: str, title: str, **values: Any) -> str:
-        environment = templates(("wasp_cli.view", "templates"), TEMPLATES)  # the timeline is the report's own
-        return environment.get_template(template).render(site=self, links=self.links, title=title, **values)
+        # the timeline is the report's own
+        environment = templates(("wasp_cli.view", "templates"), TEMPLATES)
+        return environment.get_template(template).render(
+            site=self, links=self.links, title=title, **values
+        )
 
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
-        """Return the one cell that an address names; a UsageError where it names none or several."""
+        """Return the one cell that an address names; a UsageError where it names none or
+        several.
+        """
         listed, artifact = self.cells.find(text)
         if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
@@ -280,6 +361,9 @@ def site_of(folder: Path, *, films: bool = True) -> Site:
     layout = Layout(folder)
     layout.require_own_folders()
     if not layout.store.is_dir() and not layout.runs.is_dir():
-        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+        raise StoreError(
+            f"no results in '{folder}': it has neither runs nor a store",
+            "wasp run SPEC --results DIR writes there",
+        )
     cells = Cells(layout)
     return Site(layout, cells, Links(cells), Films(layout) if films else None)

@@ -1,4 +1,6 @@
-"""WASP's decision against a literal reading: the command, then the expert, beside the expert now, then the expert."""
+"""WASP's decision against a literal reading: the command, then the expert, beside the expert
+now, then the expert.
+"""
 
 from typing import Any
 
@@ -23,7 +25,15 @@ GAMMA_R, GAMMA_C, LAM, GOES_ON = 0.9, 0.8, 0.7, 0.9
 LOW, HIGH, JITTER = 0.3, 0.6, 0.05
 H, L, M = 6, 3, 4
 SEED = 11
-SIZES: dict[str, Any] = {"horizon": H, "residual_steps": L, "candidates": 24, "elites": 6, "feasible": 5, "iterations": 3, "rollouts": M}
+SIZES: dict[str, Any] = {
+    "horizon": H,
+    "residual_steps": L,
+    "candidates": 24,
+    "elites": 6,
+    "feasible": 5,
+    "iterations": 3,
+    "rollouts": M,
+}
 COARSE = Motors((0.2,))
 
 
@@ -59,7 +69,9 @@ def ready(motors: Motors = UNKNOWN, rows: int = 1, **changes: Any) -> WASP:
 
 
 def future(x: float, first: float, noise: Tensor) -> tuple[float, float]:
-    """(G^(r), G^(c)) of one action, then the expert: means over the rollouts of `noise` [H, M, Z]."""
+    """(G^(r), G^(c)) of one action, then the expert: means over the rollouts of `noise` [H, M,
+    Z].
+    """
     total = np.zeros(2)
     for m in range(noise.shape[1]):
         place, rewards, costs, values = x, [], [], []
@@ -89,7 +101,16 @@ def decided(assistant: WASP, x: float, a_h: float, operator: Operator | None = N
     return assistant.decide(model.at(x), torch.tensor([[a_h]]), operator or unimpaired())
 
 
-CASES = [(-2.0, -0.9), (-2.0, 0.99), (0.1, 1.0), (0.1, 0.2), (0.25, 0.9), (0.45, 0.9), (0.45, -0.5), (0.22, 0.5)]
+CASES = [
+    (-2.0, -0.9),
+    (-2.0, 0.99),
+    (0.1, 1.0),
+    (0.1, 0.2),
+    (0.25, 0.9),
+    (0.45, 0.9),
+    (0.45, -0.5),
+    (0.22, 0.5),
+]
 
 
 @pytest.mark.parametrize(("tau_c", "tau_r"), [(0.3, 0.05), (0.05, 0.05), (1.0, 0.15), (0.3, 9.0)])
@@ -123,12 +144,20 @@ def test_the_cases_above_hold_every_outcome():
         for tau_c, tau_r in [(0.3, 0.05), (0.05, 0.05)]:
             decision = decided(ready(tau_c=tau_c, tau_r=tau_r), x, a_h)
             seen.add((int(decision.record.gate), bool((decision.planned.safe >= 0).any())))
-    assert seen == {(GATE_NONE, False), (GATE_SAFETY, False), (GATE_SAFETY, True), (GATE_TASK, False)}
+    assert seen == {
+        (GATE_NONE, False),
+        (GATE_SAFETY, False),
+        (GATE_SAFETY, True),
+        (GATE_TASK, False),
+    }
 
 
 def test_nothing_of_the_operator_is_imagined():
     laggy = LaggyOperator(policy, 1, EpisodeNoise([0]), 1)
-    laggy.p, laggy.memory = 1.0, {"last": torch.tensor([[1.0]]), "started": torch.ones(1, 1, dtype=torch.bool)}
+    laggy.p, laggy.memory = (
+        1.0,
+        {"last": torch.tensor([[1.0]]), "started": torch.ones(1, 1, dtype=torch.bool)},
+    )
     records = []
     for operator in (laggy, unimpaired()):  # who repeats full throttle runs into the hazard
         record = decided(ready(tau_c=9.0, tau_r=9.0), -0.3, 1.0, operator).record
@@ -139,7 +168,10 @@ def test_nothing_of_the_operator_is_imagined():
 def test_the_correction_is_the_least_of_its_force_and_without_another_force_there_is_none():
     """At x = -2 the expert commands 1; from .2 on every command is the same force."""
     settings = {"tau_c": 9.0, "tau_r": 0.0}
-    wide, least = decided(ready(**settings), -2.0, -0.5), decided(ready(COARSE, **settings), -2.0, -0.5)
+    wide, least = (
+        decided(ready(**settings), -2.0, -0.5),
+        decided(ready(COARSE, **settings), -2.0, -0.5),
+    )
     assert float(wide.action) == pytest.approx(1.0)
     assert float(least.action) == pytest.approx(0.2, abs=1e-5)
     stands = decided(ready(COARSE, **settings), -2.0, 0.3)
@@ -172,7 +204,9 @@ def test_without_rollouts_one_step_and_both_critics_decide():
     assistant.tau_c, assistant.tau_r = 9.0, 9.0
     record = decided(assistant, 0.1, 1.0).record
     places = [0.1 + 0.1 + JITTER * shift for shift in drawn(SEED, 1)[0, :, 0].tolist()]
-    cost = np.mean([(1.0 if LOW < x < HIGH else 0.0) + GAMMA_C * GOES_ON * 0.25 * abs(x) for x in places])
+    cost = np.mean(
+        [(1.0 if LOW < x < HIGH else 0.0) + GAMMA_C * GOES_ON * 0.25 * abs(x) for x in places]
+    )
     reward = np.mean([0.1 + GAMMA_R * GOES_ON * 0.5 * x for x in places])
     assert float(record.g_cost) == pytest.approx(cost, abs=1e-5)
     assert float(record.g_return) == pytest.approx(reward, abs=1e-5)
@@ -185,7 +219,9 @@ def test_tau_r_is_what_putting_right_a_random_command_gains_on_average(motors, s
     assistant = ready(motors, tau_c=tau_c, tau_r_share=share)
     zeros = torch.zeros(count)
     a_h = torch.tensor([[expert(x)] for x in places])
-    heldout = Heldout(assistant.imagination.model.at(*places), a_h, zeros, zeros, zeros.long(), zeros)
+    heldout = Heldout(
+        assistant.imagination.model.at(*places), a_h, zeros, zeros, zeros.long(), zeros
+    )
     found = assistant.calibrate(heldout, zeros, unimpaired(count), 5)
     random = np.random.default_rng(5)
     gains = []

@@ -62,9 +62,13 @@ class Case(NamedTuple):
 
 
 def case(kind: Kind, start: Start, steps: int, **changes: object) -> Case:
-    sizes = SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M, "initial_std": 0.5} | changes
+    sizes = (
+        SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M, "initial_std": 0.5} | changes
+    )
     gusts = np.random.default_rng(0).gumbel(size=(H, M, kind.action_size)).tolist()
-    return Case(kind(jitter=0.02, dtype=torch.float64), scene_drives.settings(**sizes), start, gusts)
+    return Case(
+        kind(jitter=0.02, dtype=torch.float64), scene_drives.settings(**sizes), start, gusts
+    )
 
 
 def plan(case: Case, seed: int) -> Plan:
@@ -76,9 +80,18 @@ def plan(case: Case, seed: int) -> Plan:
     forward = torch.zeros(1, actions, dtype=torch.float64)
     forward[0, 0] = case.start.queue
     operator.memory = {"queue": forward.repeat(1, DELAY).view(1, DELAY, actions)}
-    start = Situation(world.at((*case.start.place, *case.start.speed)), forward, operator, torch.zeros(1, dtype=torch.long))
+    start = Situation(
+        world.at((*case.start.place, *case.start.speed)),
+        forward,
+        operator,
+        torch.zeros(1, dtype=torch.long),
+    )
     draws = Draws(torch.tensor([case.gusts], dtype=torch.float64), torch.zeros(1, H, M, 0))
-    printed = Printed(case.config, Imagination(world, Beyond(), scene_worlds.careful(world), GAMMA_R, GAMMA_C, LAM), {})
+    printed = Printed(
+        case.config,
+        Imagination(world, Beyond(), scene_worlds.careful(world), GAMMA_R, GAMMA_C, LAM),
+        {},
+    )
     printed.reset(torch.ones(1, dtype=torch.bool), [seed])
     return printed.plan(start, printed.nominal(start, draws), draws, printed.noise.streams())
 
@@ -88,7 +101,9 @@ def clip(value: float) -> float:
 
 
 def driven(world: PointWorld, place: Sequence[float], speed: Sequence[float]) -> list[float]:
-    """The careful driver in plain numbers: full speed towards the goal, to a stand where the hazard is near ahead."""
+    """The careful driver in plain numbers: full speed towards the goal, to a stand where the
+    hazard is near ahead.
+    """
     goal = world.goal.tolist()
     if isinstance(world, Corridor):
         blocked = place[0] <= world.low and world.low - place[0] < scene_worlds.SIGHT
@@ -169,23 +184,33 @@ def literal(case: Case, residuals: Residuals) -> Value:
     return Value(*total)
 
 
-GRID = {1: {2: 33, 3: 17}, 2: {2: 9}}  # values per element of a sequence in [-2, 2], by action size and residual steps
+# values per element of a sequence in [-2, 2], by action size and residual steps
+GRID = {1: {2: 33, 3: 17}, 2: {2: 9}}
 
 
 def best(case: Case, score: Callable[[Value], float]) -> float:
-    """The largest score over every sequence of a grid, then over ever closer neighbours of the five best of them."""
+    """The largest score over every sequence of a grid, then over ever closer neighbours of the
+    five best of them.
+    """
     steps, size = case.config.residual_steps, case.world.action_size
 
     def value(flat: Vector) -> tuple[float, Vector]:
-        return score(literal(case, tuple(flat[i : i + size] for i in range(0, len(flat), size)))), flat
+        return score(
+            literal(case, tuple(flat[i : i + size] for i in range(0, len(flat), size)))
+        ), flat
 
     grid = np.linspace(-2, 2, GRID[size][steps]).tolist()
     reached = []
-    for top in heapq.nlargest(5, (value(flat) for flat in itertools.product(grid, repeat=steps * size))):
+    for top in heapq.nlargest(
+        5, (value(flat) for flat in itertools.product(grid, repeat=steps * size))
+    ):
         change = (grid[1] - grid[0]) / 2
         while change > 0.02:
             moves = itertools.product((-change, 0.0, change), repeat=steps * size)
-            found = max(value(tuple(min(2.0, max(-2.0, f + m)) for f, m in zip(top[1], move, strict=True))) for move in moves)
+            found = max(
+                value(tuple(min(2.0, max(-2.0, f + m)) for f, m in zip(top[1], move, strict=True)))
+                for move in moves
+            )
             if found[0] <= top[0] + 1e-3:
                 change /= 2
             top = max(top, found)
@@ -195,17 +220,23 @@ def best(case: Case, score: Callable[[Value], float]) -> float:
 
 @cache
 def optimum(kind: Kind, start: Start, steps: int) -> tuple[float, float]:
-    """The largest S_task subject to Eq. 14 (minus infinity if nothing is feasible), and the smallest S_safe where nothing is."""
+    """The largest S_task subject to Eq. 14 (minus infinity if nothing is feasible), and the
+    smallest S_safe where nothing is.
+    """
     asked = case(kind, start, steps)
     s_task = best(asked, lambda value: value.s_task(asked.config))
-    return s_task, -best(asked, lambda value: -value.s_safe(asked.config)) if s_task == -math.inf else math.nan
+    return s_task, -best(
+        asked, lambda value: -value.s_safe(asked.config)
+    ) if s_task == -math.inf else math.nan
 
 
 def of_plan(case: Case, seed: int) -> tuple[Plan, Value]:
     """The plan, and what the literal reading says of it."""
     found = plan(case, seed)
     value = literal(case, tuple(tuple(residual) for residual in found.residuals[0].tolist()))
-    assert (float(found.reward), float(found.cost)) == pytest.approx((value.reward, value.cost), abs=1e-9)
+    assert (float(found.reward), float(found.cost)) == pytest.approx(
+        (value.reward, value.cost), abs=1e-9
+    )
     return found, value
 
 
@@ -220,7 +251,9 @@ ROOMY = [
     (Fork, Start((0.5, 0.0), (0.8, 0.0), 1.0), 2),
     slow(Fork, Start((1.3, 0.2), (0.1, 0.0), 0.0), 2),
 ]
-"""Far from the hazard; moving towards it (the constraint decides, except in the first and the last); standing beside it."""
+"""Far from the hazard; moving towards it (the constraint decides, except in the first and the
+last); standing beside it.
+"""
 TIGHT = [
     (Corridor, Start((1.4,), (0.8,), 1.0), 2),
     slow(Corridor, Start((1.4,), (0.9,), 1.0), 3),
@@ -235,9 +268,14 @@ TRAPPED = [
 ]
 """Too fast to stop, or in the hazard."""
 BETWEEN = 0.1
-"""A plan may be better than the exhaustive search by what lies between its points; 0.1 is the reward of a centimetre."""
+"""A plan may be better than the exhaustive search by what lies between its points; 0.1 is the
+reward of a centimetre.
+"""
 PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6}
-SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="paper", marks=pytest.mark.slow)]
+SIZES = [
+    pytest.param(SMALL, 0.15, id="small"),
+    pytest.param(PAPER, 0.05, id="paper", marks=pytest.mark.slow),
+]
 
 
 @pytest.mark.parametrize(("sizes", "tolerance"), SIZES)
@@ -260,7 +298,8 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind, start, s
         assert found.case2[0, 0]
         assert found.safe[0, 0] <= 20
         assert value.cost <= asked.config.tau_c
-        # Of about 6: where two candidates in a hundred are safe, six iterations come this close and no closer.
+        # Of about 6: where two candidates in a hundred are safe, six iterations come this close and
+        # no closer.
         assert s_task - 0.1 <= value.s_task(asked.config) <= s_task + BETWEEN
 
 

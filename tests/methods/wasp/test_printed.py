@@ -1,4 +1,6 @@
-"""The printed WASP against a literal reading of section 4: one decision, call by call and number by number."""
+"""The printed WASP against a literal reading of section 4: one decision, call by call and
+number by number.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -20,11 +22,31 @@ from wasp_cli.operators.base import EpisodeNoise, Operator
 
 GAMMA_R, GAMMA_C, LAM, GOES_ON = 0.9, 0.8, 0.7, 0.5
 LOW, HIGH, JITTER = 0.3, 0.6, 0.05
-H, L, M, N, PROBE, ELITES, N_F, ITERATIONS, ALPHA, STD, FLOOR = 6, 3, 2, 24, 20, 6, 5, 3, 0.1, 0.5, 0.05
+H, L, M, N, PROBE, ELITES, N_F, ITERATIONS, ALPHA, STD, FLOOR = (
+    6,
+    3,
+    2,
+    24,
+    20,
+    6,
+    5,
+    3,
+    0.1,
+    0.5,
+    0.05,
+)
 SIZES: dict[str, Any] = {
-    "horizon": H, "residual_steps": L, "candidates": N, "probe": PROBE, "elites": ELITES, "feasible": N_F, "iterations": ITERATIONS,
-    "rollouts": M, "alpha": ALPHA, "initial_std": STD,
-}  # fmt: skip
+    "horizon": H,
+    "residual_steps": L,
+    "candidates": N,
+    "probe": PROBE,
+    "elites": ELITES,
+    "feasible": N_F,
+    "iterations": ITERATIONS,
+    "rollouts": M,
+    "alpha": ALPHA,
+    "initial_std": STD,
+}
 SEED = 11
 
 
@@ -47,18 +69,25 @@ def eq_7_8(signal: list[float], value: list[float], gamma: float) -> float:
 
 
 def imagined(x: float, a_h: float, residual: list[float] | None, noise: Tensor) -> Found:
-    """Mean over the rollouts of `noise` [H, M, Z]; without a residual the operator alone (Eq. 9-10), else Eq. 13 as printed."""
+    """Mean over the rollouts of `noise` [H, M, Z]; without a residual the operator alone (Eq.
+    9-10), else Eq. 13 as printed.
+    """
     total = np.zeros(2)
     for m in range(noise.shape[1]):
         place, rewards, costs, places = x, [], [], []
         for k in range(H):
             command = a_h if k == 0 else pi_h(place)
-            action = command if residual is None or k >= L else min(1.0, max(-1.0, a_h + residual[k]))
+            action = (
+                command if residual is None or k >= L else min(1.0, max(-1.0, a_h + residual[k]))
+            )
             place = place + 0.1 * action + JITTER * float(noise[k, m, 0])
             rewards.append(0.1 * action)
             costs.append(1.0 if LOW < place < HIGH else 0.0)
             places.append(place)
-        total += [eq_7_8(rewards, [0.5 * p for p in places], GAMMA_R), eq_7_8(costs, [0.25 * abs(p) for p in places], GAMMA_C)]
+        total += [
+            eq_7_8(rewards, [0.5 * p for p in places], GAMMA_R),
+            eq_7_8(costs, [0.25 * abs(p) for p in places], GAMMA_C),
+        ]
     reward, cost = total / noise.shape[1]
     return Found(reward, cost, 0.0 if residual is None else sum(r * r for r in residual))
 
@@ -100,7 +129,9 @@ def section_4(x: float, a_h: float, tau_c: float, tau_r: float, variant: str = "
     counts = []
     for batch in normals:
         batches.append(N)
-        samples = [[min(2.0, max(-2.0, mean[k] + std[k] * float(n[k]))) for k in range(L)] for n in batch]
+        samples = [
+            [min(2.0, max(-2.0, mean[k] + std[k] * float(n[k]))) for k in range(L)] for n in batch
+        ]
         found = [imagined(x, a_h, sample, noise) for sample in samples]
         feasible = [i for i in range(N) if found[i].cost <= tau_c]  # Eq. 14
         s_task = [f.reward - ALPHA * f.effort for f in found]  # Eq. 16
@@ -116,10 +147,23 @@ def section_4(x: float, a_h: float, tau_c: float, tau_r: float, variant: str = "
             values = [samples[i][k] for i in elites]
             mean[k] = sum(values) / len(values)
             std[k] = max(FLOOR, (sum((v - mean[k]) ** 2 for v in values) / len(values)) ** 0.5)
-    chosen = max(tasks, key=lambda pair: pair[0])[1] if tasks else min(safes, key=lambda pair: pair[0])[1]
+    chosen = (
+        max(tasks, key=lambda pair: pair[0])[1]
+        if tasks
+        else min(safes, key=lambda pair: pair[0])[1]
+    )
     if not tasks and variant == "no-case2":
         chosen = [0.0] * L
-    return Outcome(gate, min(1.0, max(-1.0, a_h + chosen[0])), alone.cost, alone.reward, delta_g, counts, batches)  # Eq. 18
+    # Eq. 18
+    return Outcome(
+        gate,
+        min(1.0, max(-1.0, a_h + chosen[0])),
+        alone.cost,
+        alone.reward,
+        delta_g,
+        counts,
+        batches,
+    )
 
 
 class Counted(Corridor):
@@ -144,9 +188,13 @@ def operator() -> Operator:
     return Operator(lambda features: (0.9 - features[:, :1]).clamp(-1, 1), 1, EpisodeNoise([0]), 1)
 
 
-def ready(world: Corridor, tau_c: float, time_is_up: Callable[[], bool] = lambda: False, **changes: Any) -> Printed:
+def ready(
+    world: Corridor, tau_c: float, time_is_up: Callable[[], bool] = lambda: False, **changes: Any
+) -> Printed:
     imagination = Imagination(world, LinearCritics(), operator().policy, GAMMA_R, GAMMA_C, LAM)
-    assistant = Printed(PrintedConfig.model_validate(SIZES | changes), imagination, {"tau_c": tau_c})
+    assistant = Printed(
+        PrintedConfig.model_validate(SIZES | changes), imagination, {"tau_c": tau_c}
+    )
     assistant.time_is_up = time_is_up
     assistant.reset(torch.ones(1, dtype=torch.bool), [SEED])
     return assistant
@@ -175,7 +223,9 @@ def test_a_decision_is_section_4(x, a_h, tau_c, tau_r, variant, gate):
     assert int(record.gate) == gate
     assert float(record.g_cost) == pytest.approx(wanted.g_cost, abs=1e-5)
     assert float(record.g_return) == pytest.approx(wanted.g_return, abs=1e-5)
-    assert wanted.delta_g is None or float(record.delta_g) == pytest.approx(wanted.delta_g, abs=1e-5)
+    assert wanted.delta_g is None or float(record.delta_g) == pytest.approx(
+        wanted.delta_g, abs=1e-5
+    )
     assert world.calls == wanted.batches
     assert float(decision.action) == pytest.approx(wanted.action, abs=1e-4)
     if gate:
@@ -190,9 +240,11 @@ def test_thresholds_are_quantiles_of_the_gates_signals_under_the_unimpaired_expe
     a_h = torch.tensor([[pi_h(x)] for x in places])
     cost_ahead = (torch.arange(count) > 24).float()
     found = assistant.calibrate(
-        Heldout(world.at(*places), a_h, zeros, zeros, zeros.long(), zeros), cost_ahead,
-        Operator(operator().policy, 1, EpisodeNoise([0] * count), count), 5,
-    )  # fmt: skip
+        Heldout(world.at(*places), a_h, zeros, zeros, zeros.long(), zeros),
+        cost_ahead,
+        Operator(operator().policy, 1, EpisodeNoise([0] * count), count),
+        5,
+    )
     costs, gains = [], []
     for i, x in enumerate(places):
         source = DecisionNoise()
@@ -204,12 +256,18 @@ def test_thresholds_are_quantiles_of_the_gates_signals_under_the_unimpaired_expe
         every = [imagined(x, pi_h(x), sample, noise) for sample in samples]
         costs.append(alone.cost)
         gains.append((alone, every))
-    tau_c = float(np.quantile([cost for cost, ahead in zip(costs, cost_ahead, strict=True) if ahead == 0], 0.95))
+    tau_c = float(
+        np.quantile(
+            [cost for cost, ahead in zip(costs, cost_ahead, strict=True) if ahead == 0], 0.95
+        )
+    )
     quiet = []
     for alone, every in gains:
         safe = [each for each in every if each.cost <= tau_c]
         if alone.cost <= tau_c and safe:
-            quiet.append(max(safe, key=lambda each: each.reward - ALPHA * each.effort).reward - alone.reward)
+            quiet.append(
+                max(safe, key=lambda each: each.reward - ALPHA * each.effort).reward - alone.reward
+            )
     assert found["tau_c"] == pytest.approx(tau_c, abs=1e-5)
     assert found["tau_r"] == pytest.approx(float(np.quantile(quiet, 0.95)), abs=1e-4)
     assert (assistant.tau_c, assistant.tau_r) == (found["tau_c"], found["tau_r"])

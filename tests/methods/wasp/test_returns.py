@@ -28,15 +28,22 @@ def test_td_lambda_is_equation_8(horizon, gamma, lam):
 
 @pytest.mark.parametrize("lam", [0.95, 0.3, 1.0])
 def test_continuation_is_a_discount_of_its_own(lam):
-    """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1) G_n + lam^(H-1) G_H."""
+    """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1)
+    G_n + lam^(H-1) G_H.
+    """
     source = torch.Generator().manual_seed(4)
     horizon, gamma = 6, 0.9
-    signal, value, keep = (torch.rand(horizon, 5, generator=source, dtype=torch.float64) for _ in range(3))
+    signal, value, keep = (
+        torch.rand(horizon, 5, generator=source, dtype=torch.float64) for _ in range(3)
+    )
     found = td_lambda_all(signal, value, gamma, lam, keep)
     for k in range(horizon):
         wanted, weights = torch.zeros(5, dtype=torch.float64), 0.0
         for n in range(1, horizon - k + 1):
-            discount, n_step = torch.ones(5, dtype=torch.float64), torch.zeros(5, dtype=torch.float64)
+            discount, n_step = (
+                torch.ones(5, dtype=torch.float64),
+                torch.zeros(5, dtype=torch.float64),
+            )
             for i in range(k, k + n):
                 n_step = n_step + discount * signal[i]
                 discount = discount * gamma * keep[i]
@@ -45,8 +52,13 @@ def test_continuation_is_a_discount_of_its_own(lam):
             wanted, weights = wanted + weight * n_step, weights + weight
         assert weights == pytest.approx(1.0)
         torch.testing.assert_close(found[k], wanted)
-    torch.testing.assert_close(td_lambda_all(signal, value, gamma, lam, torch.ones_like(keep)), td_lambda_all(signal, value, gamma, lam))
+    torch.testing.assert_close(
+        td_lambda_all(signal, value, gamma, lam, torch.ones_like(keep)),
+        td_lambda_all(signal, value, gamma, lam),
+    )
 
 
 def test_the_plain_sum_counts_costly_steps():
-    assert discounted_sum(torch.tensor([[0.0], [1.0], [1.0]]), 0.95).item() == pytest.approx(0.95 + 0.95**2)
+    assert discounted_sum(torch.tensor([[0.0], [1.0], [1.0]]), 0.95).item() == pytest.approx(
+        0.95 + 0.95**2
+    )

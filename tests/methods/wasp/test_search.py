@@ -1,4 +1,6 @@
-"""The search against a literal reading of Eq. 14-17: elites, both cases, the second look, and what is selected."""
+"""The search against a literal reading of Eq. 14-17: elites, both cases, the second look, and
+what is selected.
+"""
 
 from functools import cache
 from typing import Any
@@ -24,7 +26,15 @@ N, L = 40, 2
 
 
 def config(**changes: Any) -> WASPConfig:
-    sizes = {"horizon": 4, "residual_steps": L, "candidates": N, "elites": 10, "feasible": 5, "iterations": 3, "alpha": 0.1}
+    sizes = {
+        "horizon": 4,
+        "residual_steps": L,
+        "candidates": N,
+        "elites": 10,
+        "feasible": 5,
+        "iterations": 3,
+        "alpha": 0.1,
+    }
     return WASPConfig.model_validate(sizes | changes)
 
 
@@ -45,10 +55,26 @@ def noisy(residuals: Tensor) -> Scored:
     return found._replace(cost=(residuals[:, :, 0, 0] >= -0.7).float())
 
 
-def searched(settings: WASPConfig, normals: Tensor, score: Any = brake, again: Any = None, time_is_up: Any = None) -> Plan:
+def searched(
+    settings: WASPConfig,
+    normals: Tensor,
+    score: Any = brake,
+    again: Any = None,
+    time_is_up: Any = None,
+) -> Plan:
     known = torch.tensor([[[0.5], [0.0]], [[-0.1], [0.2]]]).expand(len(normals), -1, -1, -1)
     alone = score(torch.zeros(len(normals), 1, L, 1))
-    return search(score, again or score, known, normals, alone, settings, TAU_C, TAU_R, time_is_up or (lambda: False))
+    return search(
+        score,
+        again or score,
+        known,
+        normals,
+        alone,
+        settings,
+        TAU_C,
+        TAU_R,
+        time_is_up or (lambda: False),
+    )
 
 
 def s_task(found: Scored, n: int, alpha: float) -> float:
@@ -56,17 +82,25 @@ def s_task(found: Scored, n: int, alpha: float) -> float:
 
 
 def s_safe(found: Scored, n: int, alpha: float) -> float:
-    return max(0.0, float(found.cost[0, n]) - TAU_C) + alpha * float(found.residuals[0, n].square().sum())
+    return max(0.0, float(found.cost[0, n]) - TAU_C) + alpha * float(
+        found.residuals[0, n].square().sum()
+    )
 
 
-def literal(settings: WASPConfig, normals: Tensor, score: Any, again: Any) -> tuple[list[float], list[int]]:
+def literal(
+    settings: WASPConfig, normals: Tensor, score: Any, again: Any
+) -> tuple[list[float], list[int]]:
     """The sequence that is selected for one decision, and |F_s| of every iteration."""
     alpha, only_case1 = settings.alpha, settings.variant == "no-case2"
     mean, std = torch.tensor([[-0.1], [0.2]]), torch.full((L, 1), settings.initial_std)
     counts, everything, kept = [], [], []
     for i in range(settings.iterations):
         candidates = list((mean + std * normals[0, i]).clamp(-2, 2))
-        certain = [torch.zeros(L, 1), torch.tensor([[0.5], [0.0]]), mean] if i == 0 else [torch.zeros(L, 1), mean]
+        certain = (
+            [torch.zeros(L, 1), torch.tensor([[0.5], [0.0]]), mean]
+            if i == 0
+            else [torch.zeros(L, 1), mean]
+        )
         candidates[: len(certain)] = certain
         everything += candidates
         found = score(torch.stack([*candidates, *kept]).unsqueeze(0))
@@ -86,17 +120,28 @@ def literal(settings: WASPConfig, normals: Tensor, score: Any, again: Any) -> tu
             std = (chosen - mean).square().mean(0).sqrt().clamp(min=STD_FLOOR)
     found = score(torch.stack(everything).unsqueeze(0))
     order = range(len(everything))
-    best_task = sorted(order, key=lambda n: (0, -s_task(found, n, alpha)) if found.cost[0, n] <= TAU_C else (1, s_safe(found, n, alpha)))[
-        :FINALISTS
-    ]
+    best_task = sorted(
+        order,
+        key=lambda n: (
+            (0, -s_task(found, n, alpha))
+            if found.cost[0, n] <= TAU_C
+            else (1, s_safe(found, n, alpha))
+        ),
+    )[:FINALISTS]
     best_safe = sorted(order, key=lambda n: s_safe(found, n, alpha))[:FINALISTS]
-    finalists = [torch.zeros(L, 1), *(everything[n] for n in best_task), *(everything[n] for n in best_safe)]
+    finalists = [
+        torch.zeros(L, 1),
+        *(everything[n] for n in best_task),
+        *(everything[n] for n in best_safe),
+    ]
     second = again(torch.stack(finalists).unsqueeze(0))
     safe = [n for n in range(len(finalists)) if second.cost[0, n] <= TAU_C]
     if safe:
         best = max(safe, key=lambda n: s_task(second, n, alpha))
     else:
-        best = 0 if only_case1 else min(range(len(finalists)), key=lambda n: s_safe(second, n, alpha))
+        best = (
+            0 if only_case1 else min(range(len(finalists)), key=lambda n: s_safe(second, n, alpha))
+        )
     if 0 in safe and float(second.reward[0, best] - second.reward[0, 0]) <= TAU_R:
         best = 0
     return finalists[best].flatten().tolist(), counts
@@ -118,9 +163,14 @@ def test_a_whole_search_equals_its_literal_reading(seed, feasible, score, again,
     assert found.safe[0].tolist() == counts
     assert found.case2[0].tolist() == [count < feasible for count in counts]
     own = again(found.residuals.unsqueeze(1))
-    assert (float(found.cost), float(found.reward)) == pytest.approx((float(own.cost), float(own.reward)))
+    assert (float(found.cost), float(found.reward)) == pytest.approx(
+        (float(own.cost), float(own.reward))
+    )
     alone = again(torch.zeros(1, 1, L, 1))
-    assert (float(found.alone_cost), float(found.alone_reward)) == (float(alone.cost), float(alone.reward))
+    assert (float(found.alone_cost), float(found.alone_reward)) == (
+        float(alone.cost),
+        float(alone.reward),
+    )
 
 
 def test_decisions_of_a_batch_do_not_touch_each_other():
@@ -146,7 +196,8 @@ def test_a_search_that_is_cut_off_returns_its_best_so_far(looks, made):
     assert float(found.cost) <= TAU_C < float(found.alone_cost)
 
 
-# Worlds with a known answer: the paper's Fig. 1 in closed loop under the printed WASP, and what is imagined on the way.
+# Worlds with a known answer: the paper's Fig. 1 in closed loop under the printed WASP, and what is
+# imagined on the way.
 
 
 SMALL = {"probe": 64, "candidates": 64, "elites": 16, "feasible": 16, "iterations": 3}
@@ -160,13 +211,17 @@ def careful(kind: Kind, variant: str | None, steps: int = 80) -> Drive:
     """Eight careful drivers who are late, each in gusts of its own; without a variant alone."""
     world = kind(jitter=0.01)
     config = None if variant is None else scene_drives.settings(variant, **SMALL)
-    return scene_drives.drive(world, scene_worlds.driver(world, scene_worlds.careful(world), batch=ROWS), config, steps)
+    return scene_drives.drive(
+        world, scene_worlds.driver(world, scene_worlds.careful(world), batch=ROWS), config, steps
+    )
 
 
 @pytest.mark.parametrize("kind", [Corridor, Fork])
 def test_the_prompt_driver_stops_in_time_and_the_late_one_does_not(kind):
     world = kind(jitter=0.01)
-    prompt = scene_drives.drive(world, scene_worlds.driver(world, scene_worlds.careful(world), 0.0, ROWS), None, 80)
+    prompt = scene_drives.drive(
+        world, scene_worlds.driver(world, scene_worlds.careful(world), 0.0, ROWS), None, 80
+    )
     assert (prompt.costs == 0).all()
     assert prompt.alive.all()  # he stands in front of the hazard
     assert (careful(kind, None).costs >= 8).all()
@@ -221,7 +276,12 @@ def from_within(kind: Kind, variant: str | None) -> Drive:
     """Careful drivers who are late and begin in the hazard."""
     within = {
         Corridor: ((2.1, 0.0), (2.3, 0.0), (2.05, 0.5), (2.1, -0.2)),
-        Fork: ((1.8, -0.05, 0.0, 0.0), (1.9, 0.1, 0.0, 0.0), (1.7, -0.2, 0.0, 0.0), (1.6, 0.0, 0.5, 0.0)),
+        Fork: (
+            (1.8, -0.05, 0.0, 0.0),
+            (1.9, 0.1, 0.0, 0.0),
+            (1.7, -0.2, 0.0, 0.0),
+            (1.6, 0.0, 0.5, 0.0),
+        ),
     }[kind]
     world = kind(jitter=0.01)
     config = None if variant is None else scene_drives.settings(variant, **SMALL)
@@ -256,7 +316,10 @@ def test_the_picture_shows_what_the_figure_claims(tmp_path):
         assert (scene.alone.gate == GATE_NONE).all()
     # What was imagined at the first alarm really leads into the hazard.
     world = early.world
-    assert float((world.depth(torch.from_numpy(early.nominal[..., :1])) > 0).any(0).float().mean()) > 0.5
+    assert (
+        float((world.depth(torch.from_numpy(early.nominal[..., :1])) > 0).any(0).float().mean())
+        > 0.5
+    )
     path = tmp_path / "scenes.png"
     scenes.draw(path, found)
     assert path.read_bytes().startswith(b"\x89PNG")

@@ -2,7 +2,12 @@
 
 from tests.report.claims.test_verdict import against, asked, cell, frame_of, paper_with
 from wasp_cli.report.claims import judge
-from wasp_cli.report.claims_text import second_headlines, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims_text import (
+    second_headlines,
+    verdict_html,
+    verdict_markdown,
+    verdict_terminal,
+)
 from wasp_cli.report.stats import Frame
 from wasp_cli.spec.paper import Who
 
@@ -10,7 +15,9 @@ PRINTED = Who("printed")
 STATEMENT = asked("lower")
 
 
-def both(own: tuple[float, ...] = (10, 12, 11, 13), printed: tuple[float, ...] = (60, 61, 62, 61)) -> Frame:
+def both(
+    own: tuple[float, ...] = (10, 12, 11, 13), printed: tuple[float, ...] = (60, 61, 62, 61)
+) -> Frame:
     """Both rows of WASP beside an operator with 43 to 46."""
     cells = (cell("printed", [mean - 1, mean, mean + 1], seed) for seed, mean in enumerate(printed))
     return frame_of(*against(*own).cells, *cells)
@@ -52,14 +59,20 @@ def test_what_names_an_ablation_is_asked_of_that_of_the_further_row() -> None:
 def test_a_report_without_that_row_says_nothing_of_it() -> None:
     verdict = judge(against(10, 12, 11, 13), paper_with(STATEMENT))
     assert (verdict.others, verdict.claims[0].others, second_headlines(verdict)) == ((), (), [])
-    assert "as printed" not in verdict_markdown(verdict) + verdict_html(verdict) + verdict_terminal(verdict).plain
+    assert (
+        "as printed"
+        not in verdict_markdown(verdict) + verdict_html(verdict) + verdict_terminal(verdict).plain
+    )
 
 
 def test_every_form_of_the_report_has_the_second_verdict() -> None:
     verdict = judge(both(), paper_with(STATEMENT, asked("higher", "right: [wasp]", left="human")))
     line = "Judged by WASP (as printed) in place of WASP: 1 does not hold; 1 of 1 verdicts differ."
     text, page = verdict_markdown(verdict), verdict_html(verdict)
-    assert "| Claim | Verdict | WASP (as printed) |\n| --- | --- | --- |\n| `claim` | holds | does not hold |\n" in text
+    assert (
+        "| Claim | Verdict | WASP (as printed) |\n| --- | --- | --- |\n| `claim` | holds | "
+        "does not hold |\n" in text
+    )
     assert line in text
     assert line in page
     assert line.rstrip(".") in verdict_terminal(verdict).plain

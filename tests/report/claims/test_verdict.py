@@ -1,4 +1,6 @@
-"""The verdict: the rule for a comparison, what a claim makes of its comparisons, and what stands beside the paper's numbers."""
+"""The verdict: the rule for a comparison, what a claim makes of its comparisons, and what
+stands beside the paper's numbers.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,7 +12,16 @@ import pytest
 
 from tests.spec.good import GOOD
 from wasp_cli.report.bootstrap import Limits
-from wasp_cli.report.claims import Answer, Judged, Outcome, VerdictReport, all_of, any_of, decide, judge
+from wasp_cli.report.claims import (
+    Answer,
+    Judged,
+    Outcome,
+    VerdictReport,
+    all_of,
+    any_of,
+    decide,
+    judge,
+)
 from wasp_cli.report.claims_text import sentence, verdict_markdown
 from wasp_cli.report.stats import CellNumbers, Frame, Missing, Wanted, read_frame
 from wasp_cli.spec.load import load
@@ -22,12 +33,23 @@ from wasp_cli.store.tables import CellIdentity
 RELATIONS: tuple[Relation, ...] = ("lower", "higher", "not_lower", "not_higher")
 
 
-def cell(method: str, numbers: Sequence[float], seed: int = 0, task: str = "goal1", variant: str = "full", **more: Any) -> CellNumbers:
+def cell(
+    method: str,
+    numbers: Sequence[float],
+    seed: int = 0,
+    task: str = "goal1",
+    variant: str = "full",
+    **more: Any,
+) -> CellNumbers:
     """A cell with one column, `cost`, and whatever else is given; one decision in each episode."""
-    episodes = {name: np.asarray(values, np.float64) for name, values in {"cost": numbers, **more}.items()}
+    episodes = {
+        name: np.asarray(values, np.float64) for name, values in {"cost": numbers, **more}.items()
+    }
     pooled = {name: float(np.mean(values)) for name, values in episodes.items()}
     episodes |= {"world": np.arange(len(numbers)) + 100.0, "decisions": np.ones(len(numbers))}
-    return CellNumbers(CellIdentity(task, method, variant, "laggy", 0.5, seed), None, pooled, episodes)
+    return CellNumbers(
+        CellIdentity(task, method, variant, "laggy", 0.5, seed), None, pooled, episodes
+    )
 
 
 def frame_of(*cells: CellNumbers, missing: Sequence[Missing] = ()) -> Frame:
@@ -37,11 +59,20 @@ def frame_of(*cells: CellNumbers, missing: Sequence[Missing] = ()) -> Frame:
 
 def paper_with(*statements: str, says: str = "It is so.", tables: str = "[]") -> Paper:
     lines = "".join(f"      - {{{statement}}}\n" for statement in statements)
-    text = f"title: A paper\ntables: {tables}\nclaims:\n  - id: claim\n    section: '1'\n    says: {says}\n    statements:\n{lines}"
+    text = (
+        f"title: A paper\ntables: {tables}\nclaims:\n  - id: claim\n    section: '1'\n    "
+        f"says: {says}\n    statements:\n{lines}"
+    )
     return paper_of(parse(text, "paper.yaml"))
 
 
-def asked(relation: str, more: str = "right: [human]", columns: str = "columns: [cost]", left: str = "wasp", task: str = "goal1") -> str:
+def asked(
+    relation: str,
+    more: str = "right: [human]",
+    columns: str = "columns: [cost]",
+    left: str = "wasp",
+    task: str = "goal1",
+) -> str:
     return f"tasks: [{task}], {columns}, left: [{left}], relation: {relation}, {more}"
 
 
@@ -80,10 +111,22 @@ def test_what_a_claim_makes_of_its_comparisons() -> None:
     for found in product(outcomes, repeat=3):
         answers = [Answer(comparison, outcome) for outcome in found]
         assert any_of(answers) == (
-            "holds" if "holds" in found else "untested" if "untested" in found else "undecided" if "undecided" in found else "fails"
+            "holds"
+            if "holds" in found
+            else "untested"
+            if "untested" in found
+            else "undecided"
+            if "undecided" in found
+            else "fails"
         )
         assert all_of(found) == (
-            "fails" if "fails" in found else "untested" if "untested" in found else "undecided" if "undecided" in found else "holds"
+            "fails"
+            if "fails" in found
+            else "untested"
+            if "untested" in found
+            else "undecided"
+            if "undecided" in found
+            else "holds"
         )
     assert all_of([]) == "untested"
 
@@ -93,7 +136,10 @@ HUMAN = [cell("human", [40.0 + seed, 44.0, 48.0], seed) for seed in range(4)]
 
 def against(*means: float) -> Frame:
     """WASP with these mean costs, a seed each, beside an operator with 43 to 46."""
-    return frame_of(*HUMAN[: len(means)], *(cell("wasp", [mean - 1, mean, mean + 1], seed) for seed, mean in enumerate(means)))
+    return frame_of(
+        *HUMAN[: len(means)],
+        *(cell("wasp", [mean - 1, mean, mean + 1], seed) for seed, mean in enumerate(means)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,32 +159,41 @@ def against(*means: float) -> Frame:
         ((10, 12, 11, 13), asked("lower", columns="columns: [uir]"), "untested"),
         ((10, 12, 11, 13), asked("lower", task="race1"), "untested"),
     ],
-)  # fmt: skip
+)
 def test_outcomes(means: tuple[float, ...], statement: str, outcome: Outcome) -> None:
     assert judged(against(*means), statement).outcome == outcome
 
 
 @pytest.mark.parametrize("relation", RELATIONS)
 def test_the_margin_is_on_the_side_of_the_relation(relation: Relation) -> None:
-    """Two worlds with the same numbers have an interval of no width: the sign of each contrast is plain arithmetic."""
+    """Two worlds with the same numbers have an interval of no width: the sign of each contrast
+    is plain arithmetic.
+    """
     reached = set()
-    for left, right, margin in product((-8.0, -6.0, 6.0, 7.0, 8.0, 9.0, 10.0), (-8.0, 8.0), (0.125, 0.25)):
+    for left, right, margin in product(
+        (-8.0, -6.0, 6.0, 7.0, 8.0, 9.0, 10.0), (-8.0, 8.0), (0.125, 0.25)
+    ):
         frame = frame_of(cell("human", [right] * 2), cell("wasp", [left] * 2))
         room = margin * abs(right)
         wanted = {
-            "lower": left < right - room, "higher": left > right + room,
-            "not_lower": left >= right - room, "not_higher": left <= right + room,
-        }[relation]  # fmt: skip
+            "lower": left < right - room,
+            "higher": left > right + room,
+            "not_lower": left >= right - room,
+            "not_higher": left <= right + room,
+        }[relation]
         at_zero = left - right == (room if relation in ("higher", "not_higher") else -room)
         (answer,) = judged(frame, asked(relation, f"right: [human], margin: {margin}")).answers[0]
-        other = "undecided" if at_zero else "fails"  # an interval that is 0 lies on neither side of a strict sign
+        # an interval that is 0 lies on neither side of a strict sign
+        other = "undecided" if at_zero else "fails"
         assert answer.outcome == ("holds" if wanted else other), (left, right, margin)
         reached.add(answer.outcome)
     assert {"holds", "fails"} <= reached
 
 
 def test_a_margin_is_taken_within_each_training() -> None:
-    """Costs that differ by a factor: each training halves its cost, so that every contrast is below 0; the mean's margin hid that."""
+    """Costs that differ by a factor: each training halves its cost, so that every contrast is
+    below 0; the mean's margin hid that.
+    """
     costs = (1.0, 20.0, 60.0)
     frame = frame_of(
         *(cell("human", [cost, cost], seed) for seed, cost in enumerate(costs)),
@@ -151,13 +206,19 @@ def test_a_margin_is_taken_within_each_training() -> None:
 
 
 def test_a_contrast_shows_on_which_side_of_zero_it_lies() -> None:
-    (answer,) = judged(frame_of(cell("human", [9.0] * 2), cell("wasp", [9.0004] * 2)), asked("lower")).answers[0]
+    (answer,) = judged(
+        frame_of(cell("human", [9.0] * 2), cell("wasp", [9.0004] * 2)), asked("lower")
+    ).answers[0]
     assert answer.outcome == "fails"
     assert "; +0.0004 (+0.0004 to +0.0004), needed" in sentence(answer)
 
 
 def test_what_is_not_there_is_named() -> None:
-    gap = Missing(CellIdentity("goal1", "wasp", "full", "laggy", 0.7, 0), "goal1 wasp laggy=0.7 seed 0", "failed")
+    gap = Missing(
+        CellIdentity("goal1", "wasp", "full", "laggy", 0.7, 0),
+        "goal1 wasp laggy=0.7 seed 0",
+        "failed",
+    )
     reasons = {
         statement: judged(frame, statement).answers[0][0].reason
         for frame, statement in (
@@ -168,19 +229,33 @@ def test_what_is_not_there_is_named() -> None:
         )
     }
     assert list(reasons.values()) == [
-        "Goal1 has no ida", "Goal1 wasp has no `uir`; Goal1 human has no `uir`", "Goal1 wasp has 1 of 2 cells",
+        "Goal1 has no ida",
+        "Goal1 wasp has no `uir`; Goal1 human has no `uir`",
+        "Goal1 wasp has 1 of 2 cells",
         "Goal1 wasp and human have no operator and seed in common",
-    ]  # fmt: skip
+    ]
 
 
 def test_a_claim_about_branches_needs_those_of_all_cells() -> None:
     uir = {"wasp": [0.2, 0.3], "ida": [0.6, 0.7]}
-    cells = [cell(method, [40.0, 44.0], seed, uir=worth, branches=[1, 1]) for method, worth in uir.items() for seed in (0, 1)]
+    cells = [
+        cell(method, [40.0, 44.0], seed, uir=worth, branches=[1, 1])
+        for method, worth in uir.items()
+        for seed in (0, 1)
+    ]
     claim, whole = asked("lower", "right: [ida]", "columns: [uir]"), frame_of(*cells)
     assert judged(whole, claim).outcome == "holds"
-    partly = replace(whole, unbranched=(Missing(cells[1].identity, "wasp s1", "not computed yet", kind="counterfactual"),))
+    partly = replace(
+        whole,
+        unbranched=(
+            Missing(cells[1].identity, "wasp s1", "not computed yet", kind="counterfactual"),
+        ),
+    )
     found = judged(partly, claim)
-    assert (found.outcome, found.answers[0][0].reason) == ("untested", "Goal1 wasp has branches of 1 of 2 cells")
+    assert (found.outcome, found.answers[0][0].reason) == (
+        "untested",
+        "Goal1 wasp has branches of 1 of 2 cells",
+    )
     assert judged(partly, asked("lower", "right: [ida]")).outcome == "undecided"
 
 
@@ -190,7 +265,10 @@ def test_one_comparison_that_fails_settles_a_claim_that_is_not_tested_as_a_whole
     assert judged(frame, asked("higher"), elsewhere).outcome == "fails"
     partly = judged(frame, asked("lower"), elsewhere)
     assert (partly.outcome, partly.part) == ("untested", "holds")
-    assert (judged(frame, elsewhere).outcome, judged(frame, elsewhere).part) == ("untested", "untested")
+    assert (judged(frame, elsewhere).outcome, judged(frame, elsewhere).part) == (
+        "untested",
+        "untested",
+    )
 
 
 def test_one_of_two_columns_is_enough() -> None:
@@ -200,8 +278,12 @@ def test_one_of_two_columns_is_enough() -> None:
     either = judged(frame_of(*cells), asked("lower", columns="either: [cost, mag]"))
     assert [answer.outcome for answer in either.answers[0]] == ["holds", "fails"]
     assert either.outcome == "holds"
-    assert judged(frame_of(*cells), asked("lower", columns="columns: [cost, mag]")).outcome == "fails"
-    assert judged(frame_of(*cells), asked("higher", columns="either: [cost, mag]")).outcome == "holds"
+    assert (
+        judged(frame_of(*cells), asked("lower", columns="columns: [cost, mag]")).outcome == "fails"
+    )
+    assert (
+        judged(frame_of(*cells), asked("higher", columns="either: [cost, mag]")).outcome == "holds"
+    )
 
 
 def spec(tmp_path: Any, more: str = "") -> Spec:
@@ -219,7 +301,9 @@ def spec(tmp_path: Any, more: str = "") -> Spec:
         (4, "training_seed: 0\n", "holds for these models", "share the models of training seed 0"),
     ],
 )
-def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note: str, tmp_path: Any) -> None:
+def test_a_verdict_says_what_it_is_about(
+    seeds: int, more: str, words: str, note: str, tmp_path: Any
+) -> None:
     frame = against(*(10.0 + seed for seed in range(seeds)))
     if more:
         frame = replace(frame, cells=tuple(replace(cell, chain_seed=0) for cell in frame.cells))
@@ -231,8 +315,13 @@ def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note
     assert ("; t " in text) == (words == "holds")
 
 
-@pytest.mark.parametrize(("column", "bound", "shown"), [("success", 0.7, False), ("success", 0.6, True), ("return", 60.0, True)])
-def test_percent_in_print_is_held_against_a_bound_that_is_a_share(column: str, bound: float, shown: bool) -> None:
+@pytest.mark.parametrize(
+    ("column", "bound", "shown"),
+    [("success", 0.7, False), ("success", 0.6, True), ("return", 60.0, True)],
+)
+def test_percent_in_print_is_held_against_a_bound_that_is_a_share(
+    column: str, bound: float, shown: bool
+) -> None:
     tables = f"[{{name: Table 1, columns: [{column}], rows: {{goal1: {{wasp: [62]}}}}}}]"
     paper = paper_with(asked("at_least", f"bound: {bound}", f"columns: [{column}]"), tables=tables)
     ((answer,),) = judge(frame_of(cell("wasp", [1.0, 2.0])), paper).claims[0].answers
@@ -252,9 +341,26 @@ def test_a_missing_cell_leaves_its_claims_untested(grid: Callable[..., list[Want
     first = next(one for one in wanted if one.identity.method == "wasp")
     first.path.unlink()
     verdict = judge(read_frame(wanted), load_paper())
-    answers = [answer for found in verdict.claims for each in found.answers for answer in each if answer.asked.task == "goal1"]
-    about = [answer for answer in answers if "wasp" in {side.method for side in (answer.asked.left, answer.asked.right) if side}]
+    answers = [
+        answer
+        for found in verdict.claims
+        for each in found.answers
+        for answer in each
+        if answer.asked.task == "goal1"
+    ]
+    about = [
+        answer
+        for answer in answers
+        if "wasp" in {side.method for side in (answer.asked.left, answer.asked.right) if side}
+    ]
     assert {answer.outcome for answer in about} == {"untested"}
-    assert {answer.outcome for answer in answers if answer not in about} <= {"holds", "fails", "undecided"}
-    assert "1 of 63 cells is missing; claims about the rows of such cells are not tested." in " ".join(verdict.notes)
+    assert {answer.outcome for answer in answers if answer not in about} <= {
+        "holds",
+        "fails",
+        "undecided",
+    }
+    assert (
+        "1 of 63 cells is missing; claims about the rows of such cells are not tested."
+        in " ".join(verdict.notes)
+    )
     assert "Not tested: Goal1 wasp has 11 of 12 cells." in verdict_markdown(verdict)

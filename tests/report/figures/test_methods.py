@@ -16,7 +16,15 @@ from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import figures as methods
-from wasp_cli.report.figures import PALETTE, STYLES, cost_return_figure, profile, profile_figure, severity_figure, style_of
+from wasp_cli.report.figures import (
+    PALETTE,
+    STYLES,
+    cost_return_figure,
+    profile,
+    profile_figure,
+    severity_figure,
+    style_of,
+)
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
 
 
@@ -26,7 +34,9 @@ def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
     methods = {cell.identity.method for cell in frame.cells}
     assert methods == {"human", "ida", "diffusion", "saferl", "wasp", "expert"}
     assert all(METHODS[method].title in text for method in methods for text in texts)
-    pixels = {tuple(pixel) for pixel in np.asarray(Image.open(png).convert("RGB")).reshape(-1, 3).tolist()}
+    pixels = {
+        tuple(pixel) for pixel in np.asarray(Image.open(png).convert("RGB")).reshape(-1, 3).tolist()
+    }
     for method in methods:
         colour = STYLES[method][0]
         assert tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5)) in pixels
@@ -34,16 +44,22 @@ def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
 
 def test_an_assistant_from_a_file_of_ones_own_is_drawn_too(frame: Frame, tmp_path: Path) -> None:
     cells = [cell for cell in frame.cells if cell.identity.method == "ida"]
-    own = [replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in cells]
+    own = [
+        replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in cells
+    ]
     for draw in (cost_return_figure, profile_figure):
         _, svg = draw(Frame((*frame.cells, *own)), tmp_path)
-        assert "Halfway (halfway)" in svg.read_text(encoding="utf-8"), "others may have a class of that name"
+        assert "Halfway (halfway)" in svg.read_text(encoding="utf-8"), (
+            "others may have a class of that name"
+        )
 
 
 def test_methods_differ_in_colour_and_marker() -> None:
     assert len({style_of("a:A"), style_of("b:B"), *STYLES.values()}) == 2 + len(STYLES)
     first = list(STYLES.values())[: len(PALETTE)]
-    assert len({colour for colour, _ in first}) == len({marker for _, marker in first}) == len(first)
+    assert (
+        len({colour for colour, _ in first}) == len({marker for _, marker in first}) == len(first)
+    )
 
 
 def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> None:
@@ -51,7 +67,12 @@ def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> 
         for key, at_least in (("return", True), ("cost", False)):
             x, share = profile(group, key, at_least=at_least)
             for value in x:
-                met = [np.mean(cell.episodes[key] >= value if at_least else cell.episodes[key] <= value) for cell in group.cells]
+                met = [
+                    np.mean(
+                        cell.episodes[key] >= value if at_least else cell.episodes[key] <= value
+                    )
+                    for cell in group.cells
+                ]
                 # Equal values make a step: the curve meets the share at one end of it.
                 ends = share[x == value]
                 assert np.isclose(ends.max(), np.mean(met))
@@ -59,12 +80,24 @@ def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> 
 
 def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_path: Path) -> None:
     severity = severity_figure(frame, tmp_path)[1].read_text(encoding="utf-8")
-    for text in ("Noisy 0.2", "Noisy 0.6", "Laggy 0.5", "Laggy 0.85", "Goal1: Return", "Goal1: Cost", "Goal1: Int.", "Human-only", "WASP"):
+    for text in (
+        "Noisy 0.2",
+        "Noisy 0.6",
+        "Laggy 0.5",
+        "Laggy 0.85",
+        "Goal1: Return",
+        "Goal1: Cost",
+        "Goal1: Int.",
+        "Human-only",
+        "WASP",
+    ):
         assert text in severity
     assert "Expert" not in severity  # it has no severity
 
 
-def test_one_severity_an_operator_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
+def test_one_severity_an_operator_is_no_curve(
+    grid: Callable[..., list[Wanted]], tmp_path: Path
+) -> None:
     one = [cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5)]
     assert {cell.identity.operator for cell in one} == {"noisy", "laggy"}
     assert severity_figure(read_frame(one), tmp_path) == []
@@ -95,9 +128,16 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 def of(frame: Frame, tasks: int, rows: int) -> Frame:
     """The numbers of one cell for each operator, under so many tasks and methods."""
-    cells = [cell for cell in frame.cells if cell.identity.method == "ida" and cell.identity.seed == 0]
+    cells = [
+        cell for cell in frame.cells if cell.identity.method == "ida" and cell.identity.seed == 0
+    ]
     named = product(TASKS[:tasks], ROWS[:rows], cells)
-    return Frame(tuple(replace(cell, identity=replace(cell.identity, task=task, method=method)) for task, method, cell in named))
+    return Frame(
+        tuple(
+            replace(cell, identity=replace(cell.identity, task=task, method=method))
+            for task, method, cell in named
+        )
+    )
 
 
 def faults(figure: Figure, entries: int) -> list[str]:
@@ -117,7 +157,9 @@ def faults(figure: Figure, entries: int) -> list[str]:
 
 @pytest.mark.parametrize(("tasks", "rows"), [(1, 9), (3, 5)])
 @pytest.mark.parametrize("draw", [severity_figure, cost_return_figure])
-def test_the_legend_of_the_methods_is_whole(frame: Frame, figures: list[Figure], draw: Drawing, tasks: int, rows: int) -> None:
+def test_the_legend_of_the_methods_is_whole(
+    frame: Frame, figures: list[Figure], draw: Drawing, tasks: int, rows: int
+) -> None:
     draw(of(frame, tasks, rows), Path())
     assert faults(figures[0], rows) == []
 
@@ -149,10 +191,15 @@ with drawn((2, 2)) as figure:
 
 
 @pytest.mark.parametrize(("written", "there"), [(0, set()), (1, {"figure3.png"})])
-def test_a_killed_report_leaves_no_half_drawn_figure(written: int, there: set[str], tmp_path: Path) -> None:
+def test_a_killed_report_leaves_no_half_drawn_figure(
+    written: int, there: set[str], tmp_path: Path
+) -> None:
     root = Path(__file__).parents[3]
     done = subprocess.run(
-        [sys.executable, "-c", DRAW, tmp_path, str(written)], env={**os.environ, "PYTHONPATH": str(root)}, timeout=600, check=False
+        [sys.executable, "-c", DRAW, tmp_path, str(written)],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        timeout=600,
+        check=False,
     )
     assert done.returncode == -signal.SIGKILL
     assert {path.name for path in tmp_path.iterdir()} == there

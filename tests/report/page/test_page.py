@@ -16,7 +16,13 @@ from PIL import Image
 from tests.plans import trajectory
 from tests.report.explained import Invented
 from tests.report.markup import Outline
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Trajectory, episode_metrics
+from wasp_cli.metrics.episode import (
+    GATE_METHOD,
+    GATE_SAFETY,
+    GATE_TASK,
+    Trajectory,
+    episode_metrics,
+)
 from wasp_cli.report.claims import judge
 from wasp_cli.report.explain import CURVE, Episode, timeline
 from wasp_cli.report.figures import cost_return_figure
@@ -36,11 +42,22 @@ from wasp_cli.video.film import sprite_of
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
 FETCHED = ("src", "srcset", "data", "action", "poster")
-CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+CHROMIUM = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
 
 
 def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
-    missing = Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")
+    missing = Missing(
+        CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7),
+        f"goal1 wasp {word}",
+        f"failed: {word}",
+    )
     report = Report(
         name=word,
         layout=Layout(folder),
@@ -58,8 +75,19 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     page = page_of(frame, tmp_path)
     outline = Outline(page)
     ids, fetched = outline.values("id"), outline.values(*FETCHED)
-    assert {str(link["href"]).removeprefix("#") for link in outline.all("a")} == {"results", "trained", "assumptions"}
-    assert set(ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-cost_return"}
+    assert {str(link["href"]).removeprefix("#") for link in outline.all("a")} == {
+        "results",
+        "trained",
+        "assumptions",
+    }
+    assert set(ids) >= {
+        "results",
+        "trained",
+        "assumptions",
+        "table1",
+        "details",
+        "figure-cost_return",
+    }
     assert len(set(ids)) == len(ids)
     assert fetched
     assert all(source.startswith("data:image/") for source in fetched)
@@ -78,7 +106,9 @@ def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
 
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
-    report = Report("empty", Layout(tmp_path), facts=(), shown=(), frame=Frame(()), trained=(), assumptions=())
+    report = Report(
+        "empty", Layout(tmp_path), facts=(), shown=(), frame=Frame(()), trained=(), assumptions=()
+    )
     assert Outline(report.html()).found
 
 
@@ -108,7 +138,13 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     assert CHROMIUM is not None
     page = tmp_path / "page.html"
     page.write_text(page_of(frame, tmp_path, word=EVIL).replace("</body>", PROBE), encoding="utf-8")
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ]
     command = [CHROMIUM, *options, "--virtual-time-budget=3000", "--dump-dom", page.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
@@ -125,13 +161,20 @@ def lanes(episode: Episode) -> dict[str, str]:
 
 
 def marks(svg: str) -> list[tuple[str, int, int]]:
-    return [(kind, int(x), int(width)) for kind, x, width in re.findall(r'<rect class="(\w+)" x="(\d+)" y="0" width="(\d+)"', svg)]
+    return [
+        (kind, int(x), int(width))
+        for kind, x, width in re.findall(r'<rect class="(\w+)" x="(\d+)" y="0" width="(\d+)"', svg)
+    ]
 
 
 def heights(svg: str) -> list[tuple[float, float]]:
     """Of every decision with a value: its place and its height from above."""
     found = [points.split() for points in re.findall(r'points="(.*?)"', svg)]
-    return [(float(point.split(",")[0]), float(point.split(",")[1])) for line in found for point in line[::2]]
+    return [
+        (float(point.split(",")[0]), float(point.split(",")[1]))
+        for line in found
+        for point in line[::2]
+    ]
 
 
 def test_gates_interventions_and_costs(tmp_path: Path) -> None:
@@ -144,7 +187,9 @@ def test_gates_interventions_and_costs(tmp_path: Path) -> None:
     assert list(drawn) == ["Ḡᶜ", "ΔG", "acts", "cost"]
     assert marks(drawn["acts"]) == [("safety", 2, 2), ("task", 5, 1)]
     assert marks(drawn["cost"]) == [("cost", 0, 1), ("cost", 6, 2)]
-    assert all('viewBox="0 0 8 ' in svg and svg.count('class="cursor"') == 1 for svg in drawn.values())
+    assert all(
+        'viewBox="0 0 8 ' in svg and svg.count('class="cursor"') == 1 for svg in drawn.values()
+    )
 
 
 def test_a_curve_is_above_its_threshold_exactly_where_the_gate_fired(tmp_path: Path) -> None:
@@ -184,7 +229,10 @@ def driven(seed: int, push: float) -> Trajectory:
     steps = [task.step(np.array([[push, 0.1]])) for _ in range(task.max_decisions)]
     a = np.tile([push, 0.1], (len(steps), 1))
 
-    columns = {name: [getattr(step, name)[0] for step in steps] for name in ("reward", "cost", "cost_env", "env_steps", "goals")}
+    columns = {
+        name: [getattr(step, name)[0] for step in steps]
+        for name in ("reward", "cost", "cost_env", "env_steps", "goals")
+    }
     return trajectory(len(steps), **columns, a_h=a, a=a)
 
 
@@ -200,8 +248,22 @@ def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ..
             object.__setattr__(row, "cost", cost)
         identity = CellIdentity("goal1", method, "full", operator, value, 0)
         staging = staging_folder(layout, key)
-        write_cell(staging, identity, trajectories, rows, Thresholds(), [np.ones(10)] * len(own), list(range(len(own))))
-        commit(layout, "evaluate", key, staging, {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}})
+        write_cell(
+            staging,
+            identity,
+            trajectories,
+            rows,
+            Thresholds(),
+            [np.ones(10)] * len(own),
+            list(range(len(own))),
+        )
+        commit(
+            layout,
+            "evaluate",
+            key,
+            staging,
+            {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}},
+        )
         path = layout.artifact("evaluate", key) / "episodes.parquet"
         wanted.append(Wanted(identity, key, path, severity="moderate" if value == 0.4 else "mild"))
         keys[identity] = key
@@ -211,9 +273,12 @@ def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ..
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Stored:
     costs = {
-        ("human", "noisy", 0.2): (0, 0, 0), ("human", "noisy", 0.4): (9, 30, 4), ("wasp", "noisy", 0.4): (1, 2, 3),
-        ("wasp", "laggy", 0.5): (5, 5, 5), ("expert", "none", None): (0, 1, 2),
-    }  # fmt: skip
+        ("human", "noisy", 0.2): (0, 0, 0),
+        ("human", "noisy", 0.4): (9, 30, 4),
+        ("wasp", "noisy", 0.4): (1, 2, 3),
+        ("wasp", "laggy", 0.5): (5, 5, 5),
+        ("expert", "none", None): (0, 1, 2),
+    }
     return store(tmp_path_factory.mktemp("films"), costs)  # type: ignore[arg-type]
 
 
@@ -242,8 +307,11 @@ def test_the_frames_are_those_of_the_recorded_actions(films: TaskFilms) -> None:
         assert image.size == (SIZE * film.sprite.columns, SIZE * -(-11 // film.sprite.columns))
         sheets.append(np.asarray(image.convert("RGB"), float))
     first, ninth = slice(0, SIZE), slice(9 * SIZE, 10 * SIZE)
-    start, later = (np.abs(sheets[0][:SIZE, part] - sheets[1][:SIZE, part]).mean() for part in (first, ninth))
-    # The same world at the start, where only the command's arrow differs; driving backwards leads elsewhere.
+    start, later = (
+        np.abs(sheets[0][:SIZE, part] - sheets[1][:SIZE, part]).mean() for part in (first, ninth)
+    )
+    # The same world at the start, where only the command's arrow differs; driving backwards leads
+    # elsewhere.
     assert later > 2 * start
 
 
@@ -269,26 +337,45 @@ def test_a_page_has_a_player_and_every_film(films: TaskFilms) -> None:
     assert page.count('<figure class="film"') == 3
     assert page.count("url(data:image/webp;base64,") == 3
     assert 'type="range" min="0" max="10"' in page
-    assert "Episode 0 of seed 0 under the operator Noisy 0.4: the one whose cost is the median under Human-only." in page
+    assert (
+        "Episode 0 of seed 0 under the operator Noisy 0.4: the one whose cost is the "
+        "median under Human-only." in page
+    )
 
 
-def test_environments_of_others_are_not_imported_for_a_film(stored: Stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environments_of_others_are_not_imported_for_a_film(
+    stored: Stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "evil_module.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     layout, frame, keys = stored
-    cells = tuple(replace(cell, identity=replace(cell.identity, task="evil_module:Evil-v0")) for cell in frame.cells)
+    cells = tuple(
+        replace(cell, identity=replace(cell.identity, task="evil_module:Evil-v0"))
+        for cell in frame.cells
+    )
     every = {cell.identity: next(iter(keys.values())) for cell in cells}
     found = list(films_of(layout, Frame(cells), every, sprite_of, lambda text: None))
     assert found == []
     assert not (tmp_path / "imported").exists()
 
 
-def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(tmp_path: Path) -> None:
-    layout, frame, keys = store(tmp_path, {("human", "noisy", 0.4): (30, 9, 4), ("wasp", "noisy", 0.4): (1, 2, 3)})
+def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(
+    tmp_path: Path,
+) -> None:
+    layout, frame, keys = store(
+        tmp_path, {("human", "noisy", 0.4): (30, 9, 4), ("wasp", "noisy", 0.4): (1, 2, 3)}
+    )
     for key in keys.values():
         manifest = layout.manifest("evaluate", key)
         record = {**json.loads(manifest.read_text()), "kind": "evaluate"}
-        manifest.write_text(json.dumps({**record, "slim": slim(layout.artifact("evaluate", key), "evaluate", Slimming(steps=1))}))
+        manifest.write_text(
+            json.dumps(
+                {
+                    **record,
+                    "slim": slim(layout.artifact("evaluate", key), "evaluate", Slimming(steps=1)),
+                }
+            )
+        )
     (after,) = films_of(layout, frame, keys, sprite_of, lambda _: None)
     assert after.number == 0
     assert all(film.sprite is not None for film in after.films)

@@ -16,7 +16,13 @@ from wasp_cli.report.sweep import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, SweepRepor
 from wasp_cli.report.tables import Row, Table
 from wasp_cli.report.tables import main as tables
 from wasp_cli.report.tables.comparison import MEASURES, comparison_table
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, operator_table
+from wasp_cli.report.tables.main import (
+    ablation_table,
+    detail_table,
+    latency_table,
+    main_table,
+    operator_table,
+)
 from wasp_cli.store.tables import CellIdentity
 
 Grid = Callable[..., list[Wanted]]
@@ -40,26 +46,44 @@ def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) 
         middle, change = iqm_of(wasp, measure.key), difference_of(wasp, human, measure.key)
         wins = improvement_over(wasp, human, measure.key, measure.better)
         for key, estimate in (("iqm", middle), ("difference", change), ("improvement", wins)):
-            assert (value(table, key, *labels).mean, value(table, key, *labels).interval) == (estimate.value, estimate.interval)
+            assert (value(table, key, *labels).mean, value(table, key, *labels).interval) == (
+                estimate.value,
+                estimate.interval,
+            )
 
 
 def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
     three = comparison_table(frame).notes
     assert (
-        "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the trainings, each with its models and worlds; "
+        "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the "
+        "trainings, each with its models and worlds; "
         "10 resamples differ, so they are coarse."
     ) in three
     assert not any("95 %" in note for note in three)
-    assert "These are 80 intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts." in three
+    assert (
+        "These are 80 intervals; of so many some miss even where nothing differs. Decide "
+        "beforehand which comparison counts." in three
+    )
     one = comparison_table(read_frame(grid(seeds=(0,)))).notes
-    assert any(note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note for note in one)
+    assert any(
+        note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note
+        for note in one
+    )
     together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
     (note,) = [note for note in comparison_table(together).notes if "[low, high]" in note]
-    assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
+    # every invented seed has the same four
+    assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")
     single = comparison_table(read_frame(grid(seeds=(0,), episodes=1)))
-    impaired = [one for one in grid(seeds=(0, 1)) if one.identity.operator in ("noisy", "laggy")[: 1 + one.identity.seed]]
+    impaired = [
+        one
+        for one in grid(seeds=(0, 1))
+        if one.identity.operator in ("noisy", "laggy")[: 1 + one.identity.seed]
+    ]
     for table in (single, comparison_table(read_frame(impaired))):
-        assert "No intervals: there is a single world to resample, or the trainings have cells of different operators." in table.notes
+        assert (
+            "No intervals: there is a single world to resample, or the trainings have "
+            "cells of different operators." in table.notes
+        )
     assert all(each.interval is None for row in single.rows for each in row.values)
 
 
@@ -67,28 +91,50 @@ def test_gaps(grid: Grid) -> None:
     assert comparison_table(Frame(())) is None
     wanted = grid(seeds=(0, 1))
     for one in wanted:
-        if one.identity.method == "human" or (one.identity.method, one.identity.seed) == ("saferl", 0):
+        if one.identity.method == "human" or (one.identity.method, one.identity.seed) == (
+            "saferl",
+            0,
+        ):
             one.path.unlink()
     frame = read_frame(wanted)
     table = comparison_table(frame)
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
     assert any(note.startswith("INCOMPLETE: 12 of 42") for note in table.notes)
-    assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None  # worlds of its only seed
+    # worlds of its only seed
+    assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None
 
 
 def test_latency_is_over_episodes(frame: Frame) -> None:
-    wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.variant == "full"]
+    wasp = [
+        cell
+        for cell in frame.cells
+        if cell.identity.method == "wasp" and cell.identity.variant == "full"
+    ]
     times = np.arange(4.0)
-    timed = [replace(cell, episodes={**cell.episodes, "decision_p95_ms": times + 10 * i}) for i, cell in enumerate(wasp)]
+    timed = [
+        replace(cell, episodes={**cell.episodes, "decision_p95_ms": times + 10 * i})
+        for i, cell in enumerate(wasp)
+    ]
     table = latency_table(Frame(tuple(timed)))
     everything = [10 * i + time for i in range(len(wasp)) for time in times]
-    assert [each.mean for each in row(table, "Goal1", "WASP").values] == [2.0, 2.0, np.median(everything), 113.0]
+    assert [each.mean for each in row(table, "Goal1", "WASP").values] == [
+        2.0,
+        2.0,
+        np.median(everything),
+        113.0,
+    ]
     untimed = {name: np.full(4, np.nan) for name in ("decision_p50_ms", "decision_p95_ms")}
-    assert latency_table(Frame(tuple(replace(cell, episodes={**cell.episodes, **untimed}) for cell in wasp))) is None
+    assert (
+        latency_table(
+            Frame(tuple(replace(cell, episodes={**cell.episodes, **untimed}) for cell in wasp))
+        )
+        is None
+    )
     assert latency_table(Frame(())) is None
 
 
-# Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the printed WASP is a method of its own.
+# Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the
+# printed WASP is a method of its own.
 
 
 TITLE = "WASP, no Case II recovery"
@@ -98,9 +144,18 @@ def labels(table: Table | None) -> list[str]:
     return [label for row in table.rows for label in row.labels]
 
 
-def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
+def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(
+    grid: Callable[..., list[Wanted]], tmp_path: Path
+) -> None:
     frame = read_frame(grid(ablations=("no-case2",)))
-    for make in (main_table, detail_table, latency_table, operator_table, tables.severity_table, comparison_table):
+    for make in (
+        main_table,
+        detail_table,
+        latency_table,
+        operator_table,
+        tables.severity_table,
+        comparison_table,
+    ):
         assert "WASP" in labels(make(frame))
         assert TITLE not in labels(make(frame))
     assert {"WASP, full", TITLE} <= set(labels(ablation_table(frame)))
@@ -119,18 +174,28 @@ def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2")], [full]) == (3, 3)
     assert same_episodes([wasp([1.0, 2.5, 3.0], "no-case2")], [full]) == (2, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, 0.1, 0.2])], [full]) == (2, 3)
-    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (
+        2,
+        3,
+    )
     assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
     assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
 
 
-@pytest.mark.parametrize(("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")])
+@pytest.mark.parametrize(
+    ("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")]
+)
 def test_the_table_says_it_where_there_are_any(costs: list[float], note: str) -> None:
     columns = {name: [0.0] * 3 for name in ("return", "success", "viol", "int_rate")}
-    table = ablation_table(frame_of(wasp([1.0, 2.0, 3.0], **columns), wasp(costs, "no-case2", **columns)))
+    table = ablation_table(
+        frame_of(wasp([1.0, 2.0, 3.0], **columns), wasp(costs, "no-case2", **columns))
+    )
     found = [text for text in table.notes if "the same as with the full method" in text]
-    assert [text.partition(" are ")[0] for text in found] == ([f"Goal1, WASP, no Case II recovery: {note}"] if note else [])
-    assert all(text.endswith("method in what happened and what was corrected.") for text in found)  # gates may differ
+    assert [text.partition(" are ")[0] for text in found] == (
+        [f"Goal1, WASP, no Case II recovery: {note}"] if note else []
+    )
+    # gates may differ
+    assert all(text.endswith("method in what happened and what was corrected.") for text in found)
 
 
 # The tables of a sweep against numbers worked out by hand (tests/report/swept.py says how).
@@ -148,13 +213,19 @@ def swept(tmp_path: Path) -> list[Swept]:
 def printed(table: Table, *columns: str) -> list[tuple[str, ...]]:
     """The labels of every row, and some of its cells without the spread."""
     shown = [(c, column) for c, column in enumerate(table.columns) if column.key in columns]
-    return [(*row.labels, *(column.cell(row.values[c], spread=False) for c, column in shown)) for row in table.rows]
+    return [
+        (*row.labels, *(column.cell(row.values[c], spread=False) for c, column in shown))
+        for row in table.rows
+    ]
 
 
-def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(swept: list[Swept]) -> None:
+def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(
+    swept: list[Swept],
+) -> None:
     table = SweepReport("s", "spec", KEY, tuple(swept)).table
     assert table.labels == ("Task", "Method", KEY)
-    # Two operators and two seeds: a return of 7 and 6, 2 of 2 and 2 of 2 successes, and one goal more with every value.
+    # Two operators and two seeds: a return of 7 and 6, 2 of 2 and 2 of 2 successes, and one goal
+    # more with every value.
     assert printed(table, "return", "success", "int_rate", "mag", "mag_int") == [
         ("Goal1", "Human-only", "-", "6.50", "100.0", "0.00", "0.00", "n/a"),
         ("Goal1", "Diffusion", "0", "6.50 (+0.00)", "100.0 (+0.0)", "0.10", "0.06", "0.62"),
@@ -169,13 +240,25 @@ def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> Non
     first = swept[0]
     identity = next(identity for identity in first.keys if identity.method == "human")
     swept[0] = Swept(first.text, first.value, first.frame, {**first.keys, identity: "another"})
-    assert [(line.group.method, line.text) for line in lines(swept)][:3] == [("human", "0"), ("human", "0.20"), ("human", "0.6")]
+    assert [(line.group.method, line.text) for line in lines(swept)][:3] == [
+        ("human", "0"),
+        ("human", "0.20"),
+        ("human", "0.6"),
+    ]
 
 
 def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
     swept = invent_sweep(tmp_path, missing=[LOST])
     report = SweepReport("s", "spec", KEY, tuple(swept))
     table = report.table
-    assert [row.labels[1:] for row in table.rows[1:3]] == [("Diffusion [3 of 4 cells]", "0"), ("Diffusion", "0.20")]
-    assert any(note.startswith("INCOMPLETE: 1 of 16 cells are missing (1 not computed).") for note in table.notes)
-    assert [gap.label for gap in report.missing] == ["goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"]
+    assert [row.labels[1:] for row in table.rows[1:3]] == [
+        ("Diffusion [3 of 4 cells]", "0"),
+        ("Diffusion", "0.20"),
+    ]
+    assert any(
+        note.startswith("INCOMPLETE: 1 of 16 cells are missing (1 not computed).")
+        for note in table.notes
+    )
+    assert [gap.label for gap in report.missing] == [
+        "goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"
+    ]

@@ -1,4 +1,6 @@
-"""Pictures and pages of trained parts: all that there are, frames pixel by pixel, and nothing from what is damaged or leads elsewhere."""
+"""Pictures and pages of trained parts: all that there are, frames pixel by pixel, and nothing
+from what is damaged or leads elsewhere.
+"""
 
 import os
 from collections.abc import Callable
@@ -25,14 +27,22 @@ def test_every_part_has_its_files(store: tuple[Layout, list[Trained]], tmp_path:
     layout, trained = store
     told: list[str] = []
     files = write_evidence(layout, trained, tmp_path, told.append)
-    wanted = {f"trained/goal1-s0-{one.kind}-{one.key[:8]}/{file}" for one in trained for file, _ in EVIDENCE[one.kind]}
+    wanted = {
+        f"trained/goal1-s0-{one.kind}-{one.key[:8]}/{file}"
+        for one in trained
+        for file, _ in EVIDENCE[one.kind]
+    }
     assert {str(path.relative_to(tmp_path)) for path in files} == wanted
     assert len(told) == len(EVIDENCE)
 
 
-def test_what_an_earlier_report_drew_goes(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
+def test_what_an_earlier_report_drew_goes(
+    store: tuple[Layout, list[Trained]], tmp_path: Path
+) -> None:
     layout, trained = store
-    critics, denoiser = (next(each for each in trained if each.kind == kind) for kind in ("critics", "denoiser"))
+    critics, denoiser = (
+        next(each for each in trained if each.kind == kind) for kind in ("critics", "denoiser")
+    )
     write_evidence(layout, [critics, denoiser], tmp_path)
     files = write_evidence(layout, [denoiser], tmp_path)
     assert [path for path in (tmp_path / "trained").rglob("*") if path.is_file()] == files
@@ -63,7 +73,9 @@ def folder(path: Path) -> None:
 
 @pytest.mark.parametrize("harm", [cut, other, a_list, pipe, folder, Path.unlink])
 @pytest.mark.parametrize("kind", ["dataset", "denoiser", "diagnostics", "expert", "critics"])
-def test_a_damaged_artifact_breaks_nothing(kind: str, harm: Callable[[Path], None], layout: Layout, tmp_path: Path) -> None:
+def test_a_damaged_artifact_breaks_nothing(
+    kind: str, harm: Callable[[Path], None], layout: Layout, tmp_path: Path
+) -> None:
     one = artifact(layout, kind)
     for path in sorted(layout.artifact(kind, one.key).iterdir()):
         harm(path)
@@ -85,7 +97,9 @@ def test_links_are_not_followed_to_read(layout: Layout, tmp_path: Path) -> None:
     assert write_evidence(layout, trained, tmp_path / "report") == []
 
 
-def test_links_are_not_followed_to_write(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
+def test_links_are_not_followed_to_write(
+    store: tuple[Layout, list[Trained]], tmp_path: Path
+) -> None:
     layout, trained = store
     denoiser = next(each for each in trained if each.kind == "denoiser")
     outside = tmp_path / "outside"
@@ -106,12 +120,23 @@ def test_links_are_not_followed_to_write(store: tuple[Layout, list[Trained]], tm
     assert (report / "trained" / "mine").is_dir()
 
 
-def test_the_strip_shows_true_and_imagined_frames_in_their_rows(layout: Layout, tmp_path: Path) -> None:
+def test_the_strip_shows_true_and_imagined_frames_in_their_rows(
+    layout: Layout, tmp_path: Path
+) -> None:
     data = recording()
-    (path,) = (path for path in write_evidence(layout, [artifact(layout, "diagnostics")], tmp_path) if path.name == "open_loop.png")
+    (path,) = (
+        path
+        for path in write_evidence(layout, [artifact(layout, "diagnostics")], tmp_path)
+        if path.name == "open_loop.png"
+    )
     sheet = np.asarray(Image.open(path).convert("RGB"))
-    step = int(np.flatnonzero(data.cost[1 : 2 + HORIZON] == 0)[0])  # a red edge would cover a part of a costly one
-    for row, image in enumerate((data.pixels[1 + step, :3], 255 - data.pixels[1 + step, :3], data.pixels[1 + step, 3:])):
+    # a red edge would cover a part of a costly one
+    step = int(np.flatnonzero(data.cost[1 : 2 + HORIZON] == 0)[0])
+    for row, image in enumerate(
+        (data.pixels[1 + step, :3], 255 - data.pixels[1 + step, :3], data.pixels[1 + step, 3:])
+    ):
         shown = sheet[TEXT + GAP + row * PITCH :, LABEL + step * PITCH :][:SIDE, :SIDE]
-        enlarged = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0))).resize((SIDE, SIDE), Image.Resampling.NEAREST)
+        enlarged = Image.fromarray(np.ascontiguousarray(image.transpose(1, 2, 0))).resize(
+            (SIDE, SIDE), Image.Resampling.NEAREST
+        )
         np.testing.assert_array_equal(shown[4:-4, 4:-4], np.asarray(enlarged)[4:-4, 4:-4])

@@ -1,6 +1,8 @@
-"""The configuration section of every stage; light, since `wasp plan` reads it. Defaults are the `cpu` preset (`spec.presets`).
+"""The configuration section of every stage; light, since `wasp plan` reads it. Defaults are the
+`cpu` preset (`spec.presets`).
 
-What is in a key imports a section from its own file, so that the key covers no other. No name stands here: it would change every key.
+What is in a key imports a section from its own file, so that the key covers no other. No name
+stands here: it would change every key.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ class EnsembleConfig(Config):
     learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
     target_rate: float = assumed(
         0.05,
-        "share of the online network that enters the target per update: a reward travels back one decision in 1 / rate updates",
+        "share of the online network that enters the target per update: a reward travels "
+        "back one decision in 1 / rate updates",
         gt=0.0,
         le=1.0,
     )
@@ -44,7 +45,10 @@ class ResidualConfig(Config):
         "lagrangian", "Eq. 5; `rsa`: the least effort for a least return, the form of the original"
     )
     return_share: float = assumed(
-        0.75, "mode rsa: the least return, as a share of the unimpaired expert's; the original tunes it per pilot", gt=0.0
+        0.75,
+        "mode rsa: the least return, as a share of the unimpaired expert's; the original "
+        "tunes it per pilot",
+        gt=0.0,
     )
     interactions: int = assumed(300_000, "decision steps (the original has 100 M)", ge=1)
     envs: int = assumed(16, "episodes side by side", ge=1)
@@ -57,15 +61,29 @@ class ResidualConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(
         -0.4,
-        "initial exploration of the residual: motors saturate, and small residuals to a full command change nothing that could be learned",
+        "initial exploration of the residual: motors saturate, and small residuals to a "
+        "full command change nothing that could be learned",
     )
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
     cost_limit: float = deviates(
-        25.0, "kappa per 1000 env steps, without a discount, as the benchmark counts; Eq. 5 bounds the discounted cost", ge=0.0
+        25.0,
+        "kappa per 1000 env steps, without a discount, as the benchmark counts; Eq. 5 "
+        "bounds the discounted cost",
+        ge=0.0,
     )
-    value_warmup: float = assumed(0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
-    multiplier_delay: float = assumed(0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0)
-    multiplier_init: float = assumed(1.0, "penalty per costly decision step; in mode rsa the weight of the return", ge=0.0)
-    multiplier_lr: float = assumed(0.1, "step of the multiplier per update and unit of relative excess", ge=0.0)
+    value_warmup: float = assumed(
+        0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0
+    )
+    multiplier_delay: float = assumed(
+        0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0
+    )
+    multiplier_init: float = assumed(
+        1.0, "penalty per costly decision step; in mode rsa the weight of the return", ge=0.0
+    )
+    multiplier_lr: float = assumed(
+        0.1, "step of the multiplier per update and unit of relative excess", ge=0.0
+    )
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
-    operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "operators mixed per episode", min_length=1
+    )

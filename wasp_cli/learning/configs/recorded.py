@@ -25,7 +25,9 @@ class Bars(Config):
 
 
 class ExpertConfig(Config):
-    """PPO with an adaptive Lagrange multiplier on privileged observations, until its task's bars are reached."""
+    """PPO with an adaptive Lagrange multiplier on privileged observations, until its task's
+    bars are reached.
+    """
 
     interactions: int = assumed(400_000, "decision steps", ge=1)
     envs: int = assumed(32, "episodes side by side", ge=1)
@@ -39,29 +41,58 @@ class ExpertConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
-    cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
-    late_cost_limit: float | None = assumed(
-        None, "another kappa from half of the training on: an expert that costs kappa is hardly worth imitating", ge=0.0
+    cost_limit: float = assumed(
+        25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0
     )
-    multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
-    multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
-    multiplier_min: float = assumed(
-        0.05,
-        "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
+    late_cost_limit: float | None = assumed(
+        None,
+        "another kappa from half of the training on: an expert that costs kappa is hardly "
+        "worth imitating",
         ge=0.0,
     )
-    multiplier_max: float = assumed(5.0, "bound of the multiplier; under a small kappa it winds up, and a policy may stand still", gt=0.0)
-    checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
-    evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
-    bars: dict[str, Bars] = assumed({}, "by task: what the expert is trained on for; others are taken as they are")
-    acceptance_episodes: int = assumed(256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1)
-    extension: int = assumed(200_000, "decision steps of each further training of an expert that falls short", ge=1)
+    multiplier_init: float = assumed(
+        0.3, "penalty per costly decision step from the first update", ge=0.0
+    )
+    multiplier_lr: float = assumed(
+        0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0
+    )
+    multiplier_min: float = assumed(
+        0.05,
+        "bound of the multiplier from below: untrained policies cost little, and would "
+        "lower it to nothing before it is needed",
+        ge=0.0,
+    )
+    multiplier_max: float = assumed(
+        5.0,
+        "bound of the multiplier; under a small kappa it winds up, and a policy may stand still",
+        gt=0.0,
+    )
+    checkpoints: tuple[float, ...] = assumed(
+        (0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored"
+    )
+    evaluation_episodes: int = assumed(
+        64, "episodes of the final evaluation of each checkpoint", ge=1
+    )
+    bars: dict[str, Bars] = assumed(
+        {}, "by task: what the expert is trained on for; others are taken as they are"
+    )
+    acceptance_episodes: int = assumed(
+        256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1
+    )
+    extension: int = assumed(
+        200_000, "decision steps of each further training of an expert that falls short", ge=1
+    )
     extensions: int = assumed(2, "such trainings at most", ge=0)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:
         rising = list(self.checkpoints) == sorted(set(self.checkpoints))
-        if not rising or not self.checkpoints or self.checkpoints[-1] != 1.0 or self.checkpoints[0] <= 0:
+        if (
+            not rising
+            or not self.checkpoints
+            or self.checkpoints[-1] != 1.0
+            or self.checkpoints[0] <= 0
+        ):
             raise ValueError("checkpoints must rise and end at 1.0")
         return self
 
@@ -70,12 +101,23 @@ class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
     expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    noisy: float = assumed(
+        0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0
+    )
     laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    delayed: float = assumed(
+        0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0
+    )
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
-    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    bursts: float = assumed(
+        0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0
+    )
+    careless: float = assumed(
+        0.20,
+        "repetition with probability 0.9 or 0.95: commands held for a second and more",
+        ge=0.0,
+        le=1.0,
+    )
     random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")

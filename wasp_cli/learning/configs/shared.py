@@ -8,7 +8,8 @@ from pydantic import Field
 
 from wasp_cli.config import Config, assumed, deviates
 
-Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]  # widths of hidden layers
+# widths of hidden layers
+Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
 
 LADDER: dict[str, tuple[float, ...]] = {
     "noisy": (0.2, 0.4, 0.6),
@@ -23,6 +24,10 @@ class ReturnsConfig(Config):
 
     gamma_r: float = assumed(0.99, "discount of the reward return", gt=0.0, le=1.0)
     gamma_c: float = deviates(
-        0.95, "discount of the cost return; Eq. 8 has one gamma for both, and V_c at 0.997 made the gate nearly useless", gt=0.0, le=1.0
+        0.95,
+        "discount of the cost return; Eq. 8 has one gamma for both, and V_c at 0.997 made "
+        "the gate nearly useless",
+        gt=0.0,
+        le=1.0,
     )
     lam: float = assumed(0.95, "lambda, as in DreamerV3 and SafeDreamer", gt=0.0, le=1.0)

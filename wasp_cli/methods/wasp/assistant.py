@@ -1,8 +1,9 @@
 """WASP: does this command do harm that the expert could not put right one decision later?
 
-Both gates compare two futures on common draws: the command, then the expert; the best correction now, then the expert. Nothing of the
-operator's rule is imagined. The correction is the least one of its force. B decisions side by side, M rollouts of H steps, N candidates,
-L residual steps, A actions, K held-out decisions.
+Both gates compare two futures on common draws: the command, then the expert; the best correction
+now, then the expert. Nothing of the operator's rule is imagined. The correction is the least one of
+its force. B decisions side by side, M rollouts of H steps, N candidates, L residual steps, A
+actions, K held-out decisions.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
-from wasp_cli.methods.wasp.imagine import Draws, Imagination, Scored, Situation, corrected, imagination_of
+from wasp_cli.methods.wasp.imagine import (
+    Draws,
+    Imagination,
+    Scored,
+    Situation,
+    corrected,
+    imagination_of,
+)
 from wasp_cli.methods.wasp.outcome import Outcome, Plan
 from wasp_cli.methods.wasp.returns import discounted_sum, distributions, quantile, td_lambda
 from wasp_cli.methods.wasp.search import search
@@ -36,7 +44,13 @@ CHUNK = 64  # held-out decisions that are looked at together
 
 def wasp(config: Config, parts: Parts) -> WASP:
     """Build WASP over the trained world model and critics."""
-    return WASP(cast(WASPConfig, config), imagination_of(parts), parts.thresholds, parts.motors, parts.device)
+    return WASP(
+        cast(WASPConfig, config),
+        imagination_of(parts),
+        parts.thresholds,
+        parts.motors,
+        parts.device,
+    )
 
 
 class Look(NamedTuple):
@@ -58,33 +72,53 @@ class Look(NamedTuple):
 
 
 class WASP:
-    """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
+    """The assistant. Decisions of a batch are independent; each draws from its own episode's
+    stream.
+    """
 
     def __init__(
-        self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float], motors: Motors, device: torch.device = CPU
+        self,
+        config: WASPConfig,
+        imagination: Imagination,
+        thresholds: Mapping[str, float],
+        motors: Motors,
+        device: torch.device = CPU,
     ) -> None:
         self.config, self.imagination, self.motors = config, imagination, motors
-        self.single = config.variant == "no-rollout"  # one imagined step, and both critics behind it
-        self.horizon, self.steps = (1, 1) if self.single else (config.horizon, config.residual_steps)
+        # one imagined step, and both critics behind it
+        self.single = config.variant == "no-rollout"
+        self.horizon, self.steps = (
+            (1, 1) if self.single else (config.horizon, config.residual_steps)
+        )
         fixed = config.tau_c if isinstance(config.tau_c, float | int) and not self.single else None
         self.tau_c = thresholds.get("tau_c", TAU_C) if fixed is None else float(fixed)
-        self.tau_r = thresholds.get("tau_r", TAU_R) if config.tau_r == "calibrated" else float(config.tau_r)
+        self.tau_r = (
+            thresholds.get("tau_r", TAU_R) if config.tau_r == "calibrated" else float(config.tau_r)
+        )
         self.noise, self.device = DecisionNoise(device), device
-        self.plan = torch.zeros(0)  # [B, L, A] what the search chose at the last decision; zeros where it was not asked
+        # [B, L, A] what the search chose at the last decision; zeros where it was not asked
+        self.plan = torch.zeros(0)
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
-        self.time_is_up: Callable[[], bool] = lambda: False  # set where somebody waits: a search that it ends returns its best so far
+        # set where somebody waits: a search that it ends returns its best so far
+        self.time_is_up: Callable[[], bool] = lambda: False
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
         size = (len(rows), self.steps, self.imagination.model.action_size)
         if self.plan.shape != size:
-            self.plan, self.resting = torch.zeros(size, device=self.device), torch.zeros(len(rows), dtype=torch.bool, device=self.device)
+            self.plan, self.resting = (
+                torch.zeros(size, device=self.device),
+                torch.zeros(len(rows), dtype=torch.bool, device=self.device),
+            )
         rows = rows.to(self.device)
-        self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)  # a plan never crosses the boundary of an episode
+        # a plan never crosses the boundary of an episode
+        self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)
         self.resting = self.resting & ~rows
 
     def rest(self, rows: Tensor) -> None:
-        """Decide nothing more in `rows` [B] (bool), whose episodes have ended; their commands stand."""
+        """Decide nothing more in `rows` [B] (bool), whose episodes have ended; their commands
+        stand.
+        """
         self.resting = self.resting | rows.to(self.resting.device)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
@@ -102,41 +136,67 @@ class WASP:
 
         # Imagine the command, then the expert; and the correction, then the expert (Eq. 9-10, 13).
         look = self._look(start, streams)
-        cost, nothing = look.futures.cost, torch.zeros(len(here), dtype=torch.bool, device=a_h.device)
+        cost, nothing = (
+            look.futures.cost,
+            torch.zeros(len(here), dtype=torch.bool, device=a_h.device),
+        )
         outcome.saw(here, cost[:, 0], look.futures.reward[:, 0], look.gain)
 
-        # Safety gate: the command costs more than tau_c (Eq. 9). Task gate: it does not, and a safe correction gains tau_r (Eq. 11-12).
+        # Safety gate: the command costs more than tau_c (Eq. 9). Task gate: it does not, and a safe
+        # correction gains tau_r (Eq. 11-12).
         fired = nothing if config.variant == "task-only" else cost[:, 0] > self.tau_c
         safe = cost[:, 1] <= self.tau_c
-        worth = nothing if config.variant == "safety-only" else ~fired & safe & look.effective & (look.gain > self.tau_r)
+        worth = (
+            nothing
+            if config.variant == "safety-only"
+            else ~fired & safe & look.effective & (look.gain > self.tau_r)
+        )
         gate = torch.where(fired, GATE_SAFETY, GATE_TASK).to(torch.int8)
-        outcome.carry_out(here, (fired & safe) | worth, gate, Plan.unsearched(look.futures, config.iterations))
+        outcome.carry_out(
+            here, (fired & safe) | worth, gate, Plan.unsearched(look.futures, config.iterations)
+        )
 
         # Where the expert's action is not safe either, search (Eq. 13-17).
         rows = chosen(fired & ~safe)
         plan = torch.zeros_like(self.plan)
         if len(rows):
-            made = self._search(start.select(rows), Look(look.target[rows], look.futures.rows(rows), look.draws.rows(rows)), streams)
+            made = self._search(
+                start.select(rows),
+                Look(look.target[rows], look.futures.rows(rows), look.draws.rows(rows)),
+                streams,
+            )
             outcome.carry_out(here[rows], (fired & ~safe)[rows], gate[rows], made)
-            plan[here[rows]] = torch.where((fired & ~safe)[rows].view(-1, 1, 1), made.residuals, 0.0)
+            plan[here[rows]] = torch.where(
+                (fired & ~safe)[rows].view(-1, 1, 1), made.residuals, 0.0
+            )
         self.plan = plan
         return outcome.decision()
 
     def _situation(self, latent: Latent, a_h: Tensor, here: Tensor) -> Situation:
-        expert = Operator(self.imagination.expert, a_h.shape[1], DrawnNoise(a_h.new_zeros(0, 1, 0)), len(a_h))
+        expert = Operator(
+            self.imagination.expert, a_h.shape[1], DrawnNoise(a_h.new_zeros(0, 1, 0)), len(a_h)
+        )
         start = Situation(latent, a_h, expert, torch.arange(len(a_h), device=a_h.device))
         return start if len(here) == len(a_h) else start.select(here)
 
     def _look(self, start: Situation, streams: Streams) -> Look:
         draws = self._draws(streams, GATES, start)
-        target = self.motors.least(start.a_h, self.imagination.expert(start.latent.features).clamp(-1, 1))
+        target = self.motors.least(
+            start.a_h, self.imagination.expert(start.latent.features).clamp(-1, 1)
+        )
         residuals = start.a_h.new_zeros(len(target), 2, self.steps, target.shape[1])
         residuals[:, 1, 0] = target - start.a_h
         return Look(target, self._scored(start, residuals, draws), draws)
 
-    def _scored(self, start: Situation, residuals: Tensor, draws: Draws, *, both_critics: bool = False) -> Scored:
-        """Imagine candidates [B, N, L, A] and summarise them (Eq. 7-8): rewards with V_r behind the horizon, costs within it."""
-        imagined = self.imagination.roll(start, residuals.shape[1], corrected(residuals, draws), draws)
+    def _scored(
+        self, start: Situation, residuals: Tensor, draws: Draws, *, both_critics: bool = False
+    ) -> Scored:
+        """Imagine candidates [B, N, L, A] and summarise them (Eq. 7-8): rewards with V_r behind
+        the horizon, costs within it.
+        """
+        imagined = self.imagination.roll(
+            start, residuals.shape[1], corrected(residuals, draws), draws
+        )
         models, keep = self.imagination, imagined.continues()
         reward = td_lambda(imagined.reward(), imagined.value_r(), models.gamma_r, models.lam, keep)
         if self.single:
@@ -156,24 +216,47 @@ class WASP:
         return search(
             lambda residuals: self._scored(start, residuals, few),
             lambda residuals: self._scored(start, residuals, fresh),
-            torch.stack([look.futures.residuals[:, 1], shifted], 1), normals, look.futures.take(start.rows.new_zeros(len(last), 1)),
-            config, self.tau_c, self.tau_r if config.variant != "safety-only" else torch.inf, self.time_is_up,
-        )  # fmt: skip
+            torch.stack([look.futures.residuals[:, 1], shifted], 1),
+            normals,
+            look.futures.take(start.rows.new_zeros(len(last), 1)),
+            config,
+            self.tau_c,
+            self.tau_r if config.variant != "safety-only" else torch.inf,
+            self.time_is_up,
+        )
 
     def _draws(self, streams: Streams, purpose: int, start: Situation) -> Draws:
-        return Draws.of(streams, purpose, start, self.horizon, self.config.rollouts, self.imagination.model.noise_size)
+        return Draws.of(
+            streams,
+            purpose,
+            start,
+            self.horizon,
+            self.config.rollouts,
+            self.imagination.model.noise_size,
+        )
 
-    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Return tau_c and tau_r, and the distributions that they stand in, from K held-out decisions and their costs ahead [K].
+    def calibrate(
+        self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int
+    ) -> dict[str, float]:
+        """Return tau_c and tau_r, and the distributions that they stand in, from K held-out
+        decisions and their costs ahead [K].
 
-        tau_r is what putting right a random command gains on average, at decisions of the unimpaired expert from which both futures are
-        safe: smaller gains are those of commands that are no worse than most. It follows a task's scale of rewards, and knows no operator.
+        tau_r is what putting right a random command gains on average, at decisions of the
+        unimpaired expert from which both futures are safe: smaller gains are those of commands that
+        are no worse than most. It follows a task's scale of rewards, and knows no operator.
         """
         cost = self._everywhere(heldout, heldout.a_h, seed).futures.cost[:, 0]  # [K]
         free = cost[cost_ahead == 0]
         if self.single:
-            # In the unit of one step: it lets through as many of the expert's decisions as the whole method.
-            whole = WASP(self.config.model_copy(update={"variant": "full"}), self.imagination, {}, self.motors, self.device)
+            # In the unit of one step: it lets through as many of the expert's decisions as the
+            # whole method.
+            whole = WASP(
+                self.config.model_copy(update={"variant": "full"}),
+                self.imagination,
+                {},
+                self.motors,
+                self.device,
+            )
             rate = whole.calibrate(heldout, cost_ahead, operator, seed)["safety_rate"]
             self.tau_c = quantile(cost, 1.0 - rate)
         elif self.config.tau_c == "calibrated":
@@ -181,14 +264,21 @@ class WASP:
         random = np.random.default_rng(seed)
         gains = []
         for k in range(MISTAKES):
-            mistakes = torch.from_numpy(random.uniform(-1, 1, tuple(heldout.a_h.shape)).astype(np.float32)).to(self.device)
+            mistakes = torch.from_numpy(
+                random.uniform(-1, 1, tuple(heldout.a_h.shape)).astype(np.float32)
+            ).to(self.device)
             look = self._everywhere(heldout, mistakes, seed + k)
             gains.append(look.gain[look.effective & (look.futures.cost <= self.tau_c).all(-1)])
         gain = torch.cat(gains)
         if self.config.tau_r == "calibrated":
             self.tau_r = self.config.tau_r_share * float(gain.mean()) if len(gain) else TAU_R
         spread = distributions(gain=gain, g_cost=cost, g_cost_free=free)
-        return {"tau_c": self.tau_c, "tau_r": self.tau_r, **spread, "safety_rate": float((cost > self.tau_c).float().mean())}
+        return {
+            "tau_c": self.tau_c,
+            "tau_r": self.tau_r,
+            **spread,
+            "safety_rate": float((cost > self.tau_c).float().mean()),
+        }
 
     def _everywhere(self, heldout: Heldout, a_h: Tensor, seed: int) -> Look:
         """Look at all held-out decisions under commands [K, A]."""

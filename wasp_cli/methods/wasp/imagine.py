@@ -1,6 +1,7 @@
 """Imagined rollouts: what commands lead to when an operator of whom something is assumed goes on.
 
-B decisions, N candidates, M rollouts, H horizon, L residual steps, A actions, Z latent noise, K operator draws, R = B * N * M rows.
+B decisions, N candidates, M rollouts, H horizon, L residual steps, A actions, Z latent noise, K
+operator draws, R = B * N * M rows.
 """
 
 from __future__ import annotations
@@ -22,11 +23,14 @@ from wasp_cli.models.weights import load_module
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 
-Compose = Callable[[int, Tensor], Tensor]  # turns the step k and the operator's commands there [R, A] into actions [R, A]
+# turns the step k and the operator's commands there [R, A] into actions [R, A]
+Compose = Callable[[int, Tensor], Tensor]
 
 
 class Situation(NamedTuple):
-    """Where an imagination starts: the filtered latents, the commands just issued, and who goes on."""
+    """Where an imagination starts: the filtered latents, the commands just issued, and who goes
+    on.
+    """
 
     latent: Latent  # [B, .]
     a_h: Tensor  # [B, A]
@@ -39,13 +43,23 @@ class Situation(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """Randomness of M rollouts, made before the loop and shared by every candidate (common random numbers)."""
+    """Randomness of M rollouts, made before the loop and shared by every candidate (common
+    random numbers).
+    """
 
     latent: Tensor  # Gumbel [B, H, M, Z]
     operator: Tensor  # uniform [B, H, M, K]
 
     @classmethod
-    def of(cls, streams: Streams, purpose: int, start: Situation, horizon: int, rollouts: int, noise_size: int) -> Draws:
+    def of(
+        cls,
+        streams: Streams,
+        purpose: int,
+        start: Situation,
+        horizon: int,
+        rollouts: int,
+        noise_size: int,
+    ) -> Draws:
         """Draw for every decision from its own episode's stream of that purpose."""
         shapes = (horizon, rollouts, noise_size), (horizon, rollouts, start.operator.draws)
         latents, commands = streams.uniform(*shapes, purpose=purpose, rows=start.rows)
@@ -74,7 +88,11 @@ class Scored(NamedTuple):
     def take(self, index: Tensor) -> Scored:
         """Select candidates of every decision (indices [B, K])."""
         plans = index.view(*index.shape, 1, 1).expand(-1, -1, *self.residuals.shape[2:])
-        return Scored(self.residuals.gather(1, plans), self.reward.gather(1, index), self.cost.gather(1, index))
+        return Scored(
+            self.residuals.gather(1, plans),
+            self.reward.gather(1, index),
+            self.cost.gather(1, index),
+        )
 
     @classmethod
     def joined(cls, batches: Sequence[Scored], along: int = 1) -> Scored:
@@ -84,7 +102,9 @@ class Scored(NamedTuple):
 
 @dataclass(frozen=True)
 class Imagined:
-    """The arrived states k = 1..H of N candidates in M rollouts of B decisions; every signal is [H, B, N, M]."""
+    """The arrived states k = 1..H of N candidates in M rollouts of B decisions; every signal is
+    [H, B, N, M].
+    """
 
     imagination: Imagination
     arrived: Latent
@@ -125,12 +145,18 @@ class Imagination:
     gamma_c: float  # discount of costs, at which V_c was trained
     lam: float  # lambda of Eq. 8
     pack: bool = True
-    """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its own `imagine`: the reference."""
+    """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its
+    own `imagine`: the reference.
+    """
 
     @cached_property
     def packed(self) -> PackedModel | None:
         """The packed steps of the model; None where it takes its own."""
-        return PackedModel(self.model) if self.pack and isinstance(self.model, SafetyWorldModel) else None
+        return (
+            PackedModel(self.model)
+            if self.pack and isinstance(self.model, SafetyWorldModel)
+            else None
+        )
 
     def roll(self, start: Situation, candidates: int, compose: Compose, draws: Draws) -> Imagined:
         """Imagine N candidates of B decisions in M rollouts each.
@@ -138,15 +164,19 @@ class Imagination:
         Args:
             start: B decisions.
             candidates: N.
-            compose: says what is executed at step k when the operator commands [R, A]; at k = 0 these are the commands just issued. Rows
-                are ordered by decision, candidate, rollout. What it returns is cut at the bounds.
+            compose: says what is executed at step k when the operator commands [R, A]; at k = 0
+                these are the commands just issued. Rows are ordered by decision, candidate,
+                rollout. What it returns is cut at the bounds.
             draws: of the M rollouts, met by every candidate.
         """
         batch, horizon, rollouts = draws.latent.shape[:3]
         copies = candidates * rollouts
-        operator = start.operator.fork(start.rows, copies, DrawnNoise(_met(draws.operator, candidates)))
+        operator = start.operator.fork(
+            start.rows, copies, DrawnNoise(_met(draws.operator, candidates))
+        )
         packed = self.packed
-        noise = _met(draws.latent if packed is None else packed.chances(draws.latent), candidates)  # [H, R, Z]
+        # [H, R, Z]
+        noise = _met(draws.latent if packed is None else packed.chances(draws.latent), candidates)
         room = None if packed is None else packed.room(horizon, batch * copies)
         steps: list[Latent] = []
         command = start.a_h.repeat_interleave(copies, 0)
@@ -159,17 +189,27 @@ class Imagination:
             if packed is not None and room is not None:
                 latent = packed.imagine(latent, action, noise[k], room.step(k), alike)
             else:
-                latent = self.model.imagine(latent.expand_rows(alike) if alike > 1 else latent, action, noise[k])
+                latent = self.model.imagine(
+                    latent.expand_rows(alike) if alike > 1 else latent, action, noise[k]
+                )
                 steps.append(latent)
             alike = 1
-        arrived = Latent(*(torch.stack(part) for part in zip(*steps, strict=True))) if room is None else room
+        arrived = (
+            Latent(*(torch.stack(part) for part in zip(*steps, strict=True)))
+            if room is None
+            else room
+        )
         return Imagined(self, arrived, (batch, candidates, rollouts))
 
 
 def imagination_of(parts: Parts) -> Imagination:
     """Return the imagination over the trained world model, critics and expert."""
-    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors").to(parts.device)
-    return Imagination(parts.world_model, critics, parts.skills.expert, parts.gamma_r, parts.gamma_c, parts.lam)
+    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors").to(
+        parts.device
+    )
+    return Imagination(
+        parts.world_model, critics, parts.skills.expert, parts.gamma_r, parts.gamma_c, parts.lam
+    )
 
 
 def corrected(residuals: Tensor, draws: Draws) -> Compose:

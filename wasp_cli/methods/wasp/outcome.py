@@ -1,4 +1,6 @@
-"""What a decision comes to: commands that stand until a plan is carried out. B decisions, L residual steps, I iterations."""
+"""What a decision comes to: commands that stand until a plan is carried out. B decisions, L
+residual steps, I iterations.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,16 @@ class Plan(NamedTuple):
     reward: Tensor  # [R] predicted reward return
     alone_cost: Tensor  # [R] of the command without a correction, on the same rollouts
     alone_reward: Tensor  # [R]
-    safe: Tensor  # [R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where nothing was searched
+    # [R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where
+    # nothing was searched
+    safe: Tensor
     case2: Tensor  # [R, I] whether it was fewer than N_f
 
     @classmethod
     def unsearched(cls, futures: Scored, iterations: int) -> Plan:
-        """Return the second of N = 2 candidates as the plan, beside the command alone, the first."""
+        """Return the second of N = 2 candidates as the plan, beside the command alone, the
+        first.
+        """
         (alone, best), (cost_alone, cost) = futures.reward.unbind(1), futures.cost.unbind(1)
         none = torch.full((len(best), iterations), -1, dtype=torch.int16, device=best.device)
         return cls(futures.residuals[:, 1], cost, best, cost_alone, alone, none, none >= 0)
@@ -45,11 +51,16 @@ class Outcome:
 
     def saw(self, rows: Tensor, g_cost: Tensor, g_return: Tensor, delta_g: Tensor) -> None:
         """Note what the gates read [R] at some `rows` (indices [R])."""
-        for field, value in zip((self.record.g_cost, self.record.g_return, self.record.delta_g), (g_cost, g_return, delta_g), strict=True):
+        for field, value in zip(
+            (self.record.g_cost, self.record.g_return, self.record.delta_g),
+            (g_cost, g_return, delta_g),
+            strict=True,
+        ):
             field[rows] = value.to(field.dtype)
 
     def carry_out(self, rows: Tensor, gated: Tensor, gate: Tensor, made: Plan) -> None:
-        """Execute the first residual of plans (Eq. 18) by the least action of its force, and note them.
+        """Execute the first residual of plans (Eq. 18) by the least action of its force, and note
+        them.
 
         Args:
             rows: decisions (indices [R]) that the plans are of.
@@ -60,12 +71,22 @@ class Outcome:
 
         def note(field: Tensor, value: Tensor) -> None:
             kept = field[rows]
-            field[rows] = torch.where(gated.view(-1, *([1] * (kept.dim() - 1))), value, kept).to(field.dtype)
+            field[rows] = torch.where(gated.view(-1, *([1] * (kept.dim() - 1))), value, kept).to(
+                field.dtype
+            )
 
         command = self.a_h[rows]
         note(self.action, self.motors.least(command, (command + made.residuals[:, 0]).clamp(-1, 1)))
         note(self.record.gate, gate)
-        found = made.residuals, made.safe, made.case2, made.cost, made.reward, made.alone_cost, made.alone_reward
+        found = (
+            made.residuals,
+            made.safe,
+            made.case2,
+            made.cost,
+            made.reward,
+            made.alone_cost,
+            made.alone_reward,
+        )
         for field, value in zip(self.planned, found, strict=True):
             note(field, value)
 
@@ -75,9 +96,15 @@ class Outcome:
 
 
 def refitted(plans: Tensor, elite: Tensor, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and standard deviation [B, L, A] of those of the plans [B, E, L, A] that are elites [B, E]; of none: as they were."""
+    """Return mean and standard deviation [B, L, A] of those of the plans [B, E, L, A] that are
+    elites [B, E]; of none: as they were.
+    """
     weight = elite.to(plans.dtype).view(*elite.shape, 1, 1)
     total, some = weight.sum(1).clamp(min=1), elite.any(-1).view(-1, 1, 1)
     centre = (weight * plans).sum(1) / total
-    spread = ((weight * (plans - centre.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=STD_FLOOR)
+    spread = (
+        ((weight * (plans - centre.unsqueeze(1)).square()).sum(1) / total)
+        .sqrt()
+        .clamp(min=STD_FLOOR)
+    )
     return torch.where(some, centre, mean), torch.where(some, spread, std)

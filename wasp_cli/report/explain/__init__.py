@@ -1,4 +1,5 @@
-"""Why an assistant did what it did: one stored episode with what the manifest says of its method, and the timeline of its gates.
+"""Why an assistant did what it did: one stored episode with what the manifest says of its method,
+and the timeline of its gates.
 
 Letters: T decisions of the episode, A actions, L residual steps, I iterations of the planner.
 """
@@ -16,7 +17,14 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.methods.registry import METHODS, Signal
-from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.metrics.episode import (
+    GATE_LATE,
+    GATE_METHOD,
+    GATE_NONE,
+    GATE_SAFETY,
+    GATE_TASK,
+    INTERVENED,
+)
 from wasp_cli.plan.node import cell_label
 from wasp_cli.report.stats import Floats, odd_tables_refused
 from wasp_cli.store.find import FoundCell
@@ -27,8 +35,16 @@ from wasp_cli.tasks.registry import TASKS
 
 Bools = NDArray[np.bool_]
 
-GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method", GATE_LATE: "late"}
-"""The gate that called for a correction; `method` is a rule of a method without WASP's gates, `late` an assistant that had not answered."""
+GATES = {
+    GATE_NONE: "none",
+    GATE_SAFETY: "safety",
+    GATE_TASK: "task",
+    GATE_METHOD: "method",
+    GATE_LATE: "late",
+}
+"""The gate that called for a correction; `method` is a rule of a method without WASP's gates,
+`late` an assistant that had not answered.
+"""
 
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
 THRESHOLDS = ("tau_c", "tau_r", "tau_q")
@@ -37,7 +53,9 @@ PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
 
 @dataclass(frozen=True)
 class Constants:
-    """What the manifest says of the method; None where there is no manifest, or the method has no such constant."""
+    """What the manifest says of the method; None where there is no manifest, or the method has
+    no such constant.
+    """
 
     horizon: int | None = None  # H
     residual_steps: int | None = None  # L
@@ -45,12 +63,17 @@ class Constants:
     probe: int | None = None  # N_probe: random corrections that the task gate judges
     feasible: int | None = None  # N_f
     takeover: bool = False
-    """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
+    """whether the gates look at one correction, the expert's action now, and imagine the
+    expert, not the operator, behind every command
+    """
     bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
     gamma_c: float | None = None
-    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over; a safety gate then looks at its action
+    # share of IDA's ensemble, from -1 to 1, above which it takes over; a safety gate then looks at
+    # its action
+    vote: float | None = None
     action_repeat: int | None = None  # env steps of a decision
-    decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
+    # simulated time of a decision; None of a task that is not ours
+    decision_seconds: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +86,13 @@ class Episode:
     a_h: Floats  # [T, A]
     a: Floats  # [T, A]
     numbers: Mapping[str, Floats]  # NUMBERS and PREDICTED, [T] each; NaN is undefined
-    safe: tuple[tuple[int, ...] | None, ...]  # T times: I counts |F_s|, or None where nothing was searched
+    # T times: I counts |F_s|, or None where nothing was searched
+    safe: tuple[tuple[int, ...] | None, ...]
     case2: tuple[tuple[bool, ...] | None, ...]  # T times: I
-    plan: tuple[tuple[float, ...] | None, ...]  # T times: L residuals of A numbers, one after the other
-    ms: Floats  # [T] decision time, as stored: divided by the episodes that were decided side by side
+    # T times: L residuals of A numbers, one after the other
+    plan: tuple[tuple[float, ...] | None, ...]
+    # [T] decision time, as stored: divided by the episodes that were decided side by side
+    ms: Floats
     constants: Constants
 
     @property
@@ -79,7 +105,9 @@ class Episode:
 
     @property
     def side_by_side(self) -> int:
-        """Episodes that shared the time of this one's decisions; 1 where the manifest does not say how many."""
+        """Episodes that shared the time of this one's decisions; 1 where the manifest does not
+        say how many.
+        """
         stated = self.cell.setting("settings", "side_by_side")
         size = stated if isinstance(stated, int) and stated > 0 else 1
         return min(size, self.episodes - int(self.row["episode"]) // size * size)
@@ -100,7 +128,10 @@ class Episode:
 
     def require(self, t: int) -> None:
         if not 0 <= t < self.decisions:
-            raise UsageError(f"there is no decision {t}", f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}")
+            raise UsageError(
+                f"there is no decision {t}",
+                f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}",
+            )
 
     @property
     def thresholds(self) -> Thresholds:
@@ -108,8 +139,12 @@ class Episode:
 
     @property
     def asks_task(self) -> bool:
-        """Tell whether there is a task gate: an ablation has none, nor has a safety gate behind another method."""
-        return self.variant != "safety-only" and (not self.constants.takeover or self.thresholds.tau_r is not None)
+        """Tell whether there is a task gate: an ablation has none, nor has a safety gate behind
+        another method.
+        """
+        return self.variant != "safety-only" and (
+            not self.constants.takeover or self.thresholds.tau_r is not None
+        )
 
     @property
     def signal(self) -> Signal:
@@ -121,7 +156,11 @@ class Episode:
         if limit in THRESHOLDS:
             return number(self.row[limit])
         stated = self.cell.setting("axes", "method_config", limit) if limit else None
-        return float(stated) if isinstance(stated, (int, float)) and not isinstance(stated, bool) else None
+        return (
+            float(stated)
+            if isinstance(stated, (int, float)) and not isinstance(stated, bool)
+            else None
+        )
 
     def at(self, name: str, t: int) -> float | None:
         return number(float(self.numbers[name][t]))
@@ -129,12 +168,21 @@ class Episode:
     @property
     def gated(self) -> bool:
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
-        return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None)  # others may bound a cost too
+        # others may bound a cost too
+        return bool(
+            fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None
+        )
 
     @property
     def selective(self) -> bool:
-        """Tell whether the method decides when to intervene, so that it can miss a cost. Human-only never does, a blend always."""
-        return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len({*self.gate.tolist()} - {GATE_LATE}) > 1)
+        """Tell whether the method decides when to intervene, so that it can miss a cost.
+        Human-only never does, a blend always.
+        """
+        return bool(
+            self.gated
+            or np.isfinite(self.numbers["signal"]).any()
+            or len({*self.gate.tolist()} - {GATE_LATE}) > 1
+        )
 
     @property
     def intervened(self) -> Bools:
@@ -153,7 +201,9 @@ class Episode:
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError where the table does not read."""
+    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError
+    where the table does not read.
+    """
     with odd_tables_refused(cell.path):
         return _read(cell, episode)
 
@@ -164,27 +214,43 @@ def _read(cell: FoundCell, episode: int) -> Episode:
     if not numbers:
         raise StoreError(f"{cell.path} has no episodes")
     if episode not in numbers:
-        raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")
+        raise UsageError(
+            f"there is no episode {episode}",
+            f"this cell has the episodes {min(numbers)} to {max(numbers)}",
+        )
     place = numbers.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
     if not mine.num_rows and (flat.num_rows or without_steps(cell.manifest)):
         kept = flat["episode"].unique().to_pylist()
-        here = f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on" if kept else "no episode of this cell has its own"
+        here = (
+            f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on"
+            if kept
+            else "no episode of this cell has its own"
+        )
         raise UsageError(
             f"the steps of episode {episode} are not here",
-            f"{here}; what is published may leave out steps, and wasp run SPEC --reuse none computes another cell: it trains anew",
+            f"{here}; what is published may leave out steps, and wasp run SPEC --reuse "
+            "none computes another cell: it trains anew",
         )
-    a_h, a = (np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1) for name in ("a_h", "a"))
+    a_h, a = (
+        np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1)
+        for name in ("a_h", "a")
+    )
     if not a.size or a.shape != a_h.shape:
         raise ValueError("its commands and actions do not have the same numbers, or none")
-    row = {name: printable(value) if isinstance(value, str) else value for name, value in rows.slice(place, 1).to_pylist()[0].items()}
+    row = {
+        name: printable(value) if isinstance(value, str) else value
+        for name, value in rows.slice(place, 1).to_pylist()[0].items()
+    }
     return Episode(
         cell=cell,
         row=row,
         episodes=len(numbers),
         # A value that this version does not know can only be a rule of some method.
-        gate=np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64),
+        gate=np.array(
+            [gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64
+        ),
         costly=np.asarray(mine["cost"].to_pylist(), bool),
         a_h=a_h,
         a=a,
@@ -203,7 +269,10 @@ def _floats(values: list[float | None]) -> Floats:
 
 
 def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:
-    return tuple(None if not value or any(part is None or part != part for part in value) else tuple(value) for value in values)
+    return tuple(
+        None if not value or any(part is None or part != part for part in value) else tuple(value)
+        for value in values
+    )
 
 
 def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
@@ -213,19 +282,31 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
         value = cell.setting("axes", "method_config", name)
         return value if type(value) is kind else None
 
-    counts = {name: of(name, int) for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")}
+    counts = {
+        name: of(name, int)
+        for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")
+    }
     takeover, printed = imagines_expert(cell), row["method"] == "printed"
     bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
-    if row["variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
+    # one imagined step and both critics, whatever H is
+    if row["variant"] == "no-rollout" and counts["horizon"] is not None:
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
-    gamma_c, repeat = cell.setting("settings", "returns", "gamma_c"), cell.setting("settings", "action_repeat")
+    gamma_c, repeat = (
+        cell.setting("settings", "returns", "gamma_c"),
+        cell.setting("settings", "action_repeat"),
+    )
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
-        **counts, takeover=takeover, bootstrap_cost=bootstrap, gamma_c=gamma_c if isinstance(gamma_c, float) else None,
-        vote=of("vote", float), action_repeat=repeat, decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
-    )  # fmt: skip
+        **counts,
+        takeover=takeover,
+        bootstrap_cost=bootstrap,
+        gamma_c=gamma_c if isinstance(gamma_c, float) else None,
+        vote=of("vote", float),
+        action_repeat=repeat,
+        decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
+    )
 
 
 def imagines_expert(cell: FoundCell) -> bool:
@@ -262,19 +343,27 @@ class Lane(NamedTuple):
 
     name: str
     height: int
-    levels: Sequence[tuple[str, float | str]]  # horizontal lines: their class and height from above in px
+    # horizontal lines: their class and height from above in px
+    levels: Sequence[tuple[str, float | str]]
     curves: Sequence[str] = ()  # points of polylines, `x,y x,y ...`
     marks: Sequence[Span] = ()
 
 
 def timeline(episode: Episode) -> list[Lane]:
     lanes = [_lane(*curve) for curve in curves(episode)]
-    acts = episode.intervened | (episode.gate == GATE_LATE)  # what was late is to be seen, though it did nothing
+    # what was late is to be seen, though it did nothing
+    acts = episode.intervened | (episode.gate == GATE_LATE)
     if acts.any():
         # A deviation that no gate called for is the method's own.
-        kinds = [LOOKS.get(gate, LOOKS[GATE_METHOD]).kind if here else "" for gate, here in zip(episode.gate.tolist(), acts, strict=True)]
+        kinds = [
+            LOOKS.get(gate, LOOKS[GATE_METHOD]).kind if here else ""
+            for gate, here in zip(episode.gate.tolist(), acts, strict=True)
+        ]
         lanes.append(Lane("acts", STRIP, BASE, marks=spans(kinds)))
-    return [*lanes, Lane("cost", STRIP, BASE, marks=spans(["cost" if here else "" for here in episode.costly]))]
+    return [
+        *lanes,
+        Lane("cost", STRIP, BASE, marks=spans(["cost" if here else "" for here in episode.costly])),
+    ]
 
 
 class Curve(NamedTuple):
@@ -288,7 +377,10 @@ def curves(episode: Episode) -> list[Curve]:
     """Return what the method looks at; a method without a signal of its own shows its deviation."""
     numbers, limits = episode.numbers, episode.thresholds
     if episode.gated:
-        return [Curve("Ḡᶜ", numbers["g_cost"], limits.tau_c, "τ_c"), Curve("ΔG", numbers["delta_g"], limits.tau_r, "τ_r")]
+        return [
+            Curve("Ḡᶜ", numbers["g_cost"], limits.tau_c, "τ_c"),
+            Curve("ΔG", numbers["delta_g"], limits.tau_r, "τ_r"),
+        ]
     if np.isfinite(numbers["signal"]).any():
         return [Curve(episode.signal.name, numbers["signal"], episode.signal_limit, "threshold")]
     return [Curve("|a−aᴴ|", numbers["deviation"], None, "")] if episode.intervened.any() else []
@@ -307,9 +399,15 @@ def spans(kinds: Iterable[str]) -> list[Span]:
 
 
 def _lane(name: str, values: Floats, limit: float | None, _: str) -> Lane:
-    """Draw from 0, or the least value, to the greatest one, at most a multiple of the threshold; NaN is a gap."""
+    """Draw from 0, or the least value, to the greatest one, at most a multiple of the
+    threshold; NaN is a gap.
+    """
     defined = values[np.isfinite(values)]
-    low, high = (min(0.0, float(defined.min())), max(0.0, float(defined.max()))) if len(defined) else (0.0, 0.0)
+    low, high = (
+        (min(0.0, float(defined.min())), max(0.0, float(defined.max())))
+        if len(defined)
+        else (0.0, 0.0)
+    )
     if limit is not None and limit > 0:
         low, high = max(low, -HEADROOM * limit), min(max(high, 1.1 * limit), HEADROOM * limit)
     span = high - low or 1.0
@@ -320,7 +418,10 @@ def _lane(name: str, values: Floats, limit: float | None, _: str) -> Lane:
     levels = [("base", 0.0), *([("limit", limit)] if limit is not None else [])]
     # From the left to the right border of each decision, so that a single value shows as well.
     curves = [
-        " ".join(f"{t},{y(float(values[t]))} {t + 1},{y(float(values[t]))}" for t in range(first, first + length))
+        " ".join(
+            f"{t},{y(float(values[t]))} {t + 1},{y(float(values[t]))}"
+            for t in range(first, first + length)
+        )
         for _, first, length in spans(["known" if known else "" for known in np.isfinite(values)])
     ]
     return Lane(name, CURVE, [(kind, y(level)) for kind, level in levels], curves)

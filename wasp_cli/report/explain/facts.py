@@ -1,4 +1,5 @@
-"""From the stored rows to facts, and from facts to JSON: an episode's totals and runs of decisions under one gate; one decision.
+"""From the stored rows to facts, and from facts to JSON: an episode's totals and runs of decisions
+under one gate; one decision.
 
 None is undefined. Letters: A actions, L residual steps, I iterations of the planner.
 """
@@ -18,13 +19,17 @@ from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_T
 from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, number
 from wasp_cli.report.stats import Floats
 
-State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
-"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
-`late`: nor was any gate asked in time. `off`: this method, or this variant of it, does without it."""
+State = Literal[
+    "fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"
+]
+"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that
+gains is not, or changes no force. `late`: nor was any gate asked in time. `off`: this method, or
+this variant of it, does without it."""
 
 Range = tuple[float, float]  # least and greatest
 
-WINDOW = 15  # decisions over which real costs are counted where no horizon H is known; the paper's H and W
+# decisions over which real costs are counted where no horizon H is known; the paper's H and W
+WINDOW = 15
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ class Gate:
 
 @dataclass(frozen=True)
 class Planned:
-    safe: tuple[int, ...]  # [I] |F_s| (Eq. 14); empty where the plan was carried out without a search
+    # [I] |F_s| (Eq. 14); empty where the plan was carried out without a search
+    safe: tuple[int, ...]
     case2: tuple[bool, ...]  # [I]
     residuals: tuple[tuple[float, ...], ...]  # [L, A]
     cost: float | None  # predicted cost return with the sequence
@@ -71,7 +77,9 @@ class Planned:
 
     @property
     def searched(self) -> bool:
-        """Tell whether a search found the sequence. Files of earlier versions have -1 in the first iteration where none did."""
+        """Tell whether a search found the sequence. Files of earlier versions have -1 in the
+        first iteration where none did.
+        """
         return bool(self.safe) and self.safe[0] != -1
 
     @property
@@ -88,7 +96,8 @@ class Happened:
     costly: int  # decisions with cost
     goals: int
     intervened: int  # decisions
-    discounted: float | None  # costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known
+    # costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known
+    discounted: float | None
 
 
 @dataclass(frozen=True)
@@ -119,24 +128,39 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 def _run(episode: Episode, first: int, end: int) -> Run:
     part, numbers = slice(first, end), episode.numbers
     return Run(
-        first=first, last=end - 1, gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
-        command=_tuple(episode.a_h[part].mean(0)), executed=_tuple(episode.a[part].mean(0)),
-        deviation=float(numbers["deviation"][part].mean()), intervened=int(episode.intervened[part].sum()),
-        g_cost=_range(numbers["g_cost"][part]), delta_g=_range(numbers["delta_g"][part]), signal=_range(numbers["signal"][part]),
-        cost=int(numbers["cost_env"][part].sum()), costly=tuple(first + t for t in places_of(episode.costly[part])),
+        first=first,
+        last=end - 1,
+        gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
+        command=_tuple(episode.a_h[part].mean(0)),
+        executed=_tuple(episode.a[part].mean(0)),
+        deviation=float(numbers["deviation"][part].mean()),
+        intervened=int(episode.intervened[part].sum()),
+        g_cost=_range(numbers["g_cost"][part]),
+        delta_g=_range(numbers["delta_g"][part]),
+        signal=_range(numbers["signal"][part]),
+        cost=int(numbers["cost_env"][part].sum()),
+        costly=tuple(first + t for t in places_of(episode.costly[part])),
         missed=tuple(first + t for t in places_of(episode.missed[part])),
-    )  # fmt: skip
+    )
 
 
 def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
-    """Return the runs of an episode, merged into at most `most`: short quiet ones join their neighbours first."""
+    """Return the runs of an episode, merged into at most `most`: short quiet ones join their
+    neighbours first.
+    """
     pieces = list(runs_of(episode))
     while len(pieces) > max(most, 1):
-        # A quiet decision between two of a gate says less than the gate: it goes before the others do.
-        i = min(range(len(pieces)), key=lambda k: (pieces[k].decisions * (1 if pieces[k].gate == "none" else 3), k))
+        # A quiet decision between two of a gate says less than the gate: it goes before the others
+        # do.
+        i = min(
+            range(len(pieces)),
+            key=lambda k: (pieces[k].decisions * (1 if pieces[k].gate == "none" else 3), k),
+        )
         left, right = max(i - 1, 0), min(i + 1, len(pieces) - 1)
         if left < i < right and pieces[left].gate != pieces[right].gate:
-            left, right = (i, right) if pieces[right].decisions <= pieces[left].decisions else (left, i)
+            left, right = (
+                (i, right) if pieces[right].decisions <= pieces[left].decisions else (left, i)
+            )
         pieces[left : right + 1] = [_run(episode, pieces[left].first, pieces[right].last + 1)]
     return tuple(pieces)
 
@@ -144,14 +168,25 @@ def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
 def decision_of(episode: Episode, t: int) -> Decision:
     episode.require(t)
     horizon = episode.constants.horizon
-    window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
+    # `no-rollout` sees one step, but costs take longer to come
+    window = WINDOW if horizon is None or horizon == 1 else horizon
     return Decision(
-        t=t, gate=GATES[int(episode.gate[t])], command=_tuple(episode.a_h[t]), executed=_tuple(episode.a[t]),
-        deviation=float(episode.numbers["deviation"][t]), intervened=bool(episode.intervened[t]),
-        safety=_safety(episode, t) if episode.gated else None, task=_task(episode, t) if episode.gated else None,
-        g_return=episode.at("g_return", t), signal=episode.at("signal", t), plan=_plan(episode, t), now=_happened(episode, t, 1),
-        ahead=_happened(episode, t, window), window=window, ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
-    )  # fmt: skip
+        t=t,
+        gate=GATES[int(episode.gate[t])],
+        command=_tuple(episode.a_h[t]),
+        executed=_tuple(episode.a[t]),
+        deviation=float(episode.numbers["deviation"][t]),
+        intervened=bool(episode.intervened[t]),
+        safety=_safety(episode, t) if episode.gated else None,
+        task=_task(episode, t) if episode.gated else None,
+        g_return=episode.at("g_return", t),
+        signal=episode.at("signal", t),
+        plan=_plan(episode, t),
+        now=_happened(episode, t, 1),
+        ahead=_happened(episode, t, window),
+        window=window,
+        ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
+    )
 
 
 def _safety(episode: Episode, t: int) -> Gate:
@@ -181,8 +216,13 @@ def _task(episode: Episode, t: int) -> Gate:
         state = "not asked"
     elif episode.constants.takeover and exceeds(value, episode.thresholds.tau_r):
         state = "withheld"
-    elif value is None:  # where a cost return is known the decision has been recorded, and so would be a gain
-        state = "unknown" if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None else "no candidate"
+    elif value is None:
+        # where a cost return is known the decision has been recorded, and so would be a gain
+        state = (
+            "unknown"
+            if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None
+            else "no candidate"
+        )
     return Gate(state, value, episode.thresholds.tau_r)
 
 
@@ -192,7 +232,12 @@ def _plan(episode: Episode, t: int) -> Planned | None:
         return None
     actions = episode.a.shape[1]
     residuals = tuple(plan[k : k + actions] for k in range(0, len(plan), actions))
-    return Planned(episode.safe[t] or (), episode.case2[t] or (), residuals, *(episode.at(name, t) for name in PREDICTED))
+    return Planned(
+        episode.safe[t] or (),
+        episode.case2[t] or (),
+        residuals,
+        *(episode.at(name, t) for name in PREDICTED),
+    )
 
 
 def _happened(episode: Episode, t: int, window: int) -> Happened:
@@ -200,14 +245,23 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
     part, gamma = slice(t, end), episode.constants.gamma_c
     costly = episode.costly[part]
     return Happened(
-        first=t, last=end - 1, reward=float(episode.numbers["reward"][part].sum()), cost=int(episode.numbers["cost_env"][part].sum()),
-        costly=int(costly.sum()), goals=int(episode.numbers["goals"][part].sum()), intervened=int(episode.intervened[part].sum()),
-        discounted=None if gamma is None else float((gamma ** np.arange(len(costly)))[costly].sum()),
-    )  # fmt: skip
+        first=t,
+        last=end - 1,
+        reward=float(episode.numbers["reward"][part].sum()),
+        cost=int(episode.numbers["cost_env"][part].sum()),
+        costly=int(costly.sum()),
+        goals=int(episode.numbers["goals"][part].sum()),
+        intervened=int(episode.intervened[part].sum()),
+        discounted=None
+        if gamma is None
+        else float((gamma ** np.arange(len(costly)))[costly].sum()),
+    )
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:
-    """Tell whether a stored value is above a threshold. Gates compare in single precision, and rows hold it."""
+    """Tell whether a stored value is above a threshold. Gates compare in single precision, and
+    rows hold it.
+    """
     return value is not None and limit is not None and bool(np.float32(value) > np.float32(limit))
 
 
@@ -226,31 +280,58 @@ def _range(values: Floats) -> Range | None:
 
 def episode_json(episode: Episode) -> dict[str, Any]:
     row, names = episode.row, ("g_cost", "deviation", "cost_env")
-    shares = {name: float((episode.gate == value).mean()) for value, name in GATES.items() if (episode.gate == value).any()}
+    shares = {
+        name: float((episode.gate == value).mean())
+        for value, name in GATES.items()
+        if (episode.gate == value).any()
+    }
     totals = {name: row[name] for name in ("return", "cost", "goals", "success")}
-    totals |= {name: places_of(getattr(episode, name)) for name in ("costly", "missed", "late", "intervened")}
+    totals |= {
+        name: places_of(getattr(episode, name))
+        for name in ("costly", "missed", "late", "intervened")
+    }
     totals |= {"int_rate": row["int_rate"], "mag_int": row["mag_int"], "gate_share": shares}
     totals |= {name: row[name] for name in ("case2", "decision_p50_ms", "decision_p95_ms")}
     facts = {
-        "who": _who(episode), "thresholds": asdict(episode.thresholds), "constants": asdict(episode.constants),
-        "gated": episode.gated, "selective": episode.selective, "totals": totals, "runs": [asdict(run) for run in runs_of(episode)],
-        "series": {"gate": episode.gate, **{name: episode.numbers[name] for name in names}}, "signal_limit": episode.signal_limit,
-    }  # fmt: skip
+        "who": _who(episode),
+        "thresholds": asdict(episode.thresholds),
+        "constants": asdict(episode.constants),
+        "gated": episode.gated,
+        "selective": episode.selective,
+        "totals": totals,
+        "runs": [asdict(run) for run in runs_of(episode)],
+        "series": {"gate": episode.gate, **{name: episode.numbers[name] for name in names}},
+        "signal_limit": episode.signal_limit,
+    }
     return dict(plain_values(facts))
 
 
 def decision_json(episode: Episode, t: int) -> dict[str, Any]:
-    limits = {"tau_q": episode.thresholds.tau_q, "tau_c": episode.thresholds.tau_c, "signal_limit": episode.signal_limit}
-    facts = {"who": _who(episode), "constants": asdict(episode.constants), **asdict(decision_of(episode, t)), **limits}
+    limits = {
+        "tau_q": episode.thresholds.tau_q,
+        "tau_c": episode.thresholds.tau_c,
+        "signal_limit": episode.signal_limit,
+    }
+    facts = {
+        "who": _who(episode),
+        "constants": asdict(episode.constants),
+        **asdict(decision_of(episode, t)),
+        **limits,
+    }
     return dict(plain_values(facts))
 
 
 def _who(episode: Episode) -> dict[str, Any]:
     names = ("task", "method", "variant", "operator", "value", "seed", "episode")
     return {
-        "key": episode.cell.key, "label": episode.label, "path": str(episode.cell.path), **{name: episode.row[name] for name in names},
-        "episodes": episode.episodes, "episode_seed": episode.row["episode_seed"], "decisions": episode.decisions,
-    }  # fmt: skip
+        "key": episode.cell.key,
+        "label": episode.label,
+        "path": str(episode.cell.path),
+        **{name: episode.row[name] for name in names},
+        "episodes": episode.episodes,
+        "episode_seed": episode.row["episode_seed"],
+        "decisions": episode.decisions,
+    }
 
 
 def plain_values(value: Any) -> Any:

@@ -22,8 +22,12 @@ NUMBER = re.compile(r"[-+.…%\d]*")
 def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
     console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
     lines = []
-    for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
-        line = Text.assemble(*((segment.text, segment.style or "") for segment in Segment.simplify(segments)))
+    for segments in console.render_lines(
+        Group(*parts), console.options.update(width=width), pad=False
+    ):
+        line = Text.assemble(
+            *((segment.text, segment.style or "") for segment in Segment.simplify(segments))
+        )
         line.rstrip()
         lines.append(line)
     return lines
@@ -45,12 +49,25 @@ def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
     return _indented(grid)
 
 
-def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
-    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A column of `-` alone is left out."""
-    columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
+def table(
+    titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()
+) -> RenderableType:
+    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A
+    column of `-` alone is left out.
+    """
+    columns = [
+        (title, cells)
+        for title, *cells in zip(titles, *rows, strict=True)
+        if {*map(str, cells)} != {"-"}
+    ]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
-        drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
+        drawn.add_column(
+            title,
+            justify="right"
+            if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells)
+            else "left",
+        )
     for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
         drawn.add_row(*row, style=styles[i] if styles else "")
     return _indented(drawn)
@@ -79,7 +96,13 @@ def short(value: float | None, digits: int = 3) -> str:
 
 def beside(value: float | None, limit: float | None) -> tuple[str, str]:
     digits = 3
-    while value is not None and limit is not None and value != limit and short(value, digits) == short(limit, digits) and digits < 8:
+    while (
+        value is not None
+        and limit is not None
+        and value != limit
+        and short(value, digits) == short(limit, digits)
+        and digits < 8
+    ):
         digits += 1
     return short(value, digits), short(limit, digits)
 
@@ -97,11 +120,21 @@ def span(first: int, last: int) -> str:
 
 
 def places(decisions: Sequence[int]) -> str:
-    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
+    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there
+    are.
+    """
     # Within a range a decision and its place in the list are as far apart as those before it.
-    ranges = [[t for _, t in part] for _, part in groupby(enumerate(decisions), lambda placed: placed[1] - placed[0])]
+    ranges = [
+        [t for _, t in part]
+        for _, part in groupby(enumerate(decisions), lambda placed: placed[1] - placed[0])
+    ]
     more = sum(map(len, ranges[4:]))
-    return ", ".join([span(part[0], part[-1]) for part in ranges[:4]] + ([f"{more} more"] if more else [])) or "-"
+    return (
+        ", ".join(
+            [span(part[0], part[-1]) for part in ranges[:4]] + ([f"{more} more"] if more else [])
+        )
+        or "-"
+    )
 
 
 def count(number: int, thing: str) -> str:

@@ -1,6 +1,7 @@
 """An episode and a decision as tables, in plain words with the paper's symbols.
 
-An episode: outcome, gates, and its runs of decisions under one gate. A decision: the action, the gates, the plan, and what then happened.
+An episode: outcome, gates, and its runs of decisions under one gate. A decision: the action, the
+gates, the plan, and what then happened.
 """
 
 from __future__ import annotations
@@ -11,10 +12,25 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import (
+    CUT_OFF,
+    GATE_LATE,
+    GATE_METHOD,
+    GATE_NONE,
+    GATE_SAFETY,
+    GATE_TASK,
+)
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.explain import LOOKS, Constants, Episode, number
-from wasp_cli.report.explain.facts import Decision, Planned, Run, decision_of, exceeds, merged_runs, runs_of
+from wasp_cli.report.explain.facts import (
+    Decision,
+    Planned,
+    Run,
+    decision_of,
+    exceeds,
+    merged_runs,
+    runs_of,
+)
 from wasp_cli.report.explain.layout import (
     BETWEEN,
     INDENT,
@@ -43,20 +59,37 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
-    telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
+    telling = (
+        (episode.missed, episode.intervened, episode.costly)
+        if episode.selective
+        else (episode.costly, episode.intervened)
+    )
     place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
-    hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"
+    hint = (
+        f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} "
+        f"--step {place}"
+    )
     intervened, costly, missed, late = _counts(episode)
-    changed = f"{intervened} of {count(episode.decisions, 'command')} changed" if intervened else "No command changed"
+    changed = (
+        f"{intervened} of {count(episode.decisions, 'command')} changed"
+        if intervened
+        else "No command changed"
+    )
     blame = f", {missed} of them missed (no gate fired)" if costly and episode.selective else ""
     blame += f", {late} while the assistant was late" if late else ""
     runs = merged_runs(episode, MOST_RUNS)
     parts = [
-        heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}"),
+        heading(
+            f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}"
+        ),
         f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}.",
         "",
         fields([*_cell(episode), *_outcome(episode)]),
-        *(section("Gates" if episode.gated else "Decisions", *_gate_counts(episode)) if episode.selective else ()),
+        *(
+            section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
+            if episode.selective
+            else ()
+        ),
         *section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs))),
     ]
     return [*set_out(parts, width), Text(hint, "dim")]
@@ -68,9 +101,16 @@ def _cell(episode: Episode) -> list[tuple[str, str]]:
     rule = METHODS[method].rule if method in METHODS else ""
     operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
     if operator in OPERATORS:
-        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
+        operator, severity = (
+            OPERATORS[operator].title.lower(),
+            f"{severity} ({OPERATORS[operator].unit})",
+        )
     return [
-        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
+        (
+            "cell",
+            f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world "
+            f"{row['episode_seed']}",
+        ),
         ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
         ("method", rule or f"not described: see the documentation of '{method}'"),
         ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
@@ -79,9 +119,19 @@ def _cell(episode: Episode) -> list[tuple[str, str]]:
 
 def _cost_meaning(constants: Constants) -> str:
     if constants.bootstrap_cost:
-        return f"G^c: expected discounted cost if {_goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
-    within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
-    return f"G^c: expected costly decisions within {within}, discounted, if {_goes_on(constants)} (Eq. 9)"
+        return (
+            f"G^c: expected discounted cost if {_goes_on(constants)}, with the critic beyond "
+            "the horizon (Eq. 9)"
+        )
+    within = (
+        "the horizon H"
+        if constants.horizon is None
+        else f"the next {count(constants.horizon, 'decision')}"
+    )
+    return (
+        f"G^c: expected costly decisions within {within}, discounted, if {_goes_on(constants)} "
+        "(Eq. 9)"
+    )
 
 
 def _goes_on(constants: Constants) -> str:
@@ -92,19 +142,33 @@ def _goes_on(constants: Constants) -> str:
 
 def _gain_meaning(constants: Constants) -> str:
     if constants.takeover:
-        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
+        return (
+            "ΔG: expected gain in return by the expert's action now, where the safety gate is "
+            "silent (Eq. 12)"
+        )
     tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
-    return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
+    return (
+        f"ΔG: expected gain in return by the best safe correction{tried}, where the safety "
+        "gate is silent (Eq. 12)"
+    )
 
 
 def _counts(episode: Episode) -> tuple[int, int, int, int]:
-    return int(episode.intervened.sum()), int(episode.costly.sum()), int(episode.missed.sum()), int(episode.late.sum())
+    return (
+        int(episode.intervened.sum()),
+        int(episode.costly.sum()),
+        int(episode.missed.sum()),
+        int(episode.late.sum()),
+    )
 
 
 def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
     row, constants, many = episode.row, episode.constants, episode.side_by_side
     intervened, costly, missed, late = _counts(episode)
-    outcome = f"return {plain(row['return'])}, {count(row['goals'], 'goal')} ({'success' if row['success'] else 'no success'})"
+    outcome = (
+        f"return {plain(row['return'])}, {count(row['goals'], 'goal')} "
+        f"({'success' if row['success'] else 'no success'})"
+    )
     outcome += f", {count(episode.decisions, 'decision')}"
     if constants.action_repeat is not None:
         outcome += f" of {count(constants.action_repeat, 'env step')}"
@@ -114,25 +178,42 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
     cost = count(row["cost"], "env step")
     if costly:
         cost += f", in {count(costly, 'decision')}"
-        cost += f": {missed} missed, {costly - missed - late} although a gate fired" if episode.selective else ""
+        cost += (
+            f": {missed} missed, {costly - missed - late} although a gate fired"
+            if episode.selective
+            else ""
+        )
         cost += f", {late} while the assistant was late" if late else ""
     yield "cost", cost
-    mean, case2, p50, p95 = (number(row[name]) for name in ("mag_int", "case2", "decision_p50_ms", "decision_p95_ms"))
+    mean, case2, p50, p95 = (
+        number(row[name]) for name in ("mag_int", "case2", "decision_p50_ms", "decision_p95_ms")
+    )
     size = "" if mean is None else f", by {mean:.2f} on average (|a - a^H|)"
-    yield "changed", f"{count(intervened, 'decision')} ({row['int_rate']:.1%}, Int.){size}" if intervened else "none"
+    yield (
+        "changed",
+        f"{count(intervened, 'decision')} ({row['int_rate']:.1%}, Int.){size}"
+        if intervened
+        else "none",
+    )
     if case2 is not None:
         yield "Case II", f"{case2:.0%} of the planner's iterations: too few safe candidates"
     if p50 is None or p95 is None:
         yield "time", "not recorded"
     else:
-        shared = "" if many == 1 else f"; the time of {many} episodes decided side by side, divided by {many}"
+        shared = (
+            ""
+            if many == 1
+            else f"; the time of {many} episodes decided side by side, divided by {many}"
+        )
         yield "time", f"{ms(p50)} per decision (p50), {ms(p95)} (p95){shared}"
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
     thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
-    above = "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
+    above = (
+        "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
+    )
     gates = [(GATE_METHOD, who_title(episode.method), above)]
     if episode.gated:
         safety = off if episode.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
@@ -140,10 +221,24 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
         own = gates if (episode.gate == GATE_METHOD).any() else []
         gates = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *own]
     rows = []
-    for gate, name, where in [*gates, (GATE_NONE, "none", "-"), *([(GATE_LATE, "late", "no answer in time")] if late else [])]:
+    for gate, name, where in [
+        *gates,
+        (GATE_NONE, "none", "-"),
+        *([(GATE_LATE, "late", "no answer in time")] if late else []),
+    ]:
         fired = episode.gate == gate
-        stood = int((fired & ~episode.intervened).sum()) if gate not in (GATE_NONE, GATE_LATE) else 0
-        rows.append([name, where, str(int(fired.sum())), f"{fired.mean():.1%}", str(stood) if stood else "-"])
+        stood = (
+            int((fired & ~episode.intervened).sum()) if gate not in (GATE_NONE, GATE_LATE) else 0
+        )
+        rows.append(
+            [
+                name,
+                where,
+                str(int(fired.sum())),
+                f"{fired.mean():.1%}",
+                str(stood) if stood else "-",
+            ]
+        )
     yield table(["gate", "fires where", "decisions", "share", "command kept"], rows)
     if episode.gated:
         yield from notes(_cost_meaning(episode.constants), _gain_meaning(episode.constants))
@@ -152,7 +247,10 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
     if any(row[-1] != "-" for row in rows):
         yield from notes("command kept: a gate fired, and the command was executed as it was")
     if late:
-        yield from notes("late: the assistant had not answered in time, no gate was asked, and the command was executed as it was")
+        yield from notes(
+            "late: the assistant had not answered in time, no gate was asked, and the "
+            "command was executed as it was"
+        )
 
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
@@ -160,10 +258,16 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     gates, changed, actions = [], [], []
     for run in runs:
         gate = {"none": "-", "method": who_title(episode.method)}.get(run.gate, run.gate)
-        gates.append(gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}")  # of merged runs `safety 12/15`
+        # of merged runs `safety 12/15`
+        gates.append(
+            gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}"
+        )
         by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
         changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
-        actions.append(f"{action(run.command)} {f'→ {action(run.executed)}' if run.intervened else 'as commanded'}")
+        actions.append(
+            f"{action(run.command)} "
+            f"{f'→ {action(run.executed)}' if run.intervened else 'as commanded'}"
+        )
     columns = [
         ("decisions", [span(run.first, run.last) for run in runs]),
         ("gate", gates if episode.selective else ["-"] * len(runs)),
@@ -180,7 +284,9 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
         sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
         if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
             columns[place] = (columns[place][0], ["-"] * len(runs))
-    rows: list[list[str | Text]] = [list(row) for row in zip(*(cells for _, cells in columns), strict=True)]
+    rows: list[list[str | Text]] = [
+        list(row) for row in zip(*(cells for _, cells in columns), strict=True)
+    ]
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
     return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
@@ -189,14 +295,19 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:
     parts = []
     if episode.intervened.any():
-        parts.append("changed: decisions with another action than the command, and by how much (|a - a^H|)")
+        parts.append(
+            "changed: decisions with another action than the command, and by how much (|a - a^H|)"
+        )
     if episode.costly.any():
         parts.append("cost: env steps with cost")
     if episode.missed.any():
         parts.append("missed: cost, and no gate fired")
     all_runs = len(runs_of(episode))
     if len(runs) < all_runs:
-        parts.append(f"{all_runs} runs in {len(runs)} rows, short ones merged: 'safety 12/15' is 12 of 15 decisions")
+        parts.append(
+            f"{all_runs} runs in {len(runs)} rows, short ones merged: 'safety 12/15' is 12 "
+            "of 15 decisions"
+        )
     if len(set(episode.gate.tolist())) == 1 and all_runs > 1:
         why = "the gate never changed, so " if episode.selective else ""
         parts.append(f"{why}the rows are stretches with and without cost")
@@ -220,7 +331,10 @@ def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
 
 
 def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
-    yield heading(f"{episode.label} · episode {episode.row['episode']} · decision {facts.t}", f"of 0 to {episode.decisions - 1}")
+    yield heading(
+        f"{episode.label} · episode {episode.row['episode']} · decision {facts.t}",
+        f"of 0 to {episode.decisions - 1}",
+    )
     yield _decision_headline(episode, facts)
     yield ""
     yield fields(_cell(episode))
@@ -228,29 +342,54 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     if facts.safety is not None and facts.task is not None:
         rows, styles = [], []
         for look, gate, symbol, limit in (
-            (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r")
-        ):  # fmt: skip
+            (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"),
+            (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r"),
+        ):
             value, threshold = beside(gate.value, gate.threshold)
             rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
             styles.append(look.style if gate.state == "fired" else "")
         meanings = notes(_cost_meaning(episode.constants), _gain_meaning(episode.constants))
-        yield from section("Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings)
+        yield from section(
+            "Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings
+        )
         yield from section("Plan", *_plan(episode, facts))
     if facts.signal is not None:
         signal, needed = episode.signal, episode.signal_limit
-        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))  # a gate behind a vote
-        row = [signal.name, *beside(facts.signal, needed), short(episode.thresholds.tau_q), "yes" if fired else "no"]
-        drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
+        # a gate behind a vote
+        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))
+        row = [
+            signal.name,
+            *beside(facts.signal, needed),
+            short(episode.thresholds.tau_q),
+            "yes" if fired else "no",
+        ]
+        drawn = table(
+            ["signal", "value", "threshold", "τ_Q", "intervenes"],
+            [row],
+            [LOOKS[GATE_METHOD].style if fired else ""],
+        )
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
     shared, time = episode.side_by_side, "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
-        time += f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, divided by {shared}"
-    yield from section("What then happened", *_happened(episode, facts), fields([("decision time", time)]))
+        time += (
+            f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, "
+            f"divided by {shared}"
+        )
+    yield from section(
+        "What then happened", *_happened(episode, facts), fields([("decision time", time)])
+    )
 
 
 def _decision_headline(episode: Episode, facts: Decision) -> str:
-    did = f"the command was changed by {facts.deviation:.3g}" if facts.intervened else "the command was executed"
-    for name, gate, symbols in (("safety", facts.safety, ("G^c", "τ_c")), ("task", facts.task, ("ΔG", "τ_r"))):
+    did = (
+        f"the command was changed by {facts.deviation:.3g}"
+        if facts.intervened
+        else "the command was executed"
+    )
+    for name, gate, symbols in (
+        ("safety", facts.safety, ("G^c", "τ_c")),
+        ("task", facts.task, ("ΔG", "τ_r")),
+    ):
         if gate is not None and gate.state == "fired":
             value, limit = beside(gate.value, gate.threshold)
             if facts.plan is not None and not facts.intervened:
@@ -268,14 +407,27 @@ def _action(facts: Decision) -> RenderableType:
     if facts.intervened and facts.plan is None:
         how = "the method's own action"
     elif facts.intervened and facts.plan is not None:
-        wished = [command + residual for command, residual in zip(facts.command, facts.plan.residuals[0], strict=True)]
+        wished = [
+            command + residual
+            for command, residual in zip(facts.command, facts.plan.residuals[0], strict=True)
+        ]
         cut = ", cut off at the bounds" if any(abs(wish) > 1 + 1e-4 for wish in wished) else ""
-        least = any(abs(min(max(wish, -1.0), 1.0) - done) > 1e-4 for wish, done in zip(wished, facts.executed, strict=True))
-        how = f"command and first correction{cut}{', as the least action of that force' if least else ''} (Eq. 18)"
+        least = any(
+            abs(min(max(wish, -1.0), 1.0) - done) > 1e-4
+            for wish, done in zip(wished, facts.executed, strict=True)
+        )
+        how = (
+            "command and first "
+            f"correction{cut}{', as the least action of that force' if least else ''} (Eq. 18)"
+        )
     rows = [
         ["command", action(facts.command), "a^H, from the operator"],
         ["executed", action(facts.executed), f"a, {how}"],
-        ["deviation", f"{facts.deviation:.3g}", f"|a - a^H|, {'an' if facts.intervened else 'no'} intervention"],
+        [
+            "deviation",
+            f"{facts.deviation:.3g}",
+            f"|a - a^H|, {'an' if facts.intervened else 'no'} intervention",
+        ],
     ]
     return table(["action", "value", "meaning"], rows)
 
@@ -283,18 +435,32 @@ def _action(facts: Decision) -> RenderableType:
 def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     plan = facts.plan
     if plan is None:
-        why = {"late": "the assistant was late", "method": "the method decided by its own rule"}.get(facts.gate, "no gate fired")
-        yield fields([("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")])
+        why = {
+            "late": "the assistant was late",
+            "method": "the method decided by its own rule",
+        }.get(facts.gate, "no gate fired")
+        yield fields(
+            [("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")]
+        )
         return
     if plan.searched:
         cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made
         made = zip(plan.safe[cut:], plan.case2[cut:], strict=True)
-        rows = [[str(i), str(safe), "II" if case2 else "I"] for i, (safe, case2) in enumerate(made, 1)]
+        rows = [
+            [str(i), str(safe), "II" if case2 else "I"] for i, (safe, case2) in enumerate(made, 1)
+        ]
         yield table(["iteration", "safe (|F_s|)", "case"], rows)
         yield from notes(*(_case(episode, case2) for case2 in sorted(set(plan.case2[cut:]))))
-        yield from notes(f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
+        yield from notes(
+            f"the search was cut off before its last {count(cut, 'iteration')}: its time was up"
+            if cut
+            else ""
+        )
     else:
-        said = "none: the correction that the gate compared with the command is predicted safe, and is carried out"
+        said = (
+            "none: the correction that the gate compared with the command is predicted safe, "
+            "and is carried out"
+        )
         yield fields([("search", said)])
     yield from _corrections(episode, facts, plan)
     yield from _predicted(episode, facts, plan)
@@ -305,11 +471,25 @@ def _corrections(episode: Episode, facts: Decision, plan: Planned) -> list[Rende
         why = "no candidate was predicted to be worth its size (Eq. 16-17)"
         if episode.variant == "no-case2" and not any(plan.safe):
             why = "no candidate was safe, and this variant has no recovery (Case II)"
-        elif facts.gate == "safety" and plan.alone_cost is not None and not exceeds(plan.alone_cost, episode.thresholds.tau_c):
-            why = "on a second look the command alone was predicted safe, and no correction was worth more"
+        elif (
+            facts.gate == "safety"
+            and plan.alone_cost is not None
+            and not exceeds(plan.alone_cost, episode.thresholds.tau_c)
+        ):
+            why = (
+                "on a second look the command alone was predicted safe, and no correction was "
+                "worth more"
+            )
         return [fields([("correction", f"none: {why}")])]
-    many = len(plan.residuals) if plan.searched else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
-    rows = [[f"+{k}", action(residual), "not executed: planned again then"] for k, residual in enumerate(plan.residuals[:many])]
+    many = (
+        len(plan.residuals)
+        if plan.searched
+        else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
+    )
+    rows = [
+        [f"+{k}", action(residual), "not executed: planned again then"]
+        for k, residual in enumerate(plan.residuals[:many])
+    ]
     rows[0][::2] = "now", "executed"
     return ["", table(["step", "correction δa (Eq. 13)", "use"], rows)]
 
@@ -318,42 +498,84 @@ def _case(episode: Episode, case2: bool) -> str:
     feasible = episode.constants.feasible
     needed = "N_f" if feasible is None else f"N_f = {feasible}"
     if not case2:
-        return f"Case I: at least {needed} candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)"
+        return (
+            f"Case I: at least {needed} candidates are safe (Eq. 14); the search maximizes "
+            "predicted return (Eq. 16)"
+        )
     if episode.variant == "no-case2":
-        return f"Case II: fewer than {needed} are safe; this variant has no recovery and goes on with these"
-    return f"Case II: fewer than {needed} are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)"
+        return (
+            f"Case II: fewer than {needed} are safe; this variant has no recovery and goes on "
+            "with these"
+        )
+    return (
+        f"Case II: fewer than {needed} are safe (Eq. 14); the search minimizes predicted cost "
+        "(Eq. 17)"
+    )
 
 
 def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
     limit = episode.thresholds.tau_c
-    sequences = [("command alone" if episode.constants.takeover else "commands alone", plan.alone_cost, plan.alone_return)]
+    sequences = [
+        (
+            "command alone" if episode.constants.takeover else "commands alone",
+            plan.alone_cost,
+            plan.alone_return,
+        )
+    ]
     if not plan.empty:
         sequences.insert(0, ("with the correction", plan.cost, plan.return_))
     rows = []
     for name, cost, gain in sequences:
         value, bound = beside(cost, limit)
-        within = "-" if cost is None or limit is None else f"no, above {bound}" if exceeds(cost, limit) else "yes"
+        within = (
+            "-"
+            if cost is None or limit is None
+            else f"no, above {bound}"
+            if exceeds(cost, limit)
+            else "yes"
+        )
         rows.append([name, value, within, short(gain)])
-    # The printed WASP plans on the rollouts of its gates; a correction without a search is one of the futures that they compared.
+    # The printed WASP plans on the rollouts of its gates; a correction without a search is one of
+    # the futures that they compared.
     again = facts.gate == "safety" and plan.searched and episode.method != "printed"
     drawn = table(["predicted", "cost (G^c)", f"within τ_c {short(limit)}", "return (G^r)"], rows)
-    return ["", drawn, *notes("the gate used other rollouts, so its G^c may differ" if again else "")]
+    return [
+        "",
+        drawn,
+        *notes("the gate used other rollouts, so its G^c may differ" if again else ""),
+    ]
 
 
 def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     ahead, constants = facts.ahead, episode.constants
     rows = [
-        [span(part.first, part.last), str(part.intervened), plain(part.reward, sign=True), *map(str, (part.cost, part.costly, part.goals))]
+        [
+            span(part.first, part.last),
+            str(part.intervened),
+            plain(part.reward, sign=True),
+            *map(str, (part.cost, part.costly, part.goals)),
+        ]
         for part in (facts.now, ahead)
     ]
     yield table(["decisions", "changed", "reward", "cost", "costly decisions", "goals"], rows)
     ended = ahead.last - ahead.first + 1 < facts.window
-    yield from notes("cost: env steps with cost" + (f"; the episode ended before {facts.window} decisions" if ended else ""))
+    yield from notes(
+        "cost: env steps with cost"
+        + (f"; the episode ended before {facts.window} decisions" if ended else "")
+    )
     # The gate's expectation beside what came, where both count the same.
     comparable = constants.horizon == facts.window and constants.bootstrap_cost is False
-    if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
+    if (
+        facts.safety is not None
+        and facts.safety.value is not None
+        and ahead.discounted is not None
+        and comparable
+    ):
         came = f"observed{', with the interventions' if ahead.intervened else ''}"
         first = "the command" if constants.vote is None else "IDA's action"
         expected = f"{first}, then the expert" if constants.takeover else "the operator alone"
-        rows = [[f"expected of {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
+        rows = [
+            [f"expected of {expected} (G^c)", short(facts.safety.value)],
+            [came, short(ahead.discounted)],
+        ]
         yield table(["costly decisions", f"discounted (γ_c {short(constants.gamma_c)})"], rows)

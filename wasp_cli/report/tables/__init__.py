@@ -1,4 +1,6 @@
-"""The tables of a report. Here one table as a value, apart from how it is printed (`report.render`), and the names that stand in tables."""
+"""The tables of a report. Here one table as a value, apart from how it is printed
+(`report.render`), and the names that stand in tables.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class Column:
     optional: bool = False  # left out where there is no room
     signed: bool = False  # whether a positive number has a sign: a difference
     least: bool = False
-    """Whether a positive number that would be printed as zero is printed as less than the smallest one that is not: a time."""
+    """Whether a positive number that would be printed as zero is printed as less than the
+    smallest one that is not: a time.
+    """
 
     @property
     def heading(self) -> str:
@@ -49,7 +53,10 @@ class Column:
         if value.sd is not None and self.spread and spread:
             text += f" ± {self.number(value.sd)}"
         if value.interval is not None and self.spread and spread:
-            text += f" [{self.number(value.interval.low, self.signed)}, {self.number(value.interval.high, self.signed)}]"
+            text += (
+                f" [{self.number(value.interval.low, self.signed)}, "
+                f"{self.number(value.interval.high, self.signed)}]"
+            )
         if value.delta is not None and delta:
             text += f" ({self.number(value.delta, sign=True)})"
         return text
@@ -60,34 +67,52 @@ class Row:
     labels: tuple[str, ...]
     values: tuple[Value, ...]
     columns: tuple[Column, ...] = ()
-    """How its numbers are printed and ranked, where rows have different units; otherwise as the table's columns say."""
-    names: tuple[str, ...] = ()  # its labels in data files, where they are others: numbers have no unit there
+    """How its numbers are printed and ranked, where rows have different units; otherwise as the
+    table's columns say.
+    """
+    # its labels in data files, where they are others: numbers have no unit there
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of values. Rows with the same first labels form a group, in which the best value of each column is marked."""
+    """Rows of values. Rows with the same first labels form a group, in which the best value of
+    each column is marked.
+    """
 
     name: str  # name of the files
     title: str
     labels: tuple[str, ...]  # headings of the label columns
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
-    notes: tuple[str, ...] = ()  # what a reader must know before believing a number; printed everywhere
+    # what a reader must know before believing a number; printed everywhere
+    notes: tuple[str, ...] = ()
     meanings: tuple[str, ...] = ()  # what the columns mean; printed where there is room
     grouping: int = 1  # how many labels form a group; with 0 all rows are one
     ranked: bool = True
-    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)  # (row, column) of the best values
+    # (row, column) of the best values
+    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)
     seconds: frozenset[tuple[int, int]] = field(init=False, compare=False)
     """(row, column) of the second best ones, where something is behind them."""
 
     def __post_init__(self) -> None:
         for row in self.rows:
-            if len(row.labels) != len(self.labels) or {len(row.values), len(row.columns or self.columns)} != {len(self.columns)}:
+            if len(row.labels) != len(self.labels) or {
+                len(row.values),
+                len(row.columns or self.columns),
+            } != {len(self.columns)}:
                 raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
         placed = list(self._places()) if self.ranked else []
-        object.__setattr__(self, "marks", frozenset(where for where, place, last in placed if place == 0 and last > 0))
-        object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
+        object.__setattr__(
+            self,
+            "marks",
+            frozenset(where for where, place, last in placed if place == 0 and last > 0),
+        )
+        object.__setattr__(
+            self,
+            "seconds",
+            frozenset(where for where, place, last in placed if place == 1 and last > 1),
+        )
 
     def group(self, row: int) -> tuple[str, ...]:
         return self.rows[row].labels[: self.grouping]
@@ -105,19 +130,30 @@ class Table:
         return labels
 
     def _places(self) -> Iterator[tuple[tuple[int, int], int, int]]:
-        """(row, column) of every ranked value, its place in its group from 0, and the last place there.
+        """(row, column) of every ranked value, its place in its group from 0, and the last place
+        there.
 
-        As printed: rows that print the same number share a place, so that nobody is best where all print the same.
+        As printed: rows that print the same number share a place, so that nobody is best where all
+        print the same.
         """
         for c in range(len(self.columns)):
             groups: dict[tuple[str, ...], dict[int, float]] = {}
             for r, row in enumerate(self.rows):
                 value, column = row.values[c], self._column(r, c)
-                if column.better is not None and value.ranked and value.mean is not None and math.isfinite(value.mean):
+                if (
+                    column.better is not None
+                    and value.ranked
+                    and value.mean is not None
+                    and math.isfinite(value.mean)
+                ):
                     groups.setdefault(self.group(r), {})[r] = float(column.number(value.mean))
             for printed in groups.values():
-                order = sorted(set(printed.values()), reverse=self._column(min(printed), c).better == "up")
-                yield from (((r, c), order.index(number), len(order) - 1) for r, number in printed.items())
+                order = sorted(
+                    set(printed.values()), reverse=self._column(min(printed), c).better == "up"
+                )
+                yield from (
+                    ((r, c), order.index(number), len(order) - 1) for r, number in printed.items()
+                )
 
     def _column(self, row: int, column: int) -> Column:
         return (self.rows[row].columns or self.columns)[column]
@@ -132,7 +168,9 @@ def operator_title(variant: str) -> str:
 
 
 def assistant_title(group: Group, *, name_full: bool = False) -> str:
-    """Return the label of a row, with its ablation where it is one; an incomplete row says of how many cells it is the mean."""
+    """Return the label of a row, with its ablation where it is one; an incomplete row says of
+    how many cells it is the mean.
+    """
     title = who_title(group.method, group.variant)
     if name_full and group.variant == "full":
         title += f", {METHODS[group.method].variants['full']}"
@@ -146,5 +184,7 @@ def who_title(method: str, variant: str = "full") -> str:
 
     What no registry knows, of a plugin that is gone or of another version, keeps its name.
     """
-    title, variants = (METHODS[method].title, METHODS[method].variants) if method in METHODS else (method, {})
+    title, variants = (
+        (METHODS[method].title, METHODS[method].variants) if method in METHODS else (method, {})
+    )
     return title if variant == "full" else f"{title}, {variants.get(variant, variant)}"

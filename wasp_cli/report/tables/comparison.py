@@ -1,4 +1,6 @@
-"""Tables with intervals: how the methods compare with the operators alone, and Figure 3: what the interventions were worth."""
+"""Tables with intervals: how the methods compare with the operators alone, and Figure 3: what
+the interventions were worth.
+"""
 
 from __future__ import annotations
 
@@ -10,45 +12,86 @@ from itertools import groupby
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.report.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
+from wasp_cli.report.bootstrap import (
+    RESAMPLES,
+    Estimate,
+    difference_of,
+    improvement_over,
+    iqm_of,
+    mean_of,
+)
 from wasp_cli.report.stats import Frame, Group, groups, row_of
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Column, Row, Table, task_title
-from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, labels_of, missing_notes, part_of
+from wasp_cli.report.tables.main import (
+    PAPER_COLUMNS,
+    full_groups,
+    labels_of,
+    missing_notes,
+    part_of,
+)
 
 REFERENCE = "human"
-MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol"))
+MEASURES = tuple(
+    column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol")
+)
 PROBABILITY = Column("improvement", "P(better)")
 MEANINGS = (
-    "Mean is that of the main table. IQM is the mean of the middle half of the cells (operator variants x severities x seeds): one "
-    "cell that is far off does not carry it. The difference is paired, over the operators, severities and seeds that both have.",
-    "P(better) is the probability that an episode is better than one of the reference under the same operator, severity and seed, "
+    "Mean is that of the main table. IQM is the mean of the middle half of the cells "
+    "(operator variants x severities x seeds): one "
+    "cell that is far off does not carry it. The difference is paired, over the operators, "
+    "severities and seeds that both have.",
+    "P(better) is the probability that an episode is better than one of the reference "
+    "under the same operator, severity and seed, "
     "ties one half: 0.5 is no difference.",
 )
 
 
 def comparison_table(frame: Frame) -> Table | None:
-    """Make table `statistics`: mean, interquartile mean, paired difference to Human-only and probability of improvement over it."""
+    """Make table `statistics`: mean, interquartile mean, paired difference to Human-only and
+    probability of improvement over it.
+    """
     rows: list[Row] = []
     referred = False
     for _, of_task in groupby(full_groups(frame), lambda group: group.task):
         methods = list(of_task)
-        alone = next((group for group in methods if group.method == REFERENCE and group.cells), None)
+        alone = next(
+            (group for group in methods if group.method == REFERENCE and group.cells), None
+        )
         referred |= alone is not None
         rows += [_row(group, measure, alone) for measure in MEASURES for group in methods]
     if not frame.cells:
         return None
     difference = Column("difference", f"Difference to {METHODS[REFERENCE].title}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
-    lonely = [] if referred else ["The reference has no cells here, so that nothing is compared with it."]
+    lonely = (
+        []
+        if referred
+        else ["The reference has no cells here, so that nothing is compared with it."]
+    )
     if many := sum(value.interval is not None for row in rows for value in row.values):
-        counted = f"These are {many} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
+        counted = (
+            f"These are {many} intervals; of so many some miss even where nothing differs. "
+            "Decide beforehand which comparison counts."
+        )
         said = [*limit_notes(rows), counted]
     else:
-        said = ["No intervals: there is a single world to resample, or the trainings have cells of different operators."]
+        said = [
+            "No intervals: there is a single world to resample, or the trainings have "
+            "cells of different operators."
+        ]
     notes = (*said, *lonely, *missing_notes(frame))
     labels = ("Task", "Measure", "Method")
-    return Table("statistics", "Confidence intervals", labels, columns, tuple(rows), notes, MEANINGS, grouping=2)
+    return Table(
+        "statistics",
+        "Confidence intervals",
+        labels,
+        columns,
+        tuple(rows),
+        notes,
+        MEANINGS,
+        grouping=2,
+    )
 
 
 def _row(group: Group, measure: Column, alone: Group | None) -> Row:
@@ -62,22 +105,36 @@ def _row(group: Group, measure: Column, alone: Group | None) -> Row:
         compared = _value(difference_of(cells, alone.cells, key), plain), _value(wins, plain)
     task, method = labels_of(group)
     columns = (measure, measure, replace(measure, signed=True), PROBABILITY)
-    return Row((task, measure.heading, method), (*numbers, *compared), columns, names=(task, key, method))
+    return Row(
+        (task, measure.heading, method), (*numbers, *compared), columns, names=(task, key, method)
+    )
 
 
 def _value(estimate: Estimate | None, like: Value) -> Value:
-    return UNDEFINED if estimate is None else Value(estimate.value, n=like.n, ranked=like.ranked, interval=estimate.interval)
+    return (
+        UNDEFINED
+        if estimate is None
+        else Value(estimate.value, n=like.n, ranked=like.ranked, interval=estimate.interval)
+    )
 
 
 def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
     """Yield what [low, high] are, what they resample and how coarse that is."""
-    intervals = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
+    intervals = {
+        value.interval.words: value.interval
+        for row in rows
+        for value in row.values
+        if value.interval is not None
+    }
     for words, interval in sorted(intervals.items()):
         if interval.unit == "world":
             what = "worlds of one training: they cover other layouts, not retraining"
         else:
             coarse, n = ", so they are coarse" if interval.clusters < 6 else "", interval.clusters
-            what = f"trainings, each with its models and worlds; {math.comb(2 * n - 1, n):,} resamples differ{coarse}"
+            what = (
+                f"trainings, each with its models and worlds; {math.comb(2 * n - 1, n):,} "
+                f"resamples differ{coarse}"
+            )
         yield f"[low, high]: {words}, by a bootstrap with {RESAMPLES} resamples of the {what}."
 
 
@@ -94,13 +151,20 @@ MEANS = (
 )
 FEW = 30  # branched interventions below which a note warns
 NECESSITY_MEANINGS = (
-    "At an intervention the real episode goes on twice for W decisions from the same state, with the same mistakes of the operator: with "
-    "the method's action first, and with the operator's command first; then the operator drives alone in both.",
-    "ρ is the mean cost per decision without the intervention (Eq. 19), ΔC the costly decisions that it avoided, ΔR the reward that it "
-    "gained (Eq. 20). UIR is the share of the interventions that avoided no cost and gained no more than τ_R (Eq. 21).",
-    "UIR swapped asks the same of the command, with the branches in each other's place: interventions that help as often as they harm have "
-    "the same in both. UIR eff. leaves out interventions whose branches are alike in every step: they changed nothing.",
-    "One action is tested, not the assistance as a whole: the branch with the intervention goes on without any further one.",
+    "At an intervention the real episode goes on twice for W decisions from the same "
+    "state, with the same mistakes of the operator: with "
+    "the method's action first, and with the operator's command first; then the operator "
+    "drives alone in both.",
+    "ρ is the mean cost per decision without the intervention (Eq. 19), ΔC the costly "
+    "decisions that it avoided, ΔR the reward that it "
+    "gained (Eq. 20). UIR is the share of the interventions that avoided no cost and "
+    "gained no more than τ_R (Eq. 21).",
+    "UIR swapped asks the same of the command, with the branches in each other's place: "
+    "interventions that help as often as they harm have "
+    "the same in both. UIR eff. leaves out interventions whose branches are alike in every "
+    "step: they changed nothing.",
+    "One action is tested, not the assistance as a whole: the branch with the intervention "
+    "goes on without any further one.",
 )
 
 
@@ -108,13 +172,29 @@ def necessity_table(frame: Frame) -> Table | None:
     judged = list(judged_groups(frame))
     if not judged:
         return None
-    rows = [Row(labels_of(group), (*_counts(frame, group), *(estimated(group, column) for column in MEANS))) for group in judged]
+    rows = [
+        Row(
+            labels_of(group),
+            (*_counts(frame, group), *(estimated(group, column) for column in MEANS)),
+        )
+        for group in judged
+    ]
     columns, notes = (INTERVENTIONS, BRANCHED, *MEANS), tuple(_notes(frame, rows))
-    return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), notes, NECESSITY_MEANINGS)
+    return Table(
+        "figure3",
+        "Were the interventions necessary?",
+        ("Task", "Method"),
+        columns,
+        tuple(rows),
+        notes,
+        NECESSITY_MEANINGS,
+    )
 
 
 def judged_groups(frame: Frame) -> Iterator[Group]:
-    """Yield the rows whose interventions were to be branched, each with the cells that have branches; the others are absent."""
+    """Yield the rows whose interventions were to be branched, each with the cells that have
+    branches; the others are absent.
+    """
     gaps = Counter(row_of(gap.identity) for gap in frame.unbranched)
     for group in groups(frame):
         cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
@@ -134,27 +214,42 @@ def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
     seeds = len({cell.identity.seed for cell in group.cells})
     interventions = sum(cell.episodes["intervened"].sum() for cell in group.cells)
     branched = sum(len(frame.judged[cell.identity].episode) for cell in group.cells)
-    return Value(float(interventions), n=seeds, ranked=False), Value(float(branched), n=seeds, ranked=False)
+    return Value(float(interventions), n=seeds, ranked=False), Value(
+        float(branched), n=seeds, ranked=False
+    )
 
 
 def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
     if frame.judged:
-        windows = " and ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
+        windows = " and ".join(
+            map(str, sorted({judged.window for judged in frame.judged.values()}))
+        )
         gains: dict[str, list[float]] = {}
         for identity, judged in frame.judged.items():
             gains.setdefault(identity.task, []).append(judged.tau_R)
-        spans = {task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()}
-        named = (f"{low if low == high else f'{low} to {high}'} on {task_title(task)}" for task, (low, high) in spans.items())
+        spans = {
+            task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()
+        }
+        named = (
+            f"{low if low == high else f'{low} to {high}'} on {task_title(task)}"
+            for task, (low, high) in spans.items()
+        )
         yield f"W = {windows} decisions, τ_R = {', '.join(named)}."
         yield from limit_notes(rows)
         if any(identity.operator == PERSON for identity in frame.judged):
-            yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
+            yield (
+                "Of people's sessions: from a branch on the participant's clone drives, since "
+                "nobody can be asked again."
+            )
         branched: Counter[str] = Counter()
         for identity, judged in frame.judged.items():
             branched[identity.method] += len(judged.episode)
         few = [METHODS[name].title for name, count in branched.items() if count < FEW]
         if few:
-            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
+            yield (
+                f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to "
+                "interpret."
+            )
     if frame.unbranched:
         have = "cell has" if len(frame.unbranched) == 1 else "cells have"
         yield (

@@ -1,5 +1,5 @@
-"""The main table of a report, a row for each task and method: the mean over operator variants and severities. Also its ablations, what it
-leaves out, and the same by operator and by severity.
+"""The main table of a report, a row for each task and method: the mean over operator variants and
+severities. Also its ablations, what it leaves out, and the same by operator and by severity.
 
 A column is named here and computed in `metrics.episode`.
 """
@@ -16,7 +16,16 @@ import numpy as np
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
-from wasp_cli.report.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, same_episodes, spread_note, summarise
+from wasp_cli.report.summary import (
+    UNDEFINED,
+    Value,
+    over_episodes,
+    over_seeds,
+    paired_difference,
+    same_episodes,
+    spread_note,
+    summarise,
+)
 from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
 
 PAPER_COLUMNS = (
@@ -40,24 +49,48 @@ OF_COMMANDS = AUTONOMY | {"int_rate_05", "int_rate_10", "jump"}
 
 LABELS = ("Task", "Method")
 MEANINGS = (
-    "Return and Cost are sums over the env steps of an episode. Viol., Int. and Mag. count decision steps and pool the episodes of a cell. "
-    "A row is the mean of its cells (operator variants x severities); of an incomplete one the mean over seeds of what each has.",
-    "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time "
+    "Return and Cost are sums over the env steps of an episode. Viol., Int. and Mag. count "
+    "decision steps and pool the episodes of a cell. "
+    "A row is the mean of its cells (operator variants x severities); of an incomplete one "
+    "the mean over seeds of what each has.",
+    "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened "
+    "ones. ms is the median wall time "
     "per decision; the episodes of a cell are decided side by side.",
-    "Int. eff. and Mag. eff. are of the forces: an action beyond what its motor can do is the same as one at its limit. Rows of earlier "
+    "Int. eff. and Mag. eff. are of the forces: an action beyond what its motor can do is "
+    "the same as one at its limit. Rows of earlier "
     "versions do not have them.",
 )
-REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
-UNATTENDED_NOTE = "{} drives with nobody at the controls, for reference: it reads no command, so that Int. and Mag. mean nothing of it."
+REFERENCE_NOTE = (
+    "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
+)
+UNATTENDED_NOTE = (
+    "{} drives with nobody at the controls, for reference: it reads no command, so that Int. "
+    "and Mag. mean nothing of it."
+)
 
 
 def main_table(frame: Frame) -> Table:
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
-    references = dict.fromkeys(group.method for group in full_groups(frame) if not METHODS[group.method].impaired)
-    told = [REFERENCE_NOTE if METHODS[method].attended else UNATTENDED_NOTE.format(METHODS[method].title) for method in references]
-    return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, (*MEANINGS, *dict.fromkeys(told)))
+    references = dict.fromkeys(
+        group.method for group in full_groups(frame) if not METHODS[group.method].impaired
+    )
+    told = [
+        REFERENCE_NOTE
+        if METHODS[method].attended
+        else UNATTENDED_NOTE.format(METHODS[method].title)
+        for method in references
+    ]
+    return Table(
+        "table1",
+        "Main results",
+        LABELS,
+        columns,
+        tuple(rows),
+        notes,
+        (*MEANINGS, *dict.fromkeys(told)),
+    )
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
@@ -65,15 +98,28 @@ def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
 
 
 def missing_notes(frame: Frame) -> list[str]:
-    """Return the line of drops: how many cells were planned, and what became of those that are not here; the report names each of them."""
+    """Return the line of drops: how many cells were planned, and what became of those that are
+    not here; the report names each of them.
+    """
     total = len(frame.cells) + len(frame.missing)
     if not frame.missing and frame.absent:
-        return [f"{total} of {total} planned cells of what is installed here are finished; none failed. {' '.join(frame.absent)}"]
+        return [
+            f"{total} of {total} planned cells of what is installed here are finished; "
+            f"none failed. {' '.join(frame.absent)}"
+        ]
     if not frame.missing:
-        return [f"{total} of {total} planned cells are finished; none failed, and none is left out."]
-    # The reason begins with what happened: failed, blocked by another node, refused, damaged, or nothing yet.
-    fates = Counter("damaged" if each.damaged else each.reason.partition(" ")[0].rstrip(":") for each in frame.missing)
-    said = ", ".join(f"{count} {'not computed' if fate == 'not' else fate}" for fate, count in fates.items())
+        return [
+            f"{total} of {total} planned cells are finished; none failed, and none is left out."
+        ]
+    # The reason begins with what happened: failed, blocked by another node, refused, damaged, or
+    # nothing yet.
+    fates = Counter(
+        "damaged" if each.damaged else each.reason.partition(" ")[0].rstrip(":")
+        for each in frame.missing
+    )
+    said = ", ".join(
+        f"{count} {'not computed' if fate == 'not' else fate}" for fate, count in fates.items()
+    )
     return [
         f"INCOMPLETE: {len(frame.missing)} of {total} cells are missing ({said}). "
         "Rows with [x of y cells] are partial and never marked best."
@@ -84,9 +130,13 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
     if not cells or (column.key in OF_COMMANDS and not METHODS[group.method].attended):
         return UNDEFINED
     value = summarise(cells, column.key)
-    # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts can be the best.
+    # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts
+    # can be the best.
     idle = column.key in AUTONOMY and value.mean == 0.0
-    return replace(value, ranked=value.ranked and group.complete and METHODS[group.method].impaired and not idle)
+    return replace(
+        value,
+        ranked=value.ranked and group.complete and METHODS[group.method].impaired and not idle,
+    )
 
 
 def full_groups(frame: Frame) -> list[Group]:
@@ -98,7 +148,9 @@ def labels_of(group: Group) -> tuple[str, str]:
 
 
 def ablation_table(frame: Frame) -> Table | None:
-    """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
+    """Make Table 2: per task and variant the values and, in brackets, the paired difference to
+    the full method; None without ablations.
+    """
     every = groups(frame)
     ablated = {group.method for group in every if group.variant != "full"}
     tasks = list(dict.fromkeys(group.task for group in every))
@@ -111,23 +163,42 @@ def ablation_table(frame: Frame) -> Table | None:
     ablations = sorted((group for group in every if group.method in ablated), key=place)
     if not ablations:
         return None
-    full = {(group.task, group.method): group.cells for group in ablations if group.variant == "full"}
+    full = {
+        (group.task, group.method): group.cells for group in ablations if group.variant == "full"
+    }
     rows, notes = [], []
     for group in ablations:
         title, numbers = assistant_title(group, name_full=True), values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method), ())
         if group.variant != "full":
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
-            numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
+            numbers = tuple(
+                replace(value, delta=paired_difference(group.cells, reference, column.key))
+                for value, column in pairs
+            )
             same, total = same_episodes(group.cells, reference)
             if same:
                 which = f"{task_title(group.task)}, {title}: {same} of {total} episodes"
-                notes.append(f"{which} are the same as with the full method in what happened and what was corrected.")
+                notes.append(
+                    f"{which} are the same as with the full method in what happened and "
+                    "what was corrected."
+                )
         rows.append(Row((task_title(group.task), title), numbers))
     cells = [cell for group in ablations for cell in group.cells]
-    meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
+    meanings = (
+        "In brackets: mean difference to the full method over the operators, severities "
+        "and seeds that both have.",
+    )
     notes = [spread_note(cells), *missing_notes(frame), *notes]
-    return Table("table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), tuple(notes), meanings)
+    return Table(
+        "table2",
+        "Ablations",
+        ("Task", "Variant"),
+        PAPER_COLUMNS,
+        tuple(rows),
+        tuple(notes),
+        meanings,
+    )
 
 
 DETAIL_COLUMNS = (
@@ -144,54 +215,101 @@ DETAIL_COLUMNS = (
     Column("decision_p95_ms", "p95 ms", digits=1, spread=False),
 )
 AUTONOMY_COLUMNS = (
-    *(column for key in ("int_rate", "int_eff", "mag", "mag_eff") for column in (*PAPER_COLUMNS, *MORE_COLUMNS) if column.key == key),
+    *(
+        column
+        for key in ("int_rate", "int_eff", "mag", "mag_eff")
+        for column in (*PAPER_COLUMNS, *MORE_COLUMNS)
+        if column.key == key
+    ),
     Column("jump", "Jump", "down"),
 )
-COST_COLUMNS = (Column("cost_median", "Cost, median", digits=1), Column("cost_worst", "Cost, worst", digits=0))
-THRESHOLD_COLUMNS = (Column("tau_c", "tau_c", digits=3), Column("tau_r", "tau_r", digits=3), Column("tau_q", "tau_Q", digits=3))
+COST_COLUMNS = (
+    Column("cost_median", "Cost, median", digits=1),
+    Column("cost_worst", "Cost, worst", digits=0),
+)
+THRESHOLD_COLUMNS = (
+    Column("tau_c", "tau_c", digits=3),
+    Column("tau_r", "tau_r", digits=3),
+    Column("tau_q", "tau_Q", digits=3),
+)
 REDUCE: dict[str, Callable[[Floats], float]] = {"median": np.median, "worst": np.max}
-LATENCY_COLUMNS = tuple(Column(f"{name}.{over}", f"{name.split('_')[1]}, {over}") for name in TIMES for over in REDUCE)  # `p50, median`
+# `p50, median`
+LATENCY_COLUMNS = tuple(
+    Column(f"{name}.{over}", f"{name.split('_')[1]}, {over}") for name in TIMES for over in REDUCE
+)
 
 
 def detail_table(frame: Frame) -> Table:
     rows = []
     for group in full_groups(frame):
-        spread = (over_episodes(group.cells, "cost", np.median), over_episodes(group.cells, "cost", np.max))
+        spread = (
+            over_episodes(group.cells, "cost", np.median),
+            over_episodes(group.cells, "cost", np.max),
+        )
         rows.append(Row(labels_of(group), (*spread, *values(group, DETAIL_COLUMNS))))
     meanings = (
-        "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
-        "Change² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
+        "Median and worst are over all episodes of a row: a mean cost is often carried by "
+        "few of them.",
+        "Change² is the mean squared change between two executed actions. Case II is its "
+        "share of the planner's iterations.",
     )
-    return Table("details", "Further metrics", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
+    return Table(
+        "details",
+        "Further metrics",
+        LABELS,
+        COST_COLUMNS + DETAIL_COLUMNS,
+        tuple(rows),
+        meanings=meanings,
+    )
 
 
 def autonomy_table(frame: Frame) -> Table:
     columns = tuple(replace(column, optional=False) for column in AUTONOMY_COLUMNS)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     meanings = (
-        "Int. is the share of the decisions at which the executed action is not the command, Mag. the mean norm of the difference over all "
-        "decisions. Int. eff. and Mag. eff. are the same of the forces, as shares of each motor's largest: where a motor saturates, two "
+        "Int. is the share of the decisions at which the executed action is not the "
+        "command, Mag. the mean norm of the difference over all "
+        "decisions. Int. eff. and Mag. eff. are the same of the forces, as shares of each "
+        "motor's largest: where a motor saturates, two "
         "actions are one force. Of a task whose motors are unknown they are those of the actions.",
-        "Jump is the mean norm of the change between two executed actions where an intervention begins or ends.",
+        "Jump is the mean norm of the change between two executed actions where an "
+        "intervention begins or ends.",
         "Rows of earlier versions have neither forces nor jumps.",
     )
     notes = (spread_note(frame.cells), *missing_notes(frame))
-    return Table("autonomy", "What is left to the operator", LABELS, columns, tuple(rows), notes, meanings)
+    return Table(
+        "autonomy", "What is left to the operator", LABELS, columns, tuple(rows), notes, meanings
+    )
 
 
 def latency_table(frame: Frame) -> Table | None:
     rows = [
-        Row(labels_of(group), tuple(over_episodes(group.cells, name, REDUCE[over]) for name in TIMES for over in REDUCE))
+        Row(
+            labels_of(group),
+            tuple(
+                over_episodes(group.cells, name, REDUCE[over]) for name in TIMES for over in REDUCE
+            ),
+        )
         for group in full_groups(frame)
     ]
     if all(value.mean is None for row in rows for value in row.values):
         return None
     meanings = (
-        "Wall time of the assistant's decision in milliseconds; the episodes of a cell are decided side by side, and share it equally. "
-        "p50 and p95 are percentiles over the decisions of an episode, median and worst are over the episodes of a row.",
+        "Wall time of the assistant's decision in milliseconds; the episodes of a cell are "
+        "decided side by side, and share it equally. "
+        "p50 and p95 are percentiles over the decisions of an episode, median and worst "
+        "are over the episodes of a row.",
         "Times depend on the machine and on what else ran on it; no other number here does.",
     )
-    return Table("latency", "Time of a decision (ms)", ("Task", "Method"), LATENCY_COLUMNS, tuple(rows), meanings=meanings, ranked=False)
+    return Table(
+        "latency",
+        "Time of a decision (ms)",
+        ("Task", "Method"),
+        LATENCY_COLUMNS,
+        tuple(rows),
+        meanings=meanings,
+        ranked=False,
+    )
 
 
 def threshold_table(frame: Frame) -> Table:
@@ -199,34 +317,69 @@ def threshold_table(frame: Frame) -> Table:
     for group in groups(frame):
         numbers = []
         for column in THRESHOLD_COLUMNS:
-            by_seed = {cell.identity.seed: getattr(cell.thresholds, column.key) for cell in group.cells}
-            known = (value for value in by_seed.values() if value is not None and math.isfinite(value))
+            by_seed = {
+                cell.identity.seed: getattr(cell.thresholds, column.key) for cell in group.cells
+            }
+            known = (
+                value for value in by_seed.values() if value is not None and math.isfinite(value)
+            )
             numbers.append(over_seeds(known, ranked=False))
         if any(value.mean is not None for value in numbers):
             rows.append(Row(labels_of(group), tuple(numbers)))
     meanings = (
-        "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from here on (safety filter); tau_r: return; "
-        "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",
+        "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from "
+        "here on (safety filter); tau_r: return; "
+        "tau_Q: IDA's advantage. The other methods have no threshold; what each was "
+        "calibrated on stands under What was trained.",
     )
-    return Table("thresholds", "Thresholds in force", ("Task", "Method"), THRESHOLD_COLUMNS, tuple(rows), meanings=meanings)
+    return Table(
+        "thresholds",
+        "Thresholds in force",
+        ("Task", "Method"),
+        THRESHOLD_COLUMNS,
+        tuple(rows),
+        meanings=meanings,
+    )
 
 
-SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)
+SEVERITY_MEASURES = tuple(
+    column
+    for key in ("int_rate", "cost", "return")
+    for column in PAPER_COLUMNS
+    if column.key == key
+)
 
 
 def operator_table(frame: Frame) -> Table:
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    variants = dict.fromkeys(cell.identity.operator for group in impaired for cell in group.cells if cell.identity.operator != UNIMPAIRED)
-    columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
+    variants = dict.fromkeys(
+        cell.identity.operator
+        for group in impaired
+        for cell in group.cells
+        if cell.identity.operator != UNIMPAIRED
+    )
+    columns = [
+        (variant, column)
+        for variant in variants
+        for column in PAPER_COLUMNS
+        if column.key in ("return", "cost")
+    ]
     rows = []
     for group in impaired:
         numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
         rows.append(Row(labels_of(group), tuple(numbers)))
     headings = [
-        replace(column, key=f"{variant}.{column.key}", title=f"{operator_title(variant)}: {column.title}") for variant, column in columns
+        replace(
+            column,
+            key=f"{variant}.{column.key}",
+            title=f"{operator_title(variant)}: {column.title}",
+        )
+        for variant, column in columns
     ]
     meanings = ("Mean over the severities of a variant.",)
-    return Table("operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=meanings)
+    return Table(
+        "operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=meanings
+    )
 
 
 def severity_table(frame: Frame) -> Table | None:
@@ -242,23 +395,57 @@ def severity_table(frame: Frame) -> Table | None:
     for task in dict.fromkeys(group.task for group in impaired):
         for variant in of_variant:
             for group in (group for group in impaired if group.task == task):
-                by_level = {name: [cell for cell in group.of_variant(variant) if level(cell) == name] for name in levels}
-                numbers = (part_of(group, by_level[name], measure) for measure in SEVERITY_MEASURES for name in levels)
-                rows.append(Row((task_title(task), operator_title(variant), assistant_title(group)), tuple(numbers)))
+                by_level = {
+                    name: [cell for cell in group.of_variant(variant) if level(cell) == name]
+                    for name in levels
+                }
+                numbers = (
+                    part_of(group, by_level[name], measure)
+                    for measure in SEVERITY_MEASURES
+                    for name in levels
+                )
+                rows.append(
+                    Row(
+                        (task_title(task), operator_title(variant), assistant_title(group)),
+                        tuple(numbers),
+                    )
+                )
     columns = tuple(
-        replace(measure, key=f"{measure.key}.{name}", title=f"{measure.title} {name}") for measure in SEVERITY_MEASURES for name in levels
+        replace(measure, key=f"{measure.key}.{name}", title=f"{measure.title} {name}")
+        for measure in SEVERITY_MEASURES
+        for name in levels
     )
     notes = (spread_note(cells), *missing_notes(frame))
-    meanings = ("An assistant that helps where it is needed intervenes more when the operator gets worse.",)
-    return Table("severity", "Against severity", ("Task", "Operator", "Method"), columns, tuple(rows), notes, meanings, grouping=2)
+    meanings = (
+        "An assistant that helps where it is needed intervenes more when the operator gets worse.",
+    )
+    return Table(
+        "severity",
+        "Against severity",
+        ("Task", "Operator", "Method"),
+        columns,
+        tuple(rows),
+        notes,
+        meanings,
+        grouping=2,
+    )
 
 
-FURTHER = (operator_table, severity_table, autonomy_table, detail_table, latency_table, threshold_table)
+FURTHER = (
+    operator_table,
+    severity_table,
+    autonomy_table,
+    detail_table,
+    latency_table,
+    threshold_table,
+)
 """What makes the tables behind the front ones, in their order."""
 
 
 def has_severity(cell: CellNumbers) -> bool:
-    """Return whether the value of a cell's operator is a severity; that of a person, or of a clone, is a participant's number."""
+    """Return whether the value of a cell's operator is a severity; that of a person, or of a
+    clone, is a participant's number.
+    """
     return cell.identity.value is not None and OPERATORS[cell.identity.operator].simulated
 
 
@@ -267,22 +454,38 @@ def level(cell: CellNumbers) -> str:
 
 
 def in_words(frame: Frame) -> list[str]:
-    """Say of each task what WASP makes of the operators, and which assistant returns most; nothing where either is missing or partial."""
+    """Say of each task what WASP makes of the operators, and which assistant returns most;
+    nothing where either is missing or partial.
+    """
     lines = []
     for task in dict.fromkeys(group.task for group in full_groups(frame)):
-        whole = {group.method: group.cells for group in full_groups(frame) if group.task == task and group.complete}
+        whole = {
+            group.method: group.cells
+            for group in full_groups(frame)
+            if group.task == task and group.complete
+        }
         if not {"human", "wasp"} <= whole.keys():
             continue
         returns, costs, acts = (
-            {m: summarise(cells, key).mean or 0.0 for m, cells in whole.items()} for key in ("return", "cost", "int_rate")
+            {m: summarise(cells, key).mean or 0.0 for m, cells in whole.items()}
+            for key in ("return", "cost", "int_rate")
         )
         line = (
-            f"{task_title(task)}: the operators alone return {returns['human']:.1f} at a cost of {costs['human']:.1f}, "
-            f"with WASP {returns['wasp']:.1f} at {costs['wasp']:.1f}; it changes {acts['wasp']:.0%} of the commands."
+            f"{task_title(task)}: the operators alone return {returns['human']:.1f} at a "
+            f"cost of {costs['human']:.1f}, "
+            f"with WASP {returns['wasp']:.1f} at {costs['wasp']:.1f}; it changes "
+            f"{acts['wasp']:.0%} of the commands."
         )
-        others = [m for m in whole if METHODS[m].impaired and METHODS[m].attended and m not in ("human", "wasp")]
+        others = [
+            m
+            for m in whole
+            if METHODS[m].impaired and METHODS[m].attended and m not in ("human", "wasp")
+        ]
         if others:
             best = max(others, key=returns.__getitem__)
-            line += f" Of the others {METHODS[best].title} returns most: {returns[best]:.1f} at {costs[best]:.1f}."
+            line += (
+                f" Of the others {METHODS[best].title} returns most: {returns[best]:.1f} at "
+                f"{costs[best]:.1f}."
+            )
         lines.append(line)
     return lines

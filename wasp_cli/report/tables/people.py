@@ -1,4 +1,5 @@
-"""What people did in the cells that they drove: measures and answers by condition, the effect of the order, whether decisions were in time.
+"""What people did in the cells that they drove: measures and answers by condition, the effect of
+the order, whether decisions were in time.
 
 The unit of every spread is the participant: episodes of one person are not independent.
 """
@@ -50,7 +51,9 @@ class Sitting:
 
 
 def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
-    folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
+    folders = {
+        cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON
+    }
     sittings, damaged = [], []
     for cell in frame.cells:
         if cell.identity in folders:
@@ -59,7 +62,9 @@ def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], 
             except (StoreError, ArtifactError) as error:
                 damaged.append(error.message)
             except (AttributeError, LookupError, TypeError, ValueError) as error:
-                damaged.append(f"{folders[cell.identity] / SESSION_FILE} is not as wasp writes it: {error}")
+                damaged.append(
+                    f"{folders[cell.identity] / SESSION_FILE} is not as wasp writes it: {error}"
+                )
     return sittings, damaged
 
 
@@ -69,9 +74,12 @@ def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
         raise StoreError(f"{folder / SESSION_FILE} is missing")
     place = session.get("block")
     return Sitting(
-        cell, None if place is None else int(place), _answers(session.get("answers", {})), read_timing(folder / TIMING_FILE),
+        cell,
+        None if place is None else int(place),
+        _answers(session.get("answers", {})),
+        read_timing(folder / TIMING_FILE),
         bool(session.get("simulated", False)),
-    )  # fmt: skip
+    )
 
 
 def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -81,7 +89,9 @@ def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
-    """Return the mean over participants of their means, its standard deviation over them, and percentiles of bootstrap means."""
+    """Return the mean over participants of their means, its standard deviation over them, and
+    percentiles of bootstrap means.
+    """
     own: dict[int, list[float]] = {}
     for participant, number in numbers:
         if not math.isnan(number):
@@ -93,29 +103,51 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
 
 
 def measured(sitting: Sitting, key: str) -> float:
-    return float(sitting.answers[key]) if key in sitting.answers else float(sitting.cell.pooled.get(key, math.nan))
+    return (
+        float(sitting.answers[key])
+        if key in sitting.answers
+        else float(sitting.cell.pooled.get(key, math.nan))
+    )
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
     other = {(each.participant, each.cell.identity.seed): measured(each, key) for each in reference}
-    pairs = [(each.participant, measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan)) for each in own]
+    pairs = [
+        (
+            each.participant,
+            measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan),
+        )
+        for each in own
+    ]
     return over_participants(pairs)
 
 
 def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, float]]:
-    """Return each cell's difference to the mean of its condition on its task, so that places can be compared: NaN where undefined."""
+    """Return each cell's difference to the mean of its condition on its task, so that places
+    can be compared: NaN where undefined.
+    """
     conditions: dict[Condition, list[float]] = {}
     for each in sittings:
         number = measured(each, key)
         if not math.isnan(number):
             conditions.setdefault(each.condition, []).append(number)
-    return [(each, measured(each, key) - float(np.mean(conditions.get(each.condition, [math.nan])))) for each in sittings]
+    return [
+        (each, measured(each, key) - float(np.mean(conditions.get(each.condition, [math.nan]))))
+        for each in sittings
+    ]
 
 
-MEASURES = tuple(replace(column, better=None) for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "int_rate"))
+MEASURES = tuple(
+    replace(column, better=None)
+    for column in PAPER_COLUMNS
+    if column.key in ("return", "success", "cost", "int_rate")
+)
 LABELS = ("Task", "Condition")
 ALONE = "human"
-DIFFERENCES = (Column("return_change", "Return, to alone", signed=True), Column("cost_change", "Cost, to alone", signed=True))
+DIFFERENCES = (
+    Column("return_change", "Return, to alone", signed=True),
+    Column("cost_change", "Cost, to alone", signed=True),
+)
 TIMES = (
     Column("decisions", "Decisions", digits=0, spread=False),
     Column("late_share", "late (%)", digits=1, scale=100.0, spread=False),
@@ -124,7 +156,10 @@ TIMES = (
     Column("input_age_p50_ms", "key to action (ms)", digits=0, spread=False),
     Column("input_age_p99_ms", "p99", digits=0, spread=False),
 )
-SCALES = {WORKLOAD: "Raw TLX", **{name: name.capitalize() for scales in QUESTIONS.values() for name, *_ in scales}}
+SCALES = {
+    WORKLOAD: "Raw TLX",
+    **{name: name.capitalize() for scales in QUESTIONS.values() for name, *_ in scales},
+}
 
 
 def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
@@ -133,7 +168,12 @@ def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
     groups: dict[Condition, list[Sitting]] = {}
     for each in sittings:
         groups.setdefault(each.condition, []).append(each)
-    tables = [_measures(groups, sittings), _questions(groups, sittings), _order(sittings), _timing(groups, sittings)]
+    tables = [
+        _measures(groups, sittings),
+        _questions(groups, sittings),
+        _order(sittings),
+        _timing(groups, sittings),
+    ]
     return [table for table in tables if table.rows]
 
 
@@ -155,7 +195,8 @@ def late_facts(sittings: Sequence[Sitting]) -> list[str]:
         late_counts[each.condition] += int(late.sum())
         decisions[each.condition] += len(late)
     return [
-        f"{' on '.join(reversed(_labels(condition)))}: late in {late} of {decisions[condition]} decisions, in which nobody assisted."
+        f"{' on '.join(reversed(_labels(condition)))}: late in {late} of "
+        f"{decisions[condition]} decisions, in which nobody assisted."
         for condition, late in late_counts.items()
         if late and condition[1] != ALONE
     ]
@@ -168,7 +209,12 @@ def _labels(condition: Condition) -> tuple[str, str]:
 
 def _notes(sittings: Sequence[Sitting]) -> tuple[str, ...]:
     count = len({each.participant for each in sittings})
-    limits = f", [low, high] the {Interval(0.0, 0.0, 'participant', count).words}, of {RESAMPLES} bootstrap means" if count > 1 else ""
+    limits = (
+        f", [low, high] the {Interval(0.0, 0.0, 'participant', count).words}, of "
+        f"{RESAMPLES} bootstrap means"
+        if count > 1
+        else ""
+    )
     return people_fact(sittings), f"± is the standard deviation over participants{limits}."
 
 
@@ -180,11 +226,20 @@ def _measures(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting
     rows = []
     for condition, own in groups.items():
         alone = groups.get((condition[0], ALONE, "full"), [])
-        changes = [UNDEFINED if condition[1] == ALONE else compared(own, alone, key) for key in ("return", "cost")]
-        rows.append(Row(_labels(condition), (*(_of(own, column.key) for column in MEASURES), *changes)))
-    meanings = ("To alone: mean difference to driving alone, of the same participant in the same worlds.",)
+        changes = [
+            UNDEFINED if condition[1] == ALONE else compared(own, alone, key)
+            for key in ("return", "cost")
+        ]
+        rows.append(
+            Row(_labels(condition), (*(_of(own, column.key) for column in MEASURES), *changes))
+        )
+    meanings = (
+        "To alone: mean difference to driving alone, of the same participant in the same worlds.",
+    )
     columns, title = (*MEASURES, *DIFFERENCES), "People: measures by condition"
-    return Table("people", title, LABELS, columns, tuple(rows), _notes(sittings), meanings, ranked=False)
+    return Table(
+        "people", title, LABELS, columns, tuple(rows), _notes(sittings), meanings, ranked=False
+    )
 
 
 def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
@@ -194,14 +249,28 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
     rows = []
     for task in dict.fromkeys(condition[0] for condition in groups):
         rows += [
-            Row((task_title(task), SCALES[scale]), tuple(_of(groups.get((task, *name), []), scale) for name in names)) for scale in asked
+            Row(
+                (task_title(task), SCALES[scale]),
+                tuple(_of(groups.get((task, *name), []), scale) for name in names),
+            )
+            for scale in asked
         ]
     meanings = (
-        "Scales from 0 to 100. Raw TLX is the mean of NASA's six: mental, physical and temporal demand, performance (0 is perfect), "
+        "Scales from 0 to 100. Raw TLX is the mean of NASA's six: mental, physical and "
+        "temporal demand, performance (0 is perfect), "
         "effort, frustration; more is more load. Agency, trust and satisfaction: more is more.",
     )
     title, labels = "People: answers by condition", ("Task", "Scale")
-    return Table("questionnaires", title, labels, columns, tuple(rows), _notes(sittings), meanings, ranked=False)
+    return Table(
+        "questionnaires",
+        title,
+        labels,
+        columns,
+        tuple(rows),
+        _notes(sittings),
+        meanings,
+        ranked=False,
+    )
 
 
 def _order(sittings: Sequence[Sitting]) -> Table:
@@ -216,17 +285,39 @@ def _order(sittings: Sequence[Sitting]) -> Table:
         if len(places) > 1:
             for place in places:
                 values = tuple(
-                    over_participants((each.participant, number) for each, number in changes[column.key] if each.place == place)
+                    over_participants(
+                        (each.participant, number)
+                        for each, number in changes[column.key]
+                        if each.place == place
+                    )
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
         placed = Counter((each.condition, each.place) for each in own if each.place is not None)
         conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
-        balanced &= len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(places_there)
-    unbalanced = () if balanced else ("NOT BALANCED: not every condition stood in every place equally often.",)
+        balanced &= len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(
+            places_there
+        )
+    unbalanced = (
+        ()
+        if balanced
+        else ("NOT BALANCED: not every condition stood in every place equally often.",)
+    )
     notes = (*_notes(sittings), *unbalanced)
-    meanings = ("Difference to the mean of the condition: what being driven first, second, ... changed, whichever condition it was.",)
-    return Table("order", "People: effect of the order", ("Task", "Place"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
+    meanings = (
+        "Difference to the mean of the condition: what being driven first, second, ... "
+        "changed, whichever condition it was.",
+    )
+    return Table(
+        "order",
+        "People: effect of the order",
+        ("Task", "Place"),
+        tuple(columns),
+        tuple(rows),
+        notes,
+        meanings,
+        ranked=False,
+    )
 
 
 def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
@@ -236,13 +327,19 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
         # Episodes of several cells are told apart, since a key of one is not held in the next.
         cell = np.repeat(np.arange(len(own)), [each.beats.num_rows for each in own])
         episodes = pa.array(np.asarray(beats["episode"]) + 1_000_000 * cell, pa.int32())
-        summary = timing_summary(beats.set_column(beats.schema.get_field_index("episode"), "episode", episodes))
+        summary = timing_summary(
+            beats.set_column(beats.schema.get_field_index("episode"), "episode", episodes)
+        )
         numbers = [summary[column.key] for column in TIMES]
         people = len({each.participant for each in own})
-        values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)
+        values = tuple(
+            UNDEFINED if number is None else Value(float(number), n=people, ranked=False)
+            for number in numbers
+        )
         rows.append(Row(_labels(condition), values))
     meanings = (
-        "late: the assistant had not answered in time, and the command was executed as it is. Key to action: from the "
+        "late: the assistant had not answered in time, and the command was executed as it "
+        "is. Key to action: from the "
         "arrival of a new key to the execution of the action that knows of it.",
     )
     title, notes = "People: were decisions in time?", (people_fact(sittings),)

@@ -1,6 +1,7 @@
 """What was trained for a report: one row per artifact, and tables of how good the parts are.
 
-Files of artifacts are read with care: a results folder may be untrusted. What has no valid form reads as nothing.
+Files of artifacts are read with care: a results folder may be untrusted. What has no valid form
+reads as nothing.
 """
 
 from __future__ import annotations
@@ -50,9 +51,11 @@ class Trained:
 def trained_artifacts(
     layout: Layout, roots: Iterable[tuple[str, str]], origins: Origins | None = None
 ) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
-    """Find artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
+    """Find artifacts and what is behind them, needed ones first, without evaluated cells; and what
+    is damaged.
 
-    `roots` are kinds and keys; one that is not there yet is passed over. `origins` takes every artifact into account, evaluated cells too.
+    `roots` are kinds and keys; one that is not there yet is passed over. `origins` takes every
+    artifact into account, evaluated cells too.
     """
     origins = origins or Origins()
     artifacts: dict[str, Trained | None] = {}
@@ -73,12 +76,30 @@ def trained_artifacts(
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
             stage += ", published" if is_from_published(manifest) else ""
-            task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
+            task, seed, summary = (
+                TASKS[manifest["task"]].name,
+                int(manifest["seed"]),
+                dict(manifest["summary"]),
+            )
             seconds = manifest["provenance"].get("seconds")
-            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind)
+            trained = Trained(
+                stage, task, seed, key, None if seconds is None else float(seconds), summary, kind
+            )
             origins.add(manifest)
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
-            what = f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            OverflowError,
+            AttributeError,
+            RecursionError,
+            WaspError,
+        ) as error:
+            what = (
+                f"no '{error.args[0]}'"
+                if isinstance(error, KeyError)
+                else " ".join(str(error).split())
+            )
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {what}")
             return
         del artifacts[key]  # so that it stands behind what it needs
@@ -86,14 +107,32 @@ def trained_artifacts(
 
     for kind, key in roots:
         visit(kind, key)
-    return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
+    return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(
+        damaged
+    )
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
-    lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
+    lines = [
+        "## What was trained",
+        "",
+        "| Task | Seed | Stage | Time | Numbers | Key |",
+        "| --- | ---: | --- | ---: | --- | --- |",
+    ]
     for artifact in artifacts:
         numbers, time = markdown_text(numbers_text(artifact.summary)), duration(artifact.seconds)
-        lines.append(markdown_row((task_title(artifact.task), artifact.seed, artifact.stage, time, numbers, f"`{artifact.key[:8]}`")))
+        lines.append(
+            markdown_row(
+                (
+                    task_title(artifact.task),
+                    artifact.seed,
+                    artifact.stage,
+                    time,
+                    numbers,
+                    f"`{artifact.key[:8]}`",
+                )
+            )
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -107,7 +146,9 @@ def duration(seconds: float | None) -> str:
     return "?" if seconds is None or not math.isfinite(seconds) else console.duration(seconds)
 
 
-def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
+def scalars(
+    summary: Mapping[str, Any], prefix: str = ""
+) -> Iterable[tuple[str, int | float | bool | str]]:
     for name, value in summary.items():
         if isinstance(value, Mapping):
             yield from scalars(value, f"{prefix}{name}.")
@@ -120,7 +161,17 @@ def short(value: int | float | bool | str) -> str:
 
 
 PIXELS = (6, 64, 64)  # of a frame: front RGB, then rear RGB
-UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RecursionError, pa.ArrowException, WaspError)
+UNREADABLE = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    ArithmeticError,
+    OSError,
+    RecursionError,
+    pa.ArrowException,
+    WaspError,
+)
 """What reading, or showing, a file of another form may raise."""
 
 
@@ -142,11 +193,17 @@ def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
     return np.array([row.get(name) for row in rows], np.float64)
 
 
-COLUMNS = (  # stage and the number of its summary. Stages that do not tell a number leave its column out.
+# stage and the number of its summary. Stages that do not tell a number leave its column out.
+COLUMNS = (
     ("expert", Column("return", "Expert return", digits=1)),
     ("expert", Column("cost", "Expert cost", digits=1)),
     ("expert", Column("success", "Expert succ. (%)", digits=0, scale=100.0, spread=False)),
-    ("expert", Column("accepted", "Expert accepted (%)", digits=0, scale=100.0, spread=False, optional=True)),
+    (
+        "expert",
+        Column(
+            "accepted", "Expert accepted (%)", digits=0, scale=100.0, spread=False, optional=True
+        ),
+    ),
     ("dataset", Column("costly_share", "Costly data (%)", digits=1, scale=100.0, spread=False)),
     ("policies", Column("return", "Latent return", digits=1)),
     ("policies", Column("privileged_return", "privileged", digits=1, spread=False, optional=True)),
@@ -185,7 +242,11 @@ class _Training:
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
         told = (self.summaries.get(part, {}).get(name) for part in parts)
-        numbers = [float(number) for number in told if isinstance(number, int | float) and math.isfinite(number)]
+        numbers = [
+            float(number)
+            for number in told
+            if isinstance(number, int | float) and math.isfinite(number)
+        ]
         return over_seeds(numbers, ranked=False)
 
     def tells(self, parts: Sequence[Part], name: str) -> bool:
@@ -196,11 +257,15 @@ class _Training:
 
 
 def training_tables(
-    parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
+    parts: Sequence[tuple[Part, str]],
+    trained: Sequence[Trained],
+    failures: Mapping[str, str] | None = None,
 ) -> list[Table]:
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
     told = {part: summaries[key] for part, key in parts if key in summaries}
-    training = _Training([part for part, _ in parts], told, {part: why[key] for part, key in parts if key in why})
+    training = _Training(
+        [part for part, _ in parts], told, {part: why[key] for part, key in parts if key in why}
+    )
     tables = (_stages(training, _incomplete(training)), _ahead(training))
     return [table for table in tables if table.rows and table.columns]
 
@@ -217,13 +282,26 @@ def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
     stages = dict.fromkeys(stage for stage, _ in COLUMNS)
     for i, task in enumerate(training.tasks):
         own = [part for stage in stages for part in training.parts(task, stage)]
-        rows.append(Row((task_title(task) + _share(training, own),), tuple(values[i] for values in shown)))
+        rows.append(
+            Row((task_title(task) + _share(training, own),), tuple(values[i] for values in shown))
+        )
     meanings = (
-        "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
-        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off; / real: the "
+        "The latent expert drives by the world model's filter; beside it the privileged "
+        "one that it was distilled from. rank: correlation "
+        "of a critic with the discounted sum that really followed in held-out episodes, "
+        "whose time limit cuts some of it off; / real: the "
         "mean of the critic over that of these sums.",
     )
-    return Table("training", "Trained parts", ("Task",), tuple(columns), tuple(rows), notes, meanings, ranked=False)
+    return Table(
+        "training",
+        "Trained parts",
+        ("Task",),
+        tuple(columns),
+        tuple(rows),
+        notes,
+        meanings,
+        ranked=False,
+    )
 
 
 def _ahead(training: _Training) -> Table:
@@ -238,11 +316,21 @@ def _ahead(training: _Training) -> Table:
             # A measure that no part tells is no row; of what is still to come there is one.
             if told or (share and measure is MEASURES[0]):
                 rows.append(Row((task_title(task), measure.title + share), tuple(values)))
-    kept = [i for i in range(len(AHEAD)) if any(row.values[i].mean is not None for row in rows)] or range(len(AHEAD))
+    kept = [
+        i for i in range(len(AHEAD)) if any(row.values[i].mean is not None for row in rows)
+    ] or range(len(AHEAD))
     columns = tuple(Column(f"step_{AHEAD[i]}", str(AHEAD[i]), digits=3) for i in kept)
     shown = tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows)
     meanings = ("On held-out episodes. Persistence says that the cost stays what it is now.",)
-    return Table("world_model", "World model, imagined steps ahead", ("Task", "Measure"), columns, shown, meanings=meanings, ranked=False)
+    return Table(
+        "world_model",
+        "World model, imagined steps ahead",
+        ("Task", "Measure"),
+        columns,
+        shown,
+        meanings=meanings,
+        ranked=False,
+    )
 
 
 def _incomplete(training: _Training) -> tuple[str, ...]:
@@ -250,8 +338,14 @@ def _incomplete(training: _Training) -> tuple[str, ...]:
     if not absent:
         return ()
     absent.sort(key=lambda part: part not in training.failures)  # what failed explains the rest
-    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent]
-    return (f"INCOMPLETE: {len(absent)} of {len(training.wanted)} parts are missing: {few(names, NAMED)}.",)
+    names = [
+        f"{part} ({training.failures[part]})" if part in training.failures else str(part)
+        for part in absent
+    ]
+    return (
+        f"INCOMPLETE: {len(absent)} of {len(training.wanted)} parts are missing: "
+        f"{few(names, NAMED)}.",
+    )
 
 
 def _share(training: _Training, parts: Sequence[Part]) -> str:
@@ -261,7 +355,9 @@ def _share(training: _Training, parts: Sequence[Part]) -> str:
 
 ALL = "all"  # the row of a dataset's contents that has all behaviours
 COSTLY_SHARE = (0.03, 0.15)
-"""Share of costly decision steps that a dataset should have: with less a model learns no cost, with more nothing of driving well."""
+"""Share of costly decision steps that a dataset should have: with less a model learns no cost,
+with more nothing of driving well.
+"""
 Document = Mapping[str, Any]
 
 
@@ -284,6 +380,10 @@ def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, 
             warnings = dataset_warnings(read_json(layout, artifact, "contents.json"))
         except UNREADABLE:
             return artifact
-        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(warnings)}) if warnings else artifact
+        return (
+            replace(artifact, summary={**artifact.summary, "warning": "; ".join(warnings)})
+            if warnings
+            else artifact
+        )
 
     return tuple(map(judged, trained))

@@ -1,4 +1,6 @@
-"""Pictures and pages of trained parts, a folder for each: what a dataset holds, what a world model sees and imagines."""
+"""Pictures and pages of trained parts, a folder for each: what a dataset holds, what a world
+model sees and imagines.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,45 @@ from wasp_cli.report.render import markdown
 from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table
-from wasp_cli.report.trained import ALL, PIXELS, UNREADABLE, Document, Trained, dataset_warnings, read_json, read_table
-from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
+from wasp_cli.report.trained import (
+    ALL,
+    PIXELS,
+    UNREADABLE,
+    Document,
+    Trained,
+    dataset_warnings,
+    read_json,
+    read_table,
+)
+from wasp_cli.report.trained.figures import (
+    draw_horizon,
+    draw_learning,
+    draw_reliability,
+    draw_value_reliability,
+)
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)  # red is what cost, blue what was predicted to
+# red is what cost, blue what was predicted to
+INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)
 GAP, TEXT = 6, 18  # between frames, and of a line of text, in px
-SIDE, LABEL, BAR = 96, 92, 26  # of a frame of a world model, the names of its rows, and the bars of costs, in px
+# of a frame of a world model, the names of its rows, and the bars of costs, in px
+SIDE, LABEL, BAR = 96, 92, 26
 PITCH = SIDE + GAP
-COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
+COLUMNS = (
+    "window",
+    "step",
+    "behaviour",
+    "episode",
+    "decision",
+    "cost",
+    "predicted",
+    "true",
+    "model",
+)
 WINDOWS = 16  # imagined windows that are drawn at most
 
 Images = NDArray[np.uint8]
@@ -46,14 +74,25 @@ class Window(NamedTuple):
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
     table = read_table(layout, artifact, "images.parquet", COLUMNS)
     of = np.asarray(table["window"], np.int64)
-    rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
-    cost, predicted = (np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted"))
+    rows: dict[str, list[Any]] = {
+        name: table[name].to_pylist()
+        for name in ("behaviour", "episode", "decision", "true", "model")
+    }
+    cost, predicted = (
+        np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted")
+    )
 
     def window(number: int) -> Window:
         places = np.flatnonzero(of == number).tolist()
         first = places[0]
-        title = f"{rows['behaviour'][first]}, episode {rows['episode'][first]}, step {rows['decision'][first]}"
-        true, model = (np.stack([np.frombuffer(rows[name][i], np.uint8).reshape(PIXELS) for i in places]) for name in ("true", "model"))
+        title = (
+            f"{rows['behaviour'][first]}, episode {rows['episode'][first]}, step "
+            f"{rows['decision'][first]}"
+        )
+        true, model = (
+            np.stack([np.frombuffer(rows[name][i], np.uint8).reshape(PIXELS) for i in places])
+            for name in ("true", "model")
+        )
         return Window(title, true, model, cost[places], np.clip(predicted[places], 0.0, 1.0))
 
     numbers = sorted(set(of[of >= 0].tolist()))[:WINDOWS]
@@ -73,7 +112,9 @@ def _strip(window: Window, word: str) -> Image.Image:
         draw.text((GAP, y + SIDE // 2 - 6), name, INK, font)
         for column, image in enumerate(images):
             x = LABEL + column * PITCH
-            shown = Image.fromarray(np.ascontiguousarray(image[channel : channel + 3].transpose(1, 2, 0)))
+            shown = Image.fromarray(
+                np.ascontiguousarray(image[channel : channel + 3].transpose(1, 2, 0))
+            )
             strip.paste(shown.resize((SIDE, SIDE), Image.Resampling.NEAREST), (x, y))
             if window.cost[column] > 0:
                 draw.rectangle((x - 2, y - 2, x + SIDE + 1, y + SIDE + 1), outline=RED, width=2)
@@ -96,7 +137,10 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
     draw, font, bold = ImageDraw.Draw(sheet), ImageFont.load_default(11), ImageFont.load_default(13)
     for number, (window, strip) in enumerate(zip(windows, strips, strict=True)):
         top = number * block
-        title = f"{window.title}: seen at 0, then {len(window.cost) - 1} steps imagined under the true actions"
+        title = (
+            f"{window.title}: seen at 0, then {len(window.cost) - 1} steps imagined under the "
+            "true actions"
+        )
         draw.text((GAP, top), title, INK, bold)
         sheet.paste(strip, (0, top + TEXT))
         base = top + TEXT + strip.height + BAR
@@ -105,14 +149,19 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
         for column, (cost, predicted) in enumerate(zip(window.cost, window.predicted, strict=True)):
             x = LABEL + column * PITCH
             draw.line((x, base, x + SIDE, base), INK)
-            draw.rectangle((x + 4, base - round((BAR - 2) * float(predicted)), x + SIDE // 2 - 4, base), BLUE)
+            draw.rectangle(
+                (x + 4, base - round((BAR - 2) * float(predicted)), x + SIDE // 2 - 4, base), BLUE
+            )
             if cost > 0:
                 draw.rectangle((x + SIDE // 2 + 4, base - BAR + 2, x + SIDE - 4, base), RED)
             draw.text((x + 4, base + 1), f"{column}:  {predicted:.2f}", BLUE, font)
     sheet.save(path, format="PNG")
 
 
-SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
+SETS = {
+    "held_out": "Held-out episodes of the dataset",
+    "unseen": "Fresh episodes under operators that are not in the dataset",
+}
 
 
 def _percent(key: str, title: str, digits: int = 0) -> Column:
@@ -120,34 +169,57 @@ def _percent(key: str, title: str, digits: int = 0) -> Column:
 
 
 CONTENTS = (
-    Column("episodes", "Episodes", digits=0), _percent("share", "Share"), Column("steps", "Steps", digits=0),
-    Column("return_per_episode", "Return"), Column("goals_per_episode", "Goals"), _percent("with_goal", "With a goal"),
-    _percent("terminal", "Ended by rule"), Column("cost_per_episode", "Cost", digits=1), _percent("costly_share", "Costly steps", 2),
-)  # fmt: skip
+    Column("episodes", "Episodes", digits=0),
+    _percent("share", "Share"),
+    Column("steps", "Steps", digits=0),
+    Column("return_per_episode", "Return"),
+    Column("goals_per_episode", "Goals"),
+    _percent("with_goal", "With a goal"),
+    _percent("terminal", "Ended by rule"),
+    Column("cost_per_episode", "Cost", digits=1),
+    _percent("costly_share", "Costly steps", 2),
+)
 FORESEEN = tuple(
     Column(key, title, digits=digits)
     for key, title, digits in (
-        ("base", "Base rate", 3), ("auprc", "AUPRC", 3), ("auprc_low", "from", 3), ("auprc_high", "to", 3),
-        ("persistence", "Persistence", 3), ("recall", "Recall", 3), ("predicted_over_base", "Predicted / base", 2),
-        ("calibration_error", "ECE", 3), ("onset_base", "Onset base", 3), ("onset_auprc", "Onset AUPRC", 3), ("foreseen", "Foreseen", 3),
-        ("onset_foreseen", "Onset foreseen", 3), ("reward_r2", "Reward R2", 2), ("image_error", "Image error", 4),
-        ("copy_error", "Copy error", 4), ("image_over_copy", "Image / copy", 2),
+        ("base", "Base rate", 3),
+        ("auprc", "AUPRC", 3),
+        ("auprc_low", "from", 3),
+        ("auprc_high", "to", 3),
+        ("persistence", "Persistence", 3),
+        ("recall", "Recall", 3),
+        ("predicted_over_base", "Predicted / base", 2),
+        ("calibration_error", "ECE", 3),
+        ("onset_base", "Onset base", 3),
+        ("onset_auprc", "Onset AUPRC", 3),
+        ("foreseen", "Foreseen", 3),
+        ("onset_foreseen", "Onset foreseen", 3),
+        ("reward_r2", "Reward R2", 2),
+        ("image_error", "Image error", 4),
+        ("copy_error", "Copy error", 4),
+        ("image_over_copy", "Image / copy", 2),
     )
-)  # fmt: skip
+)
 WINDOW = tuple(
     Column(key, title, digits=3)
     for key, title in (
-        ("base", "Base rate"), ("auprc", "AUPRC"), ("recall", "Recall"), ("foreseen", "Foreseen"), ("false_alarms", "False alarms"),
-        ("persistence", "Persistence, AUPRC"), ("cost_correlation", "Summed cost, correlation with the real sum"),
+        ("base", "Base rate"),
+        ("auprc", "AUPRC"),
+        ("recall", "Recall"),
+        ("foreseen", "Foreseen"),
+        ("false_alarms", "False alarms"),
+        ("persistence", "Persistence, AUPRC"),
+        ("cost_correlation", "Summed cost, correlation with the real sum"),
     )
-)  # fmt: skip
+)
 
 
 def contents_markdown(contents: Document) -> str:
     sources = [_percent(kind, kind, 2) for kind in contents[ALL]["sources"]]
     rows = [((name,), {**row, **row["sources"]}) for name, row in contents.items()]
     notes = [
-        "Return, goals and cost (env steps that cost) are means per episode; costly steps and the cost sources are shares of the decision "
+        "Return, goals and cost (env steps that cost) are means per episode; costly steps "
+        "and the cost sources are shares of the decision "
         "steps, and one step may cost by several sources.",
         *(f"Warning: {text}." for text in dataset_warnings(contents)),
     ]
@@ -158,15 +230,27 @@ def open_loop_markdown(sets: Document) -> str:
     parts = ["# What the world model foresees\n"]
     for name, table in sets.items():
         named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
-        total, moments = sum(table["episodes"].values()), f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments"
-        parts += [f"# {SETS.get(name, name)}\n", f"{total} episodes ({named}), {moments}.\n", *_foreseen(table)]
+        total, moments = (
+            sum(table["episodes"].values()),
+            f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments",
+        )
+        parts += [
+            f"# {SETS.get(name, name)}\n",
+            f"{total} episodes ({named}), {moments}.\n",
+            *_foreseen(table),
+        ]
     window = next(iter(sets.values()))["window"]
     parts.append(
-        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now, copy "
-        "that the image does. Recall is at 10 % false alarms. Onset counts only starts that do not cost themselves. Foreseen is the share "
-        "of the real costs before which the safety gate would have fired: the expected costly steps of the window, discounted by "
-        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is the share of windows without a cost in which "
-        "they were too. ECE is the mean distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in "
+        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence "
+        "says that the cost stays what it is now, copy "
+        "that the image does. Recall is at 10 % false alarms. Onset counts only starts "
+        "that do not cost themselves. Foreseen is the share "
+        "of the real costs before which the safety gate would have fired: the expected "
+        "costly steps of the window, discounted by "
+        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is "
+        "the share of windows without a cost in which "
+        "they were too. ECE is the mean distance of predicted and seen over ten bins. "
+        "Image errors are squared, per pixel, for values in "
         "[0, 1].\n"
     )
     return "\n".join(parts)
@@ -182,10 +266,23 @@ def _foreseen(table: Document) -> Iterator[str]:
     yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
     told = table.get("readout")
     if told:
-        places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
-        note = "What a ridge regression tells of the privileged vector, as R2, fitted on the episodes that were learned from."
+        places = (
+            ("filtered latent", "filtered"),
+            ("embedding of the image", "embedding"),
+            (f"imagined, step {told['step']}", "imagined"),
+        )
+        note = (
+            "What a ridge regression tells of the privileged vector, as R2, fitted on the "
+            "episodes that were learned from."
+        )
         columns = [Column(group, group) for group in told["filtered"]]
-        yield _table("What is read from the latent", ("read from",), columns, [((title,), told[key]) for title, key in places], [note])
+        yield _table(
+            "What is read from the latent",
+            ("read from",),
+            columns,
+            [((title,), told[key]) for title, key in places],
+            [note],
+        )
     sources = list(steps[0]["foreseen_by_source"]) if steps else []
     if len(sources) > 1:
         rows = [((str(row["k"]),), row["foreseen_by_source"]) for row in steps]
@@ -194,8 +291,15 @@ def _foreseen(table: Document) -> Iterator[str]:
 
 
 def quality_markdown(quality: Document) -> str:
-    columns = (Column("conformity", "to the expert's action", digits=3), Column("fidelity", "to the command", digits=3))
-    rows = [((kind, ratio), row) for kind, by_ratio in quality.items() for ratio, row in by_ratio.items()]
+    columns = (
+        Column("conformity", "to the expert's action", digits=3),
+        Column("fidelity", "to the command", digits=3),
+    )
+    rows = [
+        ((kind, ratio), row)
+        for kind, by_ratio in quality.items()
+        for ratio, row in by_ratio.items()
+    ]
     return _table("What denoising does to commands", ("Command", "Ratio"), columns, rows)
 
 
@@ -206,12 +310,18 @@ def _table(
     rows: Iterable[tuple[tuple[str, ...], Document]],
     notes: Sequence[str] = (),
 ) -> str:
-    filled = tuple(Row(names, tuple(Value(numbers[column.key]) for column in columns)) for names, numbers in rows)
-    return markdown(Table("part", title, labels, tuple(columns), filled, tuple(notes), grouping=0, ranked=False))
+    filled = tuple(
+        Row(names, tuple(Value(numbers[column.key]) for column in columns))
+        for names, numbers in rows
+    )
+    return markdown(
+        Table("part", title, labels, tuple(columns), filled, tuple(notes), grouping=0, ranked=False)
+    )
 
 
 FOLDER = "trained"  # below the folder of a report
-Draw = Callable[[Layout, Trained, Path], None]  # writes a file from an artifact, or nothing where that has nothing to show
+# writes a file from an artifact, or nothing where that has nothing to show
+Draw = Callable[[Layout, Trained, Path], None]
 
 
 def _figure(draw: Callable[[Layout, Sequence[Trained]], Figure | None]) -> Draw:
@@ -224,10 +334,13 @@ def _figure(draw: Callable[[Layout, Sequence[Trained]], Figure | None]) -> Draw:
 
 
 def _page(render: Callable[[Any], str], source: str) -> Draw:
-    return lambda layout, artifact, path: replace_file(path, render(read_json(layout, artifact, source)))
+    return lambda layout, artifact, path: replace_file(
+        path, render(read_json(layout, artifact, source))
+    )
 
 
-EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the artifact: the files and what writes each
+# by the kind of the artifact: the files and what writes each
+EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     "expert": (("curve.png", _figure(draw_learning)),),
     "dataset": (("contents.md", _page(contents_markdown, "contents.json")),),
     "diagnostics": (
@@ -246,9 +359,16 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {  # by the kind of the arti
 
 
 def write_evidence(
-    layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None, *, anew: bool = True
+    layout: Layout,
+    trained: Sequence[Trained],
+    report: Path,
+    tell: Callable[[str], None] = lambda text: None,
+    *,
+    anew: bool = True,
 ) -> list[Path]:
-    """Write what there is to see of trained parts; of a damaged artifact a file is left out. With `anew` what was there before goes."""
+    """Write what there is to see of trained parts; of a damaged artifact a file is left out.
+    With `anew` what was there before goes.
+    """
     root = report / FOLDER
     if anew and root.is_dir() and not root.is_symlink():
         shutil.rmtree(root)

@@ -1,8 +1,9 @@
-"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes true; and the
-same curves, with the numbers of the main table, for TensorBoard and Trackio.
+"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes
+true; and the same curves, with the numbers of the main table, for TensorBoard and Trackio.
 
-There a trained part is a run such as `goal1/s1/Expert`, with its curves over decision steps or updates. An assistant is a run such as
-`goal1/table/WASP`, with one point a column of the main table. Files of artifacts that have no valid form are left out.
+There a trained part is a run such as `goal1/s1/Expert`, with its curves over decision steps or
+updates. An assistant is a run such as `goal1/table/WASP`, with one point a column of the main
+table. Files of artifacts that have no valid form are left out.
 """
 
 from __future__ import annotations
@@ -34,12 +35,17 @@ if TYPE_CHECKING:
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
 SMOOTHED = 7  # points of a loss that are averaged: a batch is small
-EPISODES = {"held_out": ("held-out episodes", PALETTE[6]), "unseen": ("operators not in the data", PALETTE[4])}
+EPISODES = {
+    "held_out": ("held-out episodes", PALETTE[6]),
+    "unseen": ("operators not in the data", PALETTE[4]),
+}
 """Sets of episodes that a world model is judged by: name and colour."""
 QUANTITIES = {
-    "return": "return per episode", "cost_per_1000": "cost per 1000 env steps", "multiplier": "multiplier",
+    "return": "return per episode",
+    "cost_per_1000": "cost per 1000 env steps",
+    "multiplier": "multiplier",
     "loss": "world model, loss / first loss",
-}  # fmt: skip
+}
 """What a learning curve may show, a panel each."""
 DRIVING = {  # stages that learn in the task: file of the curve, name in figures
     "expert": ("curve.json", "Expert"),
@@ -50,13 +56,21 @@ LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
 UPDATES_PER_POINT = 20  # of the world model's curves
 STEPS = (1, 5, 10, 15)  # imagined steps whose reliability a figure shows
-RANKED = (("auprc", "-", "o", "model"), ("persistence", "--", "", "persistence"), ("base", ":", "", "base rate"))
+RANKED = (
+    ("auprc", "-", "o", "model"),
+    ("persistence", "--", "", "persistence"),
+    ("base", ":", "", "base rate"),
+)
 """Lines of the AUPRC over the imagined step: key, style, marker and name."""
 FURTHER = (
-    ("predicted_over_base", "predicted cost / base rate"), ("reward_r2", "reward R2"), ("image_over_copy", "image error / error of a copy")
-)  # fmt: skip
+    ("predicted_over_base", "predicted cost / base rate"),
+    ("reward_r2", "reward R2"),
+    ("image_over_copy", "image error / error of a copy"),
+)
 """What the other panels over the imagined step show: key and title."""
-GROUPS, POINTS = 10, 1500  # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most
+# groups of equally many decisions in a reliability diagram, and decisions that are drawn as points
+# at most
+GROUPS, POINTS = 10, 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +95,8 @@ class Reliability(NamedTuple):
 
 
 def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw return, cost and multiplier of what learns in the task, and losses of the world model; a row for each task.
+    """Draw return, cost and multiplier of what learns in the task, and losses of the world model; a
+    row for each task.
 
     All seeds of a name look the same. A rollout in which no episode ended has no return.
     """
@@ -89,10 +104,17 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
     for curve in loss_curves(layout, trained):
         width = min(SMOOTHED, len(curve.x))
         middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
-        smooth = {name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()}
+        smooth = {
+            name: np.convolve(values, np.ones(width) / width, "valid")
+            for name, values in curve.y.items()
+        }
         curves.append(replace(curve, x=middle, y=smooth))
     tasks = list(dict.fromkeys(curve.task for curve in curves))
-    shown = [quantity for quantity in QUANTITIES if any(np.isfinite(curve.y.get(quantity, np.nan)).any() for curve in curves)]
+    shown = [
+        quantity
+        for quantity in QUANTITIES
+        if any(np.isfinite(curve.y.get(quantity, np.nan)).any() for curve in curves)
+    ]
     if not tasks or not shown:
         return None
     with drawn((0.4 + 3.1 * len(shown), 0.5 + 2.5 * len(tasks))) as figure:
@@ -102,41 +124,77 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
                 own = [curve for curve in curves if quantity in curve.y]
                 names = list(dict.fromkeys(curve.name for curve in own))
                 lines = [
-                    Line(1e-3 * curve.x, curve.y[quantity], curve.name, PALETTE[i % len(PALETTE)], LINES[i % len(LINES)], alpha=0.85)
+                    Line(
+                        1e-3 * curve.x,
+                        curve.y[quantity],
+                        curve.name,
+                        PALETTE[i % len(PALETTE)],
+                        LINES[i % len(LINES)],
+                        alpha=0.85,
+                    )
                     for curve in own
                     if curve.task == task
                     for i in [names.index(curve.name)]
                 ]
                 loss = quantity == "loss"
                 draw_lines(
-                    panel, lines, xlabel="thousand updates" if loss else "thousand decision steps", yscale="log" if loss else "linear"
+                    panel,
+                    lines,
+                    xlabel="thousand updates" if loss else "thousand decision steps",
+                    yscale="log" if loss else "linear",
                 )
                 panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
-                limits = {curve.limit for curve in own if curve.task == task and curve.limit is not None}
+                limits = {
+                    curve.limit for curve in own if curve.task == task and curve.limit is not None
+                }
                 for limit in sorted(limits) if quantity == "cost_per_1000" else ():
-                    panel.axhline(limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}")
+                    panel.axhline(
+                        limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}"
+                    )
                 if panel.get_legend_handles_labels()[0]:
                     panel.legend(frameon=False, fontsize=7, handlelength=2.4)
         return figure
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw how often an imagined cost came true, by its predicted probability; a row for each task, a column for each set of episodes."""
+    """Draw how often an imagined cost came true, by its predicted probability; a row for each
+    task, a column for each set of episodes.
+    """
     diagrams = list(reliabilities(layout, trained))
     tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:
         return None
-    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)]
+    kinds = [
+        episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)
+    ]
     with drawn((0.4 + 3.6 * len(kinds), 0.5 + 3.2 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, episodes in zip(row, kinds, strict=True):
-                lines = list(_reliable([each for each in diagrams if (each.task, each.episodes) == (task, episodes)]))
-                draw_lines(panel, lines, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
+                lines = list(
+                    _reliable(
+                        [
+                            each
+                            for each in diagrams
+                            if (each.task, each.episodes) == (task, episodes)
+                        ]
+                    )
+                )
+                draw_lines(
+                    panel, lines, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost"
+                )
                 panel.grid(visible=False)
-                panel.set_title(f"{task_title(task)}: {EPISODES[episodes][0]}", loc="left", fontsize=9)
+                panel.set_title(
+                    f"{task_title(task)}: {EPISODES[episodes][0]}", loc="left", fontsize=9
+                )
                 if lines:
-                    panel.legend(frameon=False, fontsize=7, loc="upper left", title="steps ahead", title_fontsize=7)
+                    panel.legend(
+                        frameon=False,
+                        fontsize=7,
+                        loc="upper left",
+                        title="steps ahead",
+                        title_fontsize=7,
+                    )
             row[0].set_ylabel("share with a cost")
         return figure
 
@@ -166,9 +224,24 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
                 config: Any = {}
                 with suppress(WaspError):  # without a manifest there is no limit
                     config = read_manifest(layout, artifact.kind, artifact.key).get("config") or {}
-                limit = config.get("cost_limit") if config.get("mode", "lagrangian") == "lagrangian" else None
-                numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")}
-                curves.append(Curve(artifact.task, artifact.seed, name, x, numbers, None if limit is None else float(limit)))
+                limit = (
+                    config.get("cost_limit")
+                    if config.get("mode", "lagrangian") == "lagrangian"
+                    else None
+                )
+                numbers = {
+                    key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")
+                }
+                curves.append(
+                    Curve(
+                        artifact.task,
+                        artifact.seed,
+                        name,
+                        x,
+                        numbers,
+                        None if limit is None else float(limit),
+                    )
+                )
     return curves
 
 
@@ -183,7 +256,9 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
                 values = np.array(curves.get(term, ()), np.float64)
                 if len(values) > 1 and values[0] > 0:
                     x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
-                    losses.append(Curve(artifact.task, artifact.seed, title, x, {"loss": values / values[0]}))
+                    losses.append(
+                        Curve(artifact.task, artifact.seed, title, x, {"loss": values / values[0]})
+                    )
     return losses
 
 
@@ -199,9 +274,20 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
                 for row in rows:
                     bins = row.get("reliability")
                     if row["k"] in STEPS and bins:
-                        predicted, seen, size = (column_of(bins, name) for name in ("predicted", "seen", "size"))
+                        predicted, seen, size = (
+                            column_of(bins, name) for name in ("predicted", "seen", "size")
+                        )
                         (error,) = column_of([row], "calibration_error").tolist()
-                        yield Reliability(artifact.task, artifact.seed, episodes, row["k"], predicted, seen, size, error)
+                        yield Reliability(
+                            artifact.task,
+                            artifact.seed,
+                            episodes,
+                            row["k"],
+                            predicted,
+                            seen,
+                            size,
+                            error,
+                        )
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
@@ -216,11 +302,25 @@ def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
         for name, rows in sets.items():
             title, colour = EPISODES[name]
             k = column_of(rows, "k")
-            panels[0].fill_between(k, column_of(rows, "auprc_low"), column_of(rows, "auprc_high"), color=colour, alpha=0.15, linewidth=0)
+            panels[0].fill_between(
+                k,
+                column_of(rows, "auprc_low"),
+                column_of(rows, "auprc_high"),
+                color=colour,
+                alpha=0.15,
+                linewidth=0,
+            )
             for key, style, marker, text in RANKED:
                 label = text if name == first else ""  # colours are named in the other panels
-                ranked.append(Line(k, column_of(rows, key), label, colour, style, marker, gaps=True))
-            further.append([Line(k, column_of(rows, key), title, colour, marker="o", gaps=True) for key, _ in FURTHER])
+                ranked.append(
+                    Line(k, column_of(rows, key), label, colour, style, marker, gaps=True)
+                )
+            further.append(
+                [
+                    Line(k, column_of(rows, key), title, colour, marker="o", gaps=True)
+                    for key, _ in FURTHER
+                ]
+            )
         common: dict[str, Any] = {"xlabel": "imagined step", "xticks": [1, *range(5, 1 + last, 5)]}
         draw_lines(panels[0], ranked, title="cost AUPRC", **common)
         for i, (_, title) in enumerate(FURTHER):
@@ -237,7 +337,8 @@ def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
 
 def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw what critics predicted beside what followed: every decision as a point, and the means of ten equally large groups.
+    """Draw what critics predicted beside what followed: every decision as a point, and the means of
+    ten equally large groups.
 
     On the diagonal a critic is right on average.
     """
@@ -253,12 +354,26 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
         for panel, name in zip(panels, critics, strict=True):
             x, y = predicted[names == name], real[names == name]
             shown = np.linspace(0, len(x) - 1, min(POINTS, len(x))).astype(int)
-            groups = [group for group in np.array_split(np.argsort(x, kind="stable"), GROUPS) if len(group)]
-            mean_x, mean_y = (np.array([values[group].mean() for group in groups]) for values in (x, y))
-            points = Line(x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4)
+            groups = [
+                group
+                for group in np.array_split(np.argsort(x, kind="stable"), GROUPS)
+                if len(group)
+            ]
+            mean_x, mean_y = (
+                np.array([values[group].mean() for group in groups]) for values in (x, y)
+            )
+            points = Line(
+                x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4
+            )
             lines = [points, Line(mean_x, mean_y, colour=PALETTE[4], marker="o", size=4.0)]
             ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
-            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name}, predicted", ylabel="discounted sum that followed")
+            draw_lines(
+                panel,
+                lines,
+                diagonal=ends,
+                xlabel=f"{name}, predicted",
+                ylabel="discounted sum that followed",
+            )
         return figure
 
 
@@ -270,11 +385,19 @@ def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Runs:
     for curve in driving_curves(layout, trained):
         _add(runs.setdefault(f"{curve.task}/s{curve.seed}/{curve.name}", {}), curve.x, curve.y)
     for curve in loss_curves(layout, trained):  # a curve a term of the loss, over its first value
-        _add(runs.setdefault(f"{curve.task}/s{curve.seed}/World model", {}), curve.x, {f"loss, {curve.name}": curve.y["loss"]})
+        _add(
+            runs.setdefault(f"{curve.task}/s{curve.seed}/World model", {}),
+            curve.x,
+            {f"loss, {curve.name}": curve.y["loss"]},
+        )
     table = main_table(frame)
     for group, row in zip(full_groups(frame), table.rows, strict=True):
         pairs = zip(table.columns, row.values, strict=True)
-        numbers = {column.key: value.mean * column.scale for column, value in pairs if value.mean is not None}
+        numbers = {
+            column.key: value.mean * column.scale
+            for column, value in pairs
+            if value.mean is not None
+        }
         runs[f"{group.task}/table/{row.labels[1]}"] = {0: numbers}
     return runs
 
@@ -292,7 +415,9 @@ def to_tensorboard(name: str, runs: Runs, folder: Path) -> int:
         from tensorboard.compat.proto.summary_pb2 import Summary
         from tensorboard.summary.writer.event_file_writer import EventFileWriter
     except ImportError as error:
-        raise UsageError("--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'") from error
+        raise UsageError(
+            "--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'"
+        ) from error
     target = _new(folder / name)
     for run, points in runs.items():
         writer = EventFileWriter(str(target / run))
@@ -309,10 +434,19 @@ def to_trackio(name: str, runs: Runs, folder: Path) -> int:
     try:
         import trackio
     except ImportError as error:
-        raise UsageError("--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'") from error
+        raise UsageError(
+            "--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'"
+        ) from error
     with redirect_stdout(io.StringIO()):  # it tells three lines a run
         for run, points in runs.items():
-            begun = trackio.init(project=name, name=run, resume="never", embed=False, auto_log_gpu=False, auto_log_cpu=False)
+            begun = trackio.init(
+                project=name,
+                name=run,
+                resume="never",
+                embed=False,
+                auto_log_gpu=False,
+                auto_log_cpu=False,
+            )
             for step, numbers in points.items():
                 begun.log(numbers, step=step)
             begun.finish()  # type: ignore[no-untyped-call]
@@ -320,7 +454,9 @@ def to_trackio(name: str, runs: Runs, folder: Path) -> int:
 
 
 def _new(path: Path) -> Path:
-    """Return a path that is not there yet: a second export would stand beside the first under the same names. Raises UsageError."""
+    """Return a path that is not there yet: a second export would stand beside the first under
+    the same names. Raises UsageError.
+    """
     if path.exists():
         raise UsageError(f"'{path}' is there already", "remove it, or export to another folder")
     return path

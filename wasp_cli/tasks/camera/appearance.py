@@ -1,4 +1,6 @@
-"""What a task looks like; `camera` and `topdown` draw it. n = episodes drawn, K = things of one kind in each."""
+"""What a task looks like; `camera` and `topdown` draw it. n = episodes drawn, K = things of one
+kind in each.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +40,15 @@ class Kind(NamedTuple):
     colour: Colour
     alpha: float = 1.0
     painted: float | None = None
-    """Radius of a flat disc that is painted onto the floor instead of cast as a solid; the geoms are then not drawn by the camera."""
+    """Radius of a flat disc that is painted onto the floor instead of cast as a solid; the
+    geoms are then not drawn by the camera.
+    """
     column: tuple[float, float] | None = None
-    """Radius and height of an upright column that is drawn instead of the geoms, from any distance at least a pixel wide."""
-    reach: float | None = None  # distance in m beyond which it is not drawn, being smaller than a pixel; None: no limit
+    """Radius and height of an upright column that is drawn instead of the geoms, from any
+    distance at least a pixel wide.
+    """
+    # distance in m beyond which it is not drawn, being smaller than a pixel; None: no limit
+    reach: float | None = None
 
 
 class Part(NamedTuple):
@@ -56,7 +63,8 @@ class Wall(NamedTuple):
 
     outline: Floats  # [V, 2] closed ring
     top: float  # height in m; it reaches down to the floor
-    colours: tuple[Colour, Colour]  # alternating along the wall, so that motion along it can be seen
+    # alternating along the wall, so that motion along it can be seen
+    colours: tuple[Colour, Colour]
     stripe: float = 0.5  # length of one stripe in m
     hollow: bool = False  # the ring is a face around free space, with the solid outside of it
 
@@ -77,7 +85,9 @@ class Floor(Protocol):
     """The colours of the ground."""
 
     def painter(self, footprint: Shades) -> Painter:
-        """Return what paints pixels that are `footprint` [m] in m on the ground, smoothed over that: nothing may flicker far away."""
+        """Return what paints pixels that are `footprint` [m] in m on the ground, smoothed over
+        that: nothing may flicker far away.
+        """
         ...
 
 
@@ -86,7 +96,8 @@ class Appearance(NamedTuple):
 
     robot: tuple[Part, ...]
     camera_height: float  # of both cameras above the body's origin, along the body's z axis, in m
-    forward: tuple[float, float]  # the front camera's heading in the body frame; the rear camera looks the other way
+    # the front camera's heading in the body frame; the rear camera looks the other way
+    forward: tuple[float, float]
     floor: Floor
     walls: tuple[Wall, ...]
     landmarks: tuple[Landmark, ...]
@@ -95,14 +106,20 @@ class Appearance(NamedTuple):
     map_centre: tuple[float, float] | None = None
     """Centre of the map; None: it follows the robot when it would leave a map around the origin."""
     horizon: Colour = (0.012, 0.012, 0.02)
-    """Of the sky straight ahead, into which floor and walls fade with distance. Nearly black in the reference package."""
+    """Of the sky straight ahead, into which floor and walls fade with distance. Nearly black in
+    the reference package.
+    """
     zenith: Colour = (0.012, 0.012, 0.02)  # of the sky above
-    haze: float = 12.0  # distance in m at which half of the colour of floor and walls is left. Things and landmarks do not fade.
+    # distance in m at which half of the colour of floor and walls is left. Things and landmarks do
+    # not fade.
+    haze: float = 12.0
 
 
 @runtime_checkable
 class HasScene(Protocol):
-    """A task that can be drawn for people (`wasp_cli.tasks.camera.topdown`). No picture of these is an observation."""
+    """A task that can be drawn for people (`wasp_cli.tasks.camera.topdown`). No picture of
+    these is an observation.
+    """
 
     def appearance(self) -> Appearance:
         """Return what stays the same over the episodes."""

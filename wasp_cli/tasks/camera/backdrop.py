@@ -1,4 +1,6 @@
-"""What needs no ray cast at it: sky, floor with discs, walls, columns, the robot's own body. m = pixels that see the floor, or a wall."""
+"""What needs no ray cast at it: sky, floor with discs, walls, columns, the robot's own body. m
+= pixels that see the floor, or a wall.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,14 @@ from wasp_cli.tasks.camera.panorama import DIRECTIONS, NOTHING, Panorama, direct
 from wasp_cli.tasks.camera.upright import Upright
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_SPARSE = 4  # A layer with something in less than one of so many directions is looked at pixel by pixel
+# A layer with something in less than one of so many directions is looked at pixel by pixel
+_SPARSE = 4
 
 
 class _Ground(NamedTuple):
-    """The pixels that see the floor. All of it depends on the cameras' height and tilt alone, not on where they are."""
+    """The pixels that see the floor. All of it depends on the cameras' height and tilt alone,
+    not on where they are.
+    """
 
     pixels: NDArray[np.intp]  # [m]
     fall: Shades  # [m] length of the ray on which it falls by 1 m
@@ -28,7 +33,9 @@ class _Ground(NamedTuple):
 
 
 class _Level(NamedTuple):
-    """What a robot of one height and tilt sees of sky, floor and itself, wherever it is, where nothing stands upright."""
+    """What a robot of one height and tilt sees of sky, floor and itself, wherever it is, where
+    nothing stands upright.
+    """
 
     tilt: bytes  # of the pose that this was made for
     depth: Shades  # [P]
@@ -56,10 +63,15 @@ class Backdrop:
 
     def look_ahead(self, poses: Poses, scene: Scene) -> Ahead:
         """Find what concerns all rows of a scene and no pixel yet."""
-        return Ahead(self._upright.panoramas(poses, scene), [Discs(kind, poses, scene.things[kind.name]) for kind in self._painted])
+        return Ahead(
+            self._upright.panoramas(poses, scene),
+            [Discs(kind, poses, scene.things[kind.name]) for kind in self._painted],
+        )
 
     def draw(self, frame: Frame, ahead: Ahead, row: int) -> None:
-        """Fill every pixel of a frame with what is behind the things of one row, in image and depth (m)."""
+        """Fill every pixel of a frame with what is behind the things of one row, in image and
+        depth (m).
+        """
         if ahead.panoramas is None:
             level = self._level_view(frame)
             np.copyto(frame.depth, level.depth)
@@ -75,7 +87,9 @@ class Backdrop:
             self._draw_sky_and_robot(frame, rays[2])
 
     def _level_view(self, frame: Frame) -> _Level:
-        """What depends on height and tilt alone: found again only where those differ from the frame's before."""
+        """What depends on height and tilt alone: found again only where those differ from the
+        frame's before.
+        """
         tilt = frame.turn[2].tobytes() + frame.origin[2].tobytes()
         level = self._level
         if level is None or level.tilt != tilt:
@@ -85,7 +99,13 @@ class Backdrop:
             seen[self._view.own] = False
             ground = self._ground(np.flatnonzero(seen), floor_depth, fall)
             self._draw_sky_and_robot(frame, height)
-            level = _Level(tilt, frame.depth.copy(), frame.image.copy(), ground, np.take(frame.body_rays, ground.pixels, axis=1))
+            level = _Level(
+                tilt,
+                frame.depth.copy(),
+                frame.image.copy(),
+                ground,
+                np.take(frame.body_rays, ground.pixels, axis=1),
+            )
             self._level = level
         return level
 
@@ -100,8 +120,12 @@ class Backdrop:
         np.divide(_ONE, left, out=left)
         return _Ground(pixels, fall, self._floor.painter(footprint), left)
 
-    def _draw_floor(self, frame: Frame, ground: _Ground, run: Shades, ahead: Ahead, row: int) -> None:
-        """`run` [2, m]: x and y of the rays to the floor's pixels; scaled here to how far they go while they fall by 1 m."""
+    def _draw_floor(
+        self, frame: Frame, ground: _Ground, run: Shades, ahead: Ahead, row: int
+    ) -> None:
+        """`run` [2, m]: x and y of the rays to the floor's pixels; scaled here to how far they
+        go while they fall by 1 m.
+        """
         if not len(ground.pixels):
             return
         run *= ground.fall
@@ -128,8 +152,11 @@ class Backdrop:
 
 
 def _to_floor(frame: Frame, height: Shades) -> tuple[Shades, Shades]:
-    """Depth [P] of the floor, entered into the frame's where it is nearer, and the length of rays on which they fall by 1 m."""
-    # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never counts.
+    """Depth [P] of the floor, entered into the frame's where it is nearer, and the length of
+    rays on which they fall by 1 m.
+    """
+    # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never
+    # counts.
     fall = np.negative(height)
     np.maximum(fall, np.float32(1e-6), out=fall)
     np.divide(_ONE, fall, out=fall)
@@ -139,7 +166,9 @@ def _to_floor(frame: Frame, height: Shades) -> tuple[Shades, Shades]:
 
 
 def _see_upright(frame: Frame, rays: Shades, panorama: Panorama) -> tuple[NDArray[np.intp], Shades]:
-    """Walls and columns: brings the depth up to date; the pixels [m] that see them and their colours [3, m]."""
+    """Walls and columns: brings the depth up to date; the pixels [m] that see them and their
+    colours [3, m].
+    """
     depth, z = frame.depth, np.float32(frame.origin[2])
     at, stretch = directions(rays[0], rays[1])
     step = (at.astype(np.int32) & (DIRECTIONS - 1)).astype(np.intp)

@@ -1,8 +1,10 @@
-"""Front and rear camera of every task: a ray caster without OpenGL that gives the same bytes every time.
+"""Front and rear camera of every task: a ray caster without OpenGL that gives the same bytes every
+time.
 
-The floor is a plane, walls and columns stand upright (`panorama`), the robot's own body never changes (`frame`), and only movable
-things need rays cast at solids (with `mj_multiRay`). A frame uses nothing but additions, multiplications, divisions, square
-roots and comparisons in a fixed order, on poses that were rounded to float32: the same scene gives the same bytes on every machine.
+The floor is a plane, walls and columns stand upright (`panorama`), the robot's own body never
+changes (`frame`), and only movable things need rays cast at solids (with `mj_multiRay`). A frame
+uses nothing but additions, multiplications, divisions, square roots and comparisons in a fixed
+order, on poses that were rounded to float32: the same scene gives the same bytes on every machine.
 """
 
 from __future__ import annotations
@@ -37,18 +39,23 @@ class Camera:
         self._view = make_view(appearance)
         self._backdrop = Backdrop(appearance, self._view)
         solid = [kind for kind in appearance.kinds if kind.column is None and kind.painted is None]
-        # Opaque things first: what is behind a translucent one must be there when that is blended in.
+        # Opaque things first: what is behind a translucent one must be there when that is blended
+        # in.
         self._kinds = sorted(solid, key=lambda kind: kind.alpha < 1.0)
         self._solids = [Solids(kind) for kind in self._kinds]
         self._casters = [[solids.caster() for solids in self._solids] for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="camera") if threads > 1 else None
+        self._pool = (
+            ThreadPoolExecutor(threads, thread_name_prefix="camera") if threads > 1 else None
+        )
 
     def __reduce__(self) -> tuple[type[Camera], tuple[Appearance, int]]:
         # Threads cannot be copied, and no picture depends on an earlier one.
         return Camera, (self._appearance, self._threads)
 
     def render(self, scene: Scene) -> Pixels:
-        """Draw uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own scene only."""
+        """Draw uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own
+        scene only.
+        """
         rows, plan = len(scene.position), self._plan(scene)
         out = np.empty((rows, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         # Cameras first, as frames have them.
@@ -68,19 +75,28 @@ class Camera:
         return out
 
     def depth(self, scene: Scene) -> Shades:
-        """Measure distances in m float32 [n, 2, 64, 64] of what is seen (through translucent things), FAR in the sky. For tests."""
+        """Measure distances in m float32 [n, 2, 64, 64] of what is seen (through translucent
+        things), FAR in the sky. For tests.
+        """
         plan = self._plan(scene)
         rows = [self._draw(self._casters[0], plan, row).depth for row in range(len(scene.position))]
         return np.stack(rows).reshape(-1, 2, CAMERA_SIZE, CAMERA_SIZE)
 
     def _plan(self, scene: Scene) -> Plan:
         poses = camera_poses(self._view, self._height, scene)
-        near = [solids.near(poses, scene.things[kind.name]) for kind, solids in zip(self._kinds, self._solids, strict=True)]
+        near = [
+            solids.near(poses, scene.things[kind.name])
+            for kind, solids in zip(self._kinds, self._solids, strict=True)
+        ]
         placed, start = [], 0
         if near:
-            radii = np.repeat([solids.radius for solids in self._solids], [len(each.rows) for each in near])
+            radii = np.repeat(
+                [solids.radius for solids in self._solids], [len(each.rows) for each in near]
+            )
             rows = np.concatenate([each.rows for each in near])
-            seen, edges = rectangles(poses.axes[rows], np.concatenate([each.middle for each in near]), radii)
+            seen, edges = rectangles(
+                poses.axes[rows], np.concatenate([each.middle for each in near]), radii
+            )
             for solids, each in zip(self._solids, near, strict=True):
                 part = slice(start, start + len(each.rows))
                 placed.append(solids.place(poses, each, seen[part], edges[part]))

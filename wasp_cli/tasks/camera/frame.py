@@ -1,4 +1,6 @@
-"""The rays of both cameras, and one image pair while it is drawn. P = 2 * 64 * 64 pixels, front image first; m = some of them."""
+"""The rays of both cameras, and one image pair while it is drawn. P = 2 * 64 * 64 pixels, front
+image first; m = some of them.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from wasp_cli.tasks.base import CAMERA_SIZE, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Colour, Scene, Shades
 
 FRONT_SLOPE = 0.4
-"""The front camera looks down by this slope (21.8 degrees), the rear camera is level; both have 90 degrees field of view."""
+"""The front camera looks down by this slope (21.8 degrees), the rear camera is level; both have
+90 degrees field of view.
+"""
 
 FAR = 300.0  # depth of the sky in m: nothing that is farther away is drawn
 
@@ -28,14 +32,18 @@ class View(NamedTuple):
 
 
 def camera_axes(forward: tuple[float, float], slope: float) -> Floats:
-    """Return unit vectors [3, 3] forward, right and up of a camera that looks along `forward` and down by `slope` (a tangent)."""
+    """Return unit vectors [3, 3] forward, right and up of a camera that looks along `forward`
+    and down by `slope` (a tangent).
+    """
     ahead = np.array([*forward, -slope]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2 + slope**2)
     right = np.array([forward[1], -forward[0], 0.0]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2)
     return np.stack([ahead, right, np.cross(right, ahead)])
 
 
 def camera_rays(axes: Floats) -> Floats:
-    """Return unit vectors [64 * 64, 3] through the pixel centres of a camera, `axes` [3, 3], 90 degrees field of view, top row first."""
+    """Return unit vectors [64 * 64, 3] through the pixel centres of a camera, `axes` [3, 3], 90
+    degrees field of view, top row first.
+    """
     forward, right, up = axes
     at = (np.arange(CAMERA_SIZE) + 0.5) / (CAMERA_SIZE / 2) - 1.0
     rays = (forward + at[None, :, None] * right - at[:, None, None] * up).reshape(-1, 3)
@@ -48,12 +56,19 @@ def make_view(appearance: Appearance) -> View:
     """Cast all rays once at the robot itself."""
     fx, fy = appearance.forward
     axes = np.stack([camera_axes((fx, fy), FRONT_SLOPE), camera_axes((-fx, -fy), 0.0)])
-    # Rounded first, so that the last bit of a machine's square root or cross product cannot reach an image.
-    rays = np.concatenate([camera_rays(each) for each in axes]).astype(np.float32).astype(np.float64)
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{''.join(part.geom for part in appearance.robot)}</worldbody></mujoco>")
+    # Rounded first, so that the last bit of a machine's square root or cross product cannot reach
+    # an image.
+    rays = (
+        np.concatenate([camera_rays(each) for each in axes]).astype(np.float32).astype(np.float64)
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{''.join(part.geom for part in appearance.robot)}</worldbody></mujoco>"
+    )
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    distance, normals, geoms = cast(model, data, np.array([0.0, 0.0, appearance.camera_height]), rays)
+    distance, normals, geoms = cast(
+        model, data, np.array([0.0, 0.0, appearance.camera_height]), rays
+    )
     own = np.flatnonzero(geoms >= 0)
     colours = np.array([part.colour for part in appearance.robot], np.float32)
     depth = np.full(len(rays), FAR, np.float32)
@@ -62,19 +77,46 @@ def make_view(appearance: Appearance) -> View:
     return View(axes, np.ascontiguousarray(rays.T, np.float32), depth, own, own_colour)
 
 
-def cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
-    """Return distances [m] in m (-1: no hit), normals [m, 3] and geom ids [m] (-1) from `origin` [3] along unit vectors `rays` [m, 3]."""
+def cast(
+    model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats
+) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """Return distances [m] in m (-1: no hit), normals [m, 3] and geom ids [m] (-1) from
+    `origin` [3] along unit vectors `rays` [m, 3].
+    """
     count = len(rays)
-    distance, normal, geoms = np.full(count, -1.0), np.zeros(3 * count), np.full(count, -1, np.int32)
+    distance, normal, geoms = (
+        np.full(count, -1.0),
+        np.zeros(3 * count),
+        np.full(count, -1, np.int32),
+    )
     if count:
-        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), None, True, -1, geoms, distance, normal, count, FAR)
+        mujoco.mj_multiRay(
+            model,
+            data,
+            origin,
+            rays.reshape(-1),
+            None,
+            True,
+            -1,
+            geoms,
+            distance,
+            normal,
+            count,
+            FAR,
+        )
     return distance, normal.reshape(-1, 3), geoms
 
 
 def shade(normals: Floats, rays: Floats) -> Shades:
-    """Return brightness [m] in [0.45, 1] of `normals` [m, 3] seen along `rays` [m, 3]: a light straight above and one at the camera."""
-    facing = np.abs(normals[:, 0] * rays[:, 0] + normals[:, 1] * rays[:, 1] + normals[:, 2] * rays[:, 2])
-    bright: Shades = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(np.float32)
+    """Return brightness [m] in [0.45, 1] of `normals` [m, 3] seen along `rays` [m, 3]: a light
+    straight above and one at the camera.
+    """
+    facing = np.abs(
+        normals[:, 0] * rays[:, 0] + normals[:, 1] * rays[:, 1] + normals[:, 2] * rays[:, 2]
+    )
+    bright: Shades = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(
+        np.float32
+    )
     return bright
 
 
@@ -110,7 +152,9 @@ class Frame(NamedTuple):
 
     def rays(self, pixels: NDArray[np.intp] | None = None) -> Shades:
         """Return unit vectors [3, m] in the world through these pixels, or [3, P] through all."""
-        return turned_rays(self.turn, self.body_rays if pixels is None else np.take(self.body_rays, pixels, axis=1))
+        return turned_rays(
+            self.turn, self.body_rays if pixels is None else np.take(self.body_rays, pixels, axis=1)
+        )
 
     def put(self, pixels: NDArray[np.intp], colours: Shades) -> None:
         """Enter colours [3, m] at pixels [m]."""
@@ -119,11 +163,19 @@ class Frame(NamedTuple):
 
 def open_frame(view: View, poses: Poses, row: int) -> Frame:
     """Begin one row; nothing is drawn yet but the depth of the robot's own body."""
-    return Frame(poses.origin[row], poses.turn[row].astype(np.float32), view.rays, view.depth.copy(), np.empty_like(view.rays))
+    return Frame(
+        poses.origin[row],
+        poses.turn[row].astype(np.float32),
+        view.rays,
+        view.depth.copy(),
+        np.empty_like(view.rays),
+    )
 
 
 def turned_rays(turn: Shades, rays: Shades) -> Shades:
-    """Turn `rays` [3, m] from the robot's frame into the world by `turn` [k, 3], its first k rows -> [k, m]."""
+    """Turn `rays` [3, m] from the robot's frame into the world by `turn` [k, 3], its first k
+    rows -> [k, m].
+    """
     x, y, z = turn.T[:, :, None]
     turned: Shades = x * rays[0]
     turned += y * rays[1]
@@ -132,13 +184,17 @@ def turned_rays(turn: Shades, rays: Shades) -> Shades:
 
 
 def put(image: Shades, pixels: NDArray[np.intp], colours: Shades) -> None:
-    """Enter colours [3, m] at pixels [m] of an image: by channel, which is three times as fast as an assignment to all of them."""
+    """Enter colours [3, m] at pixels [m] of an image: by channel, which is three times as fast
+    as an assignment to all of them.
+    """
     for channel, colour in zip(image, colours, strict=True):
         channel[pixels] = colour
 
 
 def rounded(values: Floats) -> Floats:
-    """Round to float32 and back, any shape: differences of the last bits between machines are gone, the arithmetic stays in float64."""
+    """Round to float32 and back, any shape: differences of the last bits between machines are
+    gone, the arithmetic stays in float64.
+    """
     return values.astype(np.float32).astype(np.float64)
 
 

@@ -1,9 +1,11 @@
-"""What stands upright around a place: for every horizontal direction the nearest wall, its height and its colour.
+"""What stands upright around a place: for every horizontal direction the nearest wall, its height
+and its colour.
 
-Walls and columns are upright, so a picture of them needs no ray per pixel: one look around in the plane answers for all pixels, which
-only compare heights. Directions are the points of the square max(|x|, |y|) = 1, counter-clockwise in N equal steps from its lower right
-corner: found by divisions alone, and so to the same bit everywhere. S = sides of outlines, L = layers: a layer hides only within itself,
-so that a cliff is seen over a rock.
+Walls and columns are upright, so a picture of them needs no ray per pixel: one look around in the
+plane answers for all pixels, which only compare heights. Directions are the points of the square
+max(|x|, |y|) = 1, counter-clockwise in N equal steps from its lower right corner: found by
+divisions alone, and so to the same bit everywhere. S = sides of outlines, L = layers: a layer hides
+only within itself, so that a cliff is seen over a rock.
 """
 
 from __future__ import annotations
@@ -49,13 +51,15 @@ class Columns(NamedTuple):
 class Panorama(NamedTuple):
     """The nearest side in every direction, for each layer."""
 
-    reach: Shades  # [L, N] in units of the direction's vector on the square; NOTHING where there is none
+    # [L, N] in units of the direction's vector on the square; NOTHING where there is none
+    reach: Shades
     top: Shades  # [L, N]
     colour: Shades  # [3, L * N]
 
 
 def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
-    """Return all sides of the walls, and into how many layers they fall: walls of similar height share one.
+    """Return all sides of the walls, and into how many layers they fall: walls of similar height
+    share one.
 
     At the distance `haze` in m half of their colour is left.
     """
@@ -72,12 +76,20 @@ def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
         end = np.roll(start, -1, axis=1)
         length = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
         before = np.concatenate([[0.0], np.cumsum(length)[:-1]]) / wall.stripe
-        parts.append(_sides(start, end, wall.top, layer_of[wall.top], wall.colours, wall.stripe, before, haze))
+        parts.append(
+            _sides(
+                start, end, wall.top, layer_of[wall.top], wall.colours, wall.stripe, before, haze
+            )
+        )
     return (join(parts) if parts else _none()), layers
 
 
-def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colours: Sequence[Colour], layer: int) -> Columns:
-    """Return S columns at `places` [S, 2] with radii and heights `shapes` [S, 2] in m, all in one layer."""
+def make_columns(
+    places: ArrayLike, shapes: Sequence[tuple[float, float]], colours: Sequence[Colour], layer: int
+) -> Columns:
+    """Return S columns at `places` [S, 2] with radii and heights `shapes` [S, 2] in m, all in
+    one layer.
+    """
     count = len(shapes)
     shape = np.array(shapes, np.float32).reshape(count, 2)
     return Columns(
@@ -96,9 +108,24 @@ def column_sides(columns: Columns, ox: Shades, oy: Shades) -> Sides:
     # Five quarters of a pixel at the middle of the image, where a pixel sees the least.
     half = np.maximum(columns.radius, distance * np.float32(1.25 / CAMERA_SIZE)) / distance
     across = np.stack([dy * half, -dx * half])
-    start, end, one, none = columns.centre + across, columns.centre - across, np.ones_like(distance), np.zeros_like(distance)
+    start, end, one, none = (
+        columns.centre + across,
+        columns.centre - across,
+        np.ones_like(distance),
+        np.zeros_like(distance),
+    )
     # Columns are there to be found from far away: they do not fade.
-    return Sides(start, end, columns.top, columns.layer, columns.colour, np.zeros_like(columns.colour), one, none, none)
+    return Sides(
+        start,
+        end,
+        columns.top,
+        columns.layer,
+        columns.colour,
+        np.zeros_like(columns.colour),
+        one,
+        none,
+        none,
+    )
 
 
 _Parts = TypeVar("_Parts", Sides, Columns)
@@ -107,11 +134,17 @@ _Parts = TypeVar("_Parts", Sides, Columns)
 def join(parts: Sequence[_Parts]) -> _Parts:
     """Concatenate parts along S."""
     first = parts[0]
-    return first if len(parts) == 1 else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
+    return (
+        first
+        if len(parts) == 1
+        else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
+    )
 
 
 def directions(x: Shades, y: Shades) -> tuple[Shades, Shades]:
-    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N], and max(|x|, |y|) [m]."""
+    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N], and
+    max(|x|, |y|) [m].
+    """
     steep = np.abs(y) > np.abs(x)
     along, ahead = np.where(steep, -x, y), np.where(steep, y, x)
     quarter = np.multiply(ahead <= 0, np.float32(2.0))
@@ -144,10 +177,13 @@ class Views(NamedTuple):
     side: NDArray[np.intp]  # [T] which of the sides it is
 
 
-def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon: Shades) -> list[Panorama]:
+def draw_panoramas(
+    views: Views, count: int, sides: Sides, layers: int, horizon: Shades
+) -> list[Panorama]:
     """Find what `count` viewers see of `sides` in `layers` L, fading into `horizon` [3, 1].
 
-    Of several as near as each other the last one is seen. A viewer inside of a solid sees its walls from behind.
+    Of several as near as each other the last one is seen. A viewer inside of a solid sees its walls
+    from behind.
     """
     (x0, y0), (x1, y1) = views.start, views.end
     # A viewer exactly on a corner: any direction will do for it.
@@ -156,7 +192,8 @@ def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon:
     a, b = np.split(directions(np.concatenate([x0, x1]), np.concatenate([y0, y1]))[0], 2)
     first = np.where(behind, b, a)
     last = np.where(behind, a, b)
-    # Half-open intervals of step middles: sides that share a corner leave neither a gap nor an overlap.
+    # Half-open intervals of step middles: sides that share a corner leave neither a gap nor an
+    # overlap.
     first_step = np.ceil(first - np.float32(0.5)).astype(np.intp)
     steps = (np.ceil(last - np.float32(0.5)).astype(np.intp) - first_step) % DIRECTIONS
     # A side spans less than half a turn; what seems to span more is a side seen edge on.
@@ -195,7 +232,13 @@ def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon:
     x0, y0, owner = x0[owner], y0[owner], views.side[owner]
     stripe = sides.stripe[owner]
     along = sides.offset[owner] + (ex * (distance * tx - x0) + ey * (distance * ty - y0)) / stripe
-    width = distance * length * np.float32(2.0 / CAMERA_SIZE) / np.maximum(facing, np.float32(0.05)) / stripe
+    width = (
+        distance
+        * length
+        * np.float32(2.0 / CAMERA_SIZE)
+        / np.maximum(facing, np.float32(0.05))
+        / stripe
+    )
     wave = np.clip(np.float32(1.6) - np.float32(2.4) * width, np.float32(0.0), np.float32(1.0))
     along *= np.float32(0.5)
     np.negative(wave, out=wave, where=along - np.floor(along) >= np.float32(0.5))
@@ -213,7 +256,10 @@ def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon:
     for channel in range(3):
         flat[at + channel * size] = colours[channel]
     shape = (count, layers, DIRECTIONS)
-    return [Panorama(*each) for each in zip(nearest.reshape(shape), top.reshape(shape), colour, strict=True)]
+    return [
+        Panorama(*each)
+        for each in zip(nearest.reshape(shape), top.reshape(shape), colour, strict=True)
+    ]
 
 
 def _sides(
@@ -244,4 +290,13 @@ def _sides(
 
 
 def _none() -> Sides:
-    return _sides(np.zeros((2, 0)), np.zeros((2, 0)), 0.0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0, np.zeros(0), 1.0)
+    return _sides(
+        np.zeros((2, 0)),
+        np.zeros((2, 0)),
+        0.0,
+        0,
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        1.0,
+        np.zeros(0),
+        1.0,
+    )

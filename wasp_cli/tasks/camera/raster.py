@@ -1,4 +1,6 @@
-"""Outlines on a grid: which cells they hold, and how far cells are from them. Cells have their middles at `x` [W] and `y` [H]."""
+"""Outlines on a grid: which cells they hold, and how far cells are from them. Cells have their
+middles at `x` [W] and `y` [H].
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from wasp_cli.tasks.base import Bools, Floats
 
 
 def filled(ring: Floats, x: Floats, y: Floats) -> Bools:
-    """Tell whether each cell's middle is inside a closed ring [V, 2] -> bool [H, W], by the parity of crossings; `x` ascends."""
+    """Tell whether each cell's middle is inside a closed ring [V, 2] -> bool [H, W], by the
+    parity of crossings; `x` ascends.
+    """
     x0, y0 = ring.T
     x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
     odd = np.zeros((len(y), len(x)), np.bool_)
@@ -23,7 +27,9 @@ def filled(ring: Floats, x: Floats, y: Floats) -> Bools:
 
 
 def around(x: Floats, y: Floats, low: Floats, high: Floats) -> tuple[slice, slice]:
-    """Return rows and columns of the cells in the rectangle from `low` [2] to `high` [2]; `x` ascends, `y` ascends or descends."""
+    """Return rows and columns of the cells in the rectangle from `low` [2] to `high` [2]; `x`
+    ascends, `y` ascends or descends.
+    """
     columns = slice(int(np.searchsorted(x, low[0])), int(np.searchsorted(x, high[0])))
     if len(y) > 1 and y[0] > y[-1]:
         rows = slice(int(np.searchsorted(-y, -high[1])), int(np.searchsorted(-y, -low[1])))
@@ -32,8 +38,11 @@ def around(x: Floats, y: Floats, low: Floats, high: Floats) -> tuple[slice, slic
     return rows, columns
 
 
-def near_sides(sides: Floats, x: Floats, y: Floats, reach: float) -> Iterator[tuple[int, tuple[slice, slice], Floats, Floats]]:
-    """Yield for each side [V, 2, 2] its index, a window of cells, their distance [h, w], and the share [h, w] of it that is nearest.
+def near_sides(
+    sides: Floats, x: Floats, y: Floats, reach: float
+) -> Iterator[tuple[int, tuple[slice, slice], Floats, Floats]]:
+    """Yield for each side [V, 2, 2] its index, a window of cells, their distance [h, w], and the
+    share [h, w] of it that is nearest.
 
     The window holds at least the cells within `reach`; windows without a cell are left out.
     """

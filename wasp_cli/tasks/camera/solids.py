@@ -1,4 +1,6 @@
-"""Movable things: where the cameras see them, and the rays that are cast at them. n = rows, M = things in sight, G = geoms of a kind."""
+"""Movable things: where the cameras see them, and the rays that are cast at them. n = rows, M =
+things in sight, G = geoms of a kind.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,13 @@ from wasp_cli.tasks.camera.frame import Frame, Poses, cast, rounded, shade
 from wasp_cli.tasks.camera.spheres import bounding_spheres, rectangles
 
 SLOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
-"""Copies of a thing in the models to choose from: every copy in a model costs time for every ray."""
+"""Copies of a thing in the models to choose from: every copy in a model costs time for every
+ray.
+"""
 _MANY = 250  # pixels from which on a thing is cast at alone
 _PARKED = -1000.0  # height at which a thing waits that is not drawn
-_LARGE = 300  # pixels from which on it pays to ask for every single one whether its ray meets the sphere
+# pixels from which on it pays to ask for every single one whether its ray meets the sphere
+_LARGE = 300
 
 
 class Hits(NamedTuple):
@@ -54,7 +59,9 @@ class Placed(NamedTuple):
     start: list[int]  # [n + 1] where each row's begin
     boxes: list[list[Box]]  # [M]
     poses: tuple[Floats, Floats, Floats, Floats]
-    """[M, 3], [M, 9], [M, G, 3], [M, G, 9]: middles of mass and their axes, then places and axes of geoms, as `MjData` has them."""
+    """[M, 3], [M, 9], [M, G, 3], [M, G, 9]: middles of mass and their axes, then places and
+    axes of geoms, as `MjData` has them.
+    """
 
 
 class Solids:
@@ -62,7 +69,9 @@ class Solids:
 
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
-        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body>{kind.geoms}</body></worldbody></mujoco>")
+        model = mujoco.MjModel.from_xml_string(
+            f"<mujoco><worldbody><body>{kind.geoms}</body></worldbody></mujoco>"
+        )
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         self._geom_position = model.geom_pos.copy()
@@ -83,19 +92,36 @@ class Solids:
             found = np.flatnonzero(x * x + y * y + z * z < self._reach2)
             rows, which, position = rows[found], which[found], position[found]
         rotation = rounded(things.rotation[rows, which])
-        return Near(rows, position, rotation, position + _turned(rotation, self._centres[0]) - poses.origin[rows])
+        return Near(
+            rows,
+            position,
+            rotation,
+            position + _turned(rotation, self._centres[0]) - poses.origin[rows],
+        )
 
     def place(self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp]) -> Placed:
-        """Order what is in sight, of things in the rectangles `seen` [k, 2], `edges` [k, 2, 4] that may show them."""
+        """Order what is in sight, of things in the rectangles `seen` [k, 2], `edges` [k, 2, 4]
+        that may show them.
+        """
         rows, position, rotation, middle = near
         x, y, z = middle.T
         distance = np.sqrt(x * x + y * y + z * z)
         sight = np.flatnonzero(seen[:, 0] | seen[:, 1])
         sight = sight[np.lexsort((distance[sight], rows[sight]))]
         rows, position, rotation = rows[sight], position[sight], rotation[sight]
-        boxes = self._boxes(poses, Near(rows, position, rotation, middle[sight]), seen[sight], edges[sight], distance[sight])
+        boxes = self._boxes(
+            poses,
+            Near(rows, position, rotation, middle[sight]),
+            seen[sight],
+            edges[sight],
+            distance[sight],
+        )
         turn = rotation[:, None]
-        turned = np.repeat(rotation, len(self._geom_position), axis=0) if self._aligned else _product(turn, self._geom_rotation)
+        turned = (
+            np.repeat(rotation, len(self._geom_position), axis=0)
+            if self._aligned
+            else _product(turn, self._geom_rotation)
+        )
         return Placed(
             np.searchsorted(rows, np.arange(len(poses.origin) + 1)).tolist(),
             boxes,
@@ -107,19 +133,35 @@ class Solids:
             ),
         )
 
-    def _boxes(self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp], distance: Floats) -> list[list[Box]]:
+    def _boxes(
+        self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp], distance: Floats
+    ) -> list[list[Box]]:
         rows, position, rotation, middle = near
         boxes: list[list[Box]] = [[] for _ in rows]
         # So close that the sphere around the whole thing fills the view: take its geoms one by one.
         close = distance < 1.5 * self.radius
         columns = (seen & ~close[:, None], edges, middle, distance - self.radius)
-        for thing, (whole, edge, centre, nearest) in enumerate(zip(*(each.tolist() for each in columns), strict=True)):
-            boxes[thing] += [_box(camera, edge[camera], centre, self.radius, nearest) for camera in range(2) if whole[camera]]
+        for thing, (whole, edge, centre, nearest) in enumerate(
+            zip(*(each.tolist() for each in columns), strict=True)
+        ):
+            boxes[thing] += [
+                _box(camera, edge[camera], centre, self.radius, nearest)
+                for camera in range(2)
+                if whole[camera]
+            ]
         for thing in np.flatnonzero(close).tolist():
-            centres = position[thing] + _turned(rotation[thing], self._centres[1:]) - poses.origin[rows[thing]]
+            centres = (
+                position[thing]
+                + _turned(rotation[thing], self._centres[1:])
+                - poses.origin[rows[thing]]
+            )
             parts, part_edges = rectangles(poses.axes[rows[thing]][None], centres, self._radii[1:])
             for part, camera in np.argwhere(parts).tolist():
-                where = (part_edges[part, camera].tolist(), centres[part].tolist(), float(self._radii[1 + part]))
+                where = (
+                    part_edges[part, camera].tolist(),
+                    centres[part].tolist(),
+                    float(self._radii[1 + part]),
+                )
                 boxes[thing].append(_box(camera, *where, float(distance[thing]) - self.radius))
         return boxes
 
@@ -139,8 +181,8 @@ class Caster:
     def see(self, placed: Placed, row: int, frame: Frame) -> Iterator[Hits]:
         """Cast at the things of one row.
 
-        A pixel counts when the thing is nearer than the frame's depth; what was yielded may be entered into that before the next is
-        asked for.
+        A pixel counts when the thing is nearer than the frame's depth; what was yielded may be
+        entered into that before the next is asked for.
         """
         mask = self._mask
         depth = frame.depth.reshape(mask.shape)
@@ -150,7 +192,11 @@ class Caster:
         for thing in range(placed.start[row], placed.start[row + 1]):
             pixels = 0
             for at, large, centre, radius, nearest in placed.boxes[thing]:
-                open_ = _may_meet(rays[:, *at], depth[at], turn, centre, radius) if large else depth[at] > nearest
+                open_ = (
+                    _may_meet(rays[:, *at], depth[at], turn, centre, radius)
+                    if large
+                    else depth[at] > nearest
+                )
                 count = int(np.count_nonzero(open_))
                 if count:
                     pixels += count
@@ -185,15 +231,24 @@ def _box(camera: int, edges: list[int], centre: list[float], radius: float, near
     return Box((camera, slice(top, bottom), slice(left, right)), large, centre, radius, nearest)
 
 
-def _may_meet(rays: Shades, depth: Shades, turn: list[list[float]], centre: list[float], radius: float) -> Bools:
-    """Tell [h, w] whether rays [3, h, w] of the robot's frame enter a sphere before `depth` [h, w], with slack for what is rounded."""
-    x, y, z = (np.float32(axis[0] * centre[0] + axis[1] * centre[1] + axis[2] * centre[2]) for axis in turn)
+def _may_meet(
+    rays: Shades, depth: Shades, turn: list[list[float]], centre: list[float], radius: float
+) -> Bools:
+    """Tell [h, w] whether rays [3, h, w] of the robot's frame enter a sphere before `depth` [h,
+    w], with slack for what is rounded.
+    """
+    x, y, z = (
+        np.float32(axis[0] * centre[0] + axis[1] * centre[1] + axis[2] * centre[2]) for axis in turn
+    )
     along: Shades = rays[0] * x
     along += rays[1] * y
     along += rays[2] * z
-    # The square of half the chord. A ray that meets the sphere behind `depth` alone has the middle of its chord there.
+    # The square of half the chord. A ray that meets the sphere behind `depth` alone has the middle
+    # of its chord there.
     chord = along * along
-    chord -= np.float32((centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2) * (1.0 - 4e-6) - (radius + 1e-4) ** 2)
+    chord -= np.float32(
+        (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2) * (1.0 - 4e-6) - (radius + 1e-4) ** 2
+    )
     behind = np.maximum(along - depth, np.float32(0.0))
     behind *= behind
     met: Bools = behind < chord
@@ -206,12 +261,19 @@ class _CopyModel:
 
     def __init__(self, kind: Kind, size: int) -> None:
         body = f'<body mocap="true" pos="0 0 {_PARKED}">{kind.geoms}</body>'
-        self.model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body * size}</worldbody></mujoco>")
+        self.model = mujoco.MjModel.from_xml_string(
+            f"<mujoco><worldbody>{body * size}</worldbody></mujoco>"
+        )
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         geoms = self.model.ngeom // size
         data = self.data
-        self._arrays = (data.xipos[1:], data.ximat[1:], data.geom_xpos.reshape(size, geoms, 3), data.geom_xmat.reshape(size, geoms, 9))
+        self._arrays = (
+            data.xipos[1:],
+            data.ximat[1:],
+            data.geom_xpos.reshape(size, geoms, 3),
+            data.geom_xmat.reshape(size, geoms, 9),
+        )
         self._used = 0
 
     def place(self, placed: Placed, things: list[int]) -> None:

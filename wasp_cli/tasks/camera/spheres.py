@@ -1,4 +1,6 @@
-"""Spheres around things, and the pixels that may show them: whatever is outside of these needs no look."""
+"""Spheres around things, and the pixels that may show them: whatever is outside of these needs
+no look.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from wasp_cli.tasks.camera.appearance import Kind
 
 
 def bounding_spheres(kind: Kind) -> tuple[Floats, Floats]:
-    """Return centres [1 + G, 3] in the kind's body frame and radii [1 + G] in m: of the whole thing, then of each of its G geoms."""
+    """Return centres [1 + G, 3] in the kind's body frame and radii [1 + G] in m: of the whole
+    thing, then of each of its G geoms.
+    """
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{kind.geoms}</worldbody></mujoco>")
     centres, radii = model.geom_pos, model.geom_rbound
     middle = ((centres - radii[:, None]).min(axis=0) + (centres + radii[:, None]).max(axis=0)) / 2.0
@@ -20,24 +24,38 @@ def bounding_spheres(kind: Kind) -> tuple[Floats, Floats]:
 
 
 def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
-    """Find where cameras with `axes` [m, 2, 3, 3] in the world see spheres: `radii` [m] in m, `centres` [m, 3] relative to the cameras.
+    """Find where cameras with `axes` [m, 2, 3, 3] in the world see spheres: `radii` [m] in m,
+    `centres` [m, 3] relative to the cameras.
 
     Returns:
-        Whether any pixel can show it [m, 2], and the first and last-plus-one row and column [m, 2, 4] of those that can.
+        Whether any pixel can show it [m, 2], and the first and last-plus-one row and column [m, 2,
+        4] of those that can.
     """
-    # What is found here decides only which pixels are looked at, so that the last bits of a product do not count.
+    # What is found here decides only which pixels are looked at, so that the last bits of a product
+    # do not count.
     local = (axes @ centres[:, None, :, None])[..., 0]
     ahead, across, radius = local[..., :1], local[..., :0:-1], radii[:, None, None]
     radius2 = radius * radius
     clear, beside = ahead * ahead - radius2, across * across - radius2
     mixed, reach = across * ahead, radius * np.sqrt(np.maximum(beside + ahead * ahead, 0.0))
     before = ahead > radius
-    # Least and greatest across / ahead, of up and right, at which spheres are seen: of the tangents to their outlines, if those lie ahead.
+    # Least and greatest across / ahead, of up and right, at which spheres are seen: of the tangents
+    # to their outlines, if those lie ahead.
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Twice the same quotient, once in the form that holds beside the camera and once in that which holds ahead of it.
-        low = np.where(across > radius, beside / (mixed + reach), np.where(before, (mixed - reach) / clear, -1e3))
-        high = np.where(across < -radius, beside / (mixed - reach), np.where(before, (mixed + reach) / clear, 1e3))
-    # First and last row count from the top. A pixel of slack: one too many costs a ray, one too few would cut the thing.
+        # Twice the same quotient, once in the form that holds beside the camera and once in that
+        # which holds ahead of it.
+        low = np.where(
+            across > radius,
+            beside / (mixed + reach),
+            np.where(before, (mixed - reach) / clear, -1e3),
+        )
+        high = np.where(
+            across < -radius,
+            beside / (mixed - reach),
+            np.where(before, (mixed + reach) / clear, 1e3),
+        )
+    # First and last row count from the top. A pixel of slack: one too many costs a ray, one too few
+    # would cut the thing.
     edges = np.empty((*ahead.shape[:2], 4))
     edges[..., 0], edges[..., 1] = -high[..., 0], -low[..., 0]
     edges[..., 2], edges[..., 3] = low[..., 1], high[..., 1]

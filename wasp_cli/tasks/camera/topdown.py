@@ -15,7 +15,8 @@ from wasp_cli.tasks.camera.raster import around as window_around
 from wasp_cli.tasks.camera.raster import filled, near_sides
 from wasp_cli.tasks.outline import segments
 
-# On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what they are drawn as at least.
+# On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what
+# they are drawn as at least.
 LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
 _MARGIN = 0.2  # how close in m the robot may come to the border of a map that follows it
 _HEADING_COLOUR = (1.0, 1.0, 1.0)
@@ -41,19 +42,35 @@ class _Canvas:
         self.pixel = 2.0 * half_side / size
         self.image = np.zeros((size, size, 3))
 
-    def shape(self, shape: Shape, origin: Floats, axes: Floats, colour: Colour, alpha: float = 1.0, scale: float = 1.0) -> None:
-        """Fill a shape of a body at `origin` [2] with body axes `axes` [2, 2] (rows: where body x and y point)."""
+    def shape(
+        self,
+        shape: Shape,
+        origin: Floats,
+        axes: Floats,
+        colour: Colour,
+        alpha: float = 1.0,
+        scale: float = 1.0,
+    ) -> None:
+        """Fill a shape of a body at `origin` [2] with body axes `axes` [2, 2] (rows: where body
+        x and y point).
+        """
         centre = origin + scale * (shape.centre @ axes)
         sides, half = shape.axes @ axes, shape.half * scale
         extent = float(half[0] + half[1])
         rows, columns = window_around(self.x, self.y, centre - extent, centre + extent)
         dx, dy = self.x[columns] - centre[0], (self.y[rows] - centre[1])[:, None]
         along, across = (dx * side[0] + dy * side[1] for side in sides)
-        inside = along**2 + across**2 < half[0] * half[1] if shape.round else (np.abs(along) < half[0]) & (np.abs(across) < half[1])
+        inside = (
+            along**2 + across**2 < half[0] * half[1]
+            if shape.round
+            else (np.abs(along) < half[0]) & (np.abs(across) < half[1])
+        )
         self._blend((rows, columns), inside, colour, alpha)
 
     def in_view(self, places: Floats, extent: float) -> Bools:
-        """Tell whether something of `extent` m may show at places [K, 2]; most of a long track is beyond a map that follows the robot."""
+        """Tell whether something of `extent` m may show at places [K, 2]; most of a long track
+        is beyond a map that follows the robot.
+        """
         near: Bools = np.abs(places - self.centre).max(axis=1) <= self.half_side + extent
         return near
 
@@ -66,7 +83,9 @@ class _Canvas:
         rows, columns = window_around(self.x, self.y, corners.min(axis=0), corners.max(axis=0))
         self._blend((rows, columns), filled(corners, self.x[columns], self.y[rows]), colour, 1.0)
 
-    def _blend(self, window: tuple[slice, slice], inside: NDArray[np.bool_], colour: Colour, alpha: float) -> None:
+    def _blend(
+        self, window: tuple[slice, slice], inside: NDArray[np.bool_], colour: Colour, alpha: float
+    ) -> None:
         view = self.image[window]
         view[inside] = (1.0 - alpha) * view[inside] + alpha * np.array(colour)
 
@@ -76,7 +95,13 @@ def from_above(task: HasScene, row: int, size: int = MAP_SIZE) -> Pixels:
     return draw_map(task.appearance(), task.scene(np.array([row])), 0, size)
 
 
-def draw_map(appearance: Appearance, scene: Scene, row: int, size: int, around: tuple[tuple[float, float], float] | None = None) -> Pixels:
+def draw_map(
+    appearance: Appearance,
+    scene: Scene,
+    row: int,
+    size: int,
+    around: tuple[tuple[float, float], float] | None = None,
+) -> Pixels:
     """Draw one row of a scene as a map: uint8 [size, size, 3], +x to the right, +y up.
 
     Args:
@@ -86,7 +111,10 @@ def draw_map(appearance: Appearance, scene: Scene, row: int, size: int, around: 
         size: side of the map in pixels.
         around: centre and half side of the map in m, instead of the appearance's own.
     """
-    position, forward = scene.position[row, :2], scene.rotation[row, :2, :2] @ np.array(appearance.forward)
+    position, forward = (
+        scene.position[row, :2],
+        scene.rotation[row, :2, :2] @ np.array(appearance.forward),
+    )
     half_side = appearance.map_half_side if around is None else around[1]
     if around is not None:
         centre = np.array(around[0])
@@ -117,21 +145,32 @@ def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
         canvas.disc(np.array(mark.xy), max(mark.radius, 1.5 * canvas.pixel), mark.colour)
 
 
-def _draw_things(canvas: _Canvas, appearance: Appearance, scene: Scene, row: int, half_side: float) -> None:
-    for kind in sorted(appearance.kinds, key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal")):
+def _draw_things(
+    canvas: _Canvas, appearance: Appearance, scene: Scene, row: int, half_side: float
+) -> None:
+    for kind in sorted(
+        appearance.kinds,
+        key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal"),
+    ):
         things = scene.things[kind.name]
         shapes = shapes_of(kind.geoms) if kind.column is None else (disc(kind.column[0]),)
         least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
         scale = max(1.0, least / _extent(shapes))
         alpha = _TRANSLUCENT if kind.alpha < 1.0 else 1.0
         places = things.position[row, :, :2]
-        for thing in np.flatnonzero(things.shown[row] & canvas.in_view(places, 1.5 * scale * _extent(shapes))):
+        for thing in np.flatnonzero(
+            things.shown[row] & canvas.in_view(places, 1.5 * scale * _extent(shapes))
+        ):
             axes = _ground_axes(things.rotation[row, thing])
             for shape in shapes:
-                canvas.shape(shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale)
+                canvas.shape(
+                    shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale
+                )
 
 
-def _draw_robot(canvas: _Canvas, appearance: Appearance, position: Floats, forward: Floats, half_side: float) -> None:
+def _draw_robot(
+    canvas: _Canvas, appearance: Appearance, position: Floats, forward: Floats, half_side: float
+) -> None:
     parts = [(shapes_of(part.geom), part.colour) for part in appearance.robot]
     extent = max(_extent(shapes) for shapes, _ in parts)
     scale = max(1.0, half_side * LEAST_ROBOT / extent)
@@ -144,12 +183,20 @@ def _draw_robot(canvas: _Canvas, appearance: Appearance, position: Floats, forwa
         for shape in shapes:
             canvas.shape(shape, position, axes, colour, 1.0, scale)
     nose = scale * extent
-    corners = np.stack([nose * forward, 0.35 * nose * (left - 0.2 * forward), -0.35 * nose * (left + 0.2 * forward)])
+    corners = np.stack(
+        [
+            nose * forward,
+            0.35 * nose * (left - 0.2 * forward),
+            -0.35 * nose * (left + 0.2 * forward),
+        ]
+    )
     canvas.triangle(position + corners, _HEADING_COLOUR)
 
 
 def _ground_axes(rotation: Floats) -> Floats:
-    """[2, 2] where body x and y point on the ground; of a body that lies on its side as if it stood."""
+    """[2, 2] where body x and y point on the ground; of a body that lies on its side as if it
+    stood.
+    """
     x = rotation[:2, 0]
     length = float(np.hypot(*x))
     x = x / length if length > 1e-6 else np.array([1.0, 0.0])
@@ -162,7 +209,10 @@ def disc(radius: float) -> Shape:
 
 
 def _extent(shapes: tuple[Shape, ...]) -> float:
-    return max(float(np.hypot(*shape.centre) + (shape.half[0] if shape.round else np.hypot(*shape.half))) for shape in shapes)
+    return max(
+        float(np.hypot(*shape.centre) + (shape.half[0] if shape.round else np.hypot(*shape.half)))
+        for shape in shapes
+    )
 
 
 @lru_cache
@@ -181,7 +231,14 @@ def shapes_of(geoms: str) -> tuple[Shape, ...]:
             shapes.append(Shape(False, centre, axes[:2, :2].T, size[:2].copy()))
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and abs(axes[2, 2]) < 0.5:
             along = axes[:2, 2]
-            shapes.append(Shape(False, centre, np.stack([along, np.array([-along[1], along[0]])]), np.array([size[1], size[0]])))
+            shapes.append(
+                Shape(
+                    False,
+                    centre,
+                    np.stack([along, np.array([-along[1], along[0]])]),
+                    np.array([size[1], size[0]]),
+                )
+            )
         else:
             shapes.append(Shape(True, centre, np.eye(2), np.array([size[0], size[0]])))
     return tuple(shapes)

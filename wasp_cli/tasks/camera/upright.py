@@ -1,4 +1,6 @@
-"""Walls, landmarks and things that are drawn as columns, as the viewers of all rows of a scene have them around them."""
+"""Walls, landmarks and things that are drawn as columns, as the viewers of all rows of a scene
+have them around them.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,15 @@ import numpy as np
 
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Shades
 from wasp_cli.tasks.camera.frame import Poses, column
-from wasp_cli.tasks.camera.panorama import Panorama, Views, column_sides, draw_panoramas, join, make_columns, wall_sides
+from wasp_cli.tasks.camera.panorama import (
+    Panorama,
+    Views,
+    column_sides,
+    draw_panoramas,
+    join,
+    make_columns,
+    wall_sides,
+)
 
 _BLOCK = 8  # viewers at once: more save little time, and their numbers leave the processor's cache
 
@@ -28,16 +38,25 @@ class Upright:
         rows = len(poses.origin)
         found: list[Panorama] = []
         for begin in range(0, rows, _BLOCK):
-            found += self._block(poses.origin[begin : begin + _BLOCK, :2].astype(np.float32).T, scene, begin)
+            found += self._block(
+                poses.origin[begin : begin + _BLOCK, :2].astype(np.float32).T, scene, begin
+            )
         return found
 
     def _block(self, origin: Shades, scene: Scene, begin: int) -> list[Panorama]:
         """Of the viewers at `origin` [2, n], whose first one is the row `begin` of the scene."""
         count, marks, layers = origin.shape[1], self._marks, self._wall_layers
         viewers = [np.repeat(np.arange(count), len(marks))]
-        shapes, colours = [(mark.radius, mark.top) for mark in marks], [mark.colour for mark in marks]
+        shapes, colours = (
+            [(mark.radius, mark.top) for mark in marks],
+            [mark.colour for mark in marks],
+        )
         # The layers: the walls' own, the landmarks', and one for each kind.
-        columns = [make_columns([mark.xy for mark in marks] * count, shapes * count, colours * count, layers)]
+        columns = [
+            make_columns(
+                [mark.xy for mark in marks] * count, shapes * count, colours * count, layers
+            )
+        ]
         for kind in self._columns:
             assert kind.column is not None
             layers += 1
@@ -45,7 +64,9 @@ class Upright:
             rows, which = np.nonzero(things.shown[begin : begin + count])
             viewers.append(rows)
             places = things.position[begin + rows, which, :2]
-            columns.append(make_columns(places, [kind.column] * len(rows), [kind.colour] * len(rows), layers))
+            columns.append(
+                make_columns(places, [kind.column] * len(rows), [kind.colour] * len(rows), layers)
+            )
         viewer = np.concatenate(viewers)
         boards, walls = column_sides(join(columns), *origin[:, viewer]), self._walls
         sides = join([walls, boards])
@@ -58,6 +79,8 @@ class Upright:
             start,
             end,
             np.concatenate([np.repeat(np.arange(count), wall_count), viewer]),
-            np.concatenate([np.tile(np.arange(wall_count), count), wall_count + np.arange(len(viewer))]),
+            np.concatenate(
+                [np.tile(np.arange(wall_count), count), wall_count + np.arange(len(viewer))]
+            ),
         )
         return draw_panoramas(views, count, sides, layers + 1, self._horizon)

@@ -1,1 +1,3 @@
-"""Tasks of others: any gymnasium environment with `info["cost"]` and a camera image, named in a spec by its id."""
+"""Tasks of others: any gymnasium environment with `info["cost"]` and a camera image, named in a
+spec by its id.
+"""

@@ -1,4 +1,5 @@
-"""Calls into the code of others, and what a foreign environment says of itself: it is made and stepped once when a spec is read.
+"""Calls into the code of others, and what a foreign environment says of itself: it is made and
+stepped once when a spec is read.
 
 A call may fail in every way: each failure becomes one `TaskError` that names the environment.
 """
@@ -30,7 +31,9 @@ from wasp_cli.tasks.foreign.views import Views, views_of
 
 GymEnv = gymnasium.Env[Any, Any]
 
-COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+COST_HINT = (
+    "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+)
 _A_COST = "a cost is a finite number of at least 0"
 LONE_SOURCE = "cost"  # the cost source of an environment that names none
 _SUM = "cost_sum"
@@ -49,7 +52,9 @@ class EnvStep(NamedTuple):
 
 @contextmanager
 def of_environment(name: str) -> Iterator[None]:
-    """Let every expected error of the block name the environment, and turn every other failure into an expected one."""
+    """Let every expected error of the block name the environment, and turn every other failure
+    into an expected one.
+    """
     try:
         with calling("code"):
             yield
@@ -59,7 +64,9 @@ def of_environment(name: str) -> Iterator[None]:
 
 @contextmanager
 def calling(part: str) -> Iterator[None]:
-    """Call code of another in the block, which must neither end this process nor print its traceback."""
+    """Call code of another in the block, which must neither end this process nor print its
+    traceback.
+    """
     try:
         yield
     except TaskError:
@@ -67,7 +74,8 @@ def calling(part: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
         raise TaskError(
-            f"its {part} failed: {described(error)}", f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
+            f"its {part} failed: {described(error)}",
+            f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}",
         ) from error
 
 
@@ -82,41 +90,83 @@ def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
     """Advance by an env step under `action`, of the shape of the environment's action space."""
     with calling("step"):
         returned = env.step(action)
-    seen, reward, terminated, truncated, info = _values("step", returned, "(observation, reward, terminated, truncated, info)", 5)
+    seen, reward, terminated, truncated, info = _values(
+        "step", returned, "(observation, reward, terminated, truncated, info)", 5
+    )
     if "cost" not in info:
         raise TaskError("its info has no 'cost'", COST_HINT)
     reward = _finite("its step gave a reward of", reward, "a reward is a finite number")
     cost = _finite("info['cost'] is", info["cost"], _A_COST, least=0.0)
     goals = None
     if "goals" in info:
-        goals = _finite("info['goals'] is", info["goals"], "the number of goals reached so far in the episode", least=0.0, whole=True)
+        goals = _finite(
+            "info['goals'] is",
+            info["goals"],
+            "the number of goals reached so far in the episode",
+            least=0.0,
+            whole=True,
+        )
     return EnvStep(
-        seen, reward, _flag("terminated", terminated), _flag("truncated", truncated), cost, _sources(info, cost),
-        None if goals is None else int(goals), _flag("info['success']", info.get("success", False)),
-    )  # fmt: skip
+        seen,
+        reward,
+        _flag("terminated", terminated),
+        _flag("truncated", truncated),
+        cost,
+        _sources(info, cost),
+        None if goals is None else int(goals),
+        _flag("info['success']", info.get("success", False)),
+    )
 
 
 def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
     if not isinstance(returned, tuple) or len(returned) != size:
-        got = f"{len(returned)} values" if isinstance(returned, tuple) else f"a single {type(returned).__name__}"
+        got = (
+            f"{len(returned)} values"
+            if isinstance(returned, tuple)
+            else f"a single {type(returned).__name__}"
+        )
         raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
     if not isinstance(returned[-1], Mapping):
-        raise TaskError(f"its {part} returned {_shown(returned[-1])} as info", "info is a dictionary; " + COST_HINT)
+        raise TaskError(
+            f"its {part} returned {_shown(returned[-1])} as info",
+            "info is a dictionary; " + COST_HINT,
+        )
     return returned
 
 
 def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
     # Safety-Gymnasium tells its costs flat: `cost_<source>` beside `cost_sum`.
-    flat = {key.removeprefix("cost_"): value for key, value in info.items() if str(key).startswith("cost_") and key != _SUM}
+    flat = {
+        key.removeprefix("cost_"): value
+        for key, value in info.items()
+        if str(key).startswith("cost_") and key != _SUM
+    }
     sources: Any = info.get("cost_sources", (flat if _SUM in info else {}) or {LONE_SOURCE: cost})
-    if not (isinstance(sources, Mapping) and sources and all(isinstance(source, str) for source in sources)):
-        raise TaskError(f"info['cost_sources'] is {_shown(sources)}", "a dictionary from names to costs, with every source in every step")
-    return {source: _finite(f"info['cost_sources']['{source}'] is", value, _A_COST) for source, value in sources.items()}
+    if not (
+        isinstance(sources, Mapping)
+        and sources
+        and all(isinstance(source, str) for source in sources)
+    ):
+        raise TaskError(
+            f"info['cost_sources'] is {_shown(sources)}",
+            "a dictionary from names to costs, with every source in every step",
+        )
+    return {
+        source: _finite(f"info['cost_sources']['{source}'] is", value, _A_COST)
+        for source, value in sources.items()
+    }
 
 
-def _finite(said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False) -> float:
+def _finite(
+    said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False
+) -> float:
     number = _number(value)
-    if number is None or not math.isfinite(number) or number < least or (whole and number != int(number)):
+    if (
+        number is None
+        or not math.isfinite(number)
+        or number < least
+        or (whole and number != int(number))
+    ):
         raise TaskError(f"{said} {_shown(value)}", hint)
     return number
 
@@ -129,7 +179,9 @@ def _flag(name: str, value: Any) -> bool:
 
 
 def _number(value: Any) -> float | None:
-    """A real number, a bool, or an array of no axes that holds one; None for everything else, texts of digits too."""
+    """A real number, a bool, or an array of no axes that holds one; None for everything else,
+    texts of digits too.
+    """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     return float(value) if isinstance(value, numbers.Real | np.bool_) else None
@@ -137,14 +189,19 @@ def _number(value: Any) -> float | None:
 
 def _shown(value: Any) -> str:
     number = _number(value)
-    text = f"{number:g}" if number is not None and not isinstance(value, bool | np.bool_) else " ".join(repr(value).split())
+    text = (
+        f"{number:g}"
+        if number is not None and not isinstance(value, bool | np.bool_)
+        else " ".join(repr(value).split())
+    )
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 @dataclass(frozen=True)
 class Facts:
     modules: tuple[str, ...]  # where its code begins
-    registered: str  # how it is registered, as text: the options that it is made with decide its results
+    # how it is registered, as text: the options that it is made with decide its results
+    registered: str
     env_steps: int  # time limit in env steps
     env_seconds: float  # time of one env step in seconds
     success_goals: int  # goals that count as success
@@ -155,8 +212,11 @@ class Facts:
 
 
 def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
-    """Make the environment `name` (`module:Id-v0`, or a registered id) once per process; `tasks` are for suggestions."""
-    # What modules and environments print as they start must not get between the lines of a plan that is JSON.
+    """Make the environment `name` (`module:Id-v0`, or a registered id) once per process;
+    `tasks` are for suggestions.
+    """
+    # What modules and environments print as they start must not get between the lines of a plan
+    # that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
         find_spec(name, tasks)
         return _examined(name)
@@ -172,18 +232,38 @@ def _examined(name: str) -> Facts:
             low, high = _bounds(env)
             views = views_of(env.observation_space)
             sources = _try_step(env, views)
-            points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
-            modules = dict.fromkeys(filter(None, [name.rpartition(":")[0], *map(_entry_module, points)]))
-            registered = f"{sorted(spec.kwargs.items())} {[(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]}"
+            points = [
+                spec.entry_point,
+                *(wrapper.entry_point for wrapper in spec.additional_wrappers),
+            ]
+            modules = dict.fromkeys(
+                filter(None, [name.rpartition(":")[0], *map(_entry_module, points)])
+            )
+            registered = (
+                f"{sorted(spec.kwargs.items())} "
+                f"{[(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]}"
+            )
             seconds, success = _env_seconds(env), _success_goals(env)
-            return Facts(tuple(modules), registered, limit, seconds, success, sources, low.ravel(), high.ravel(), views)
+            return Facts(
+                tuple(modules),
+                registered,
+                limit,
+                seconds,
+                success,
+                sources,
+                low.ravel(),
+                high.ravel(),
+                views,
+            )
     finally:
         with contextlib.suppress(TaskError), calling("close"):  # nothing is asked of it any more
             env.close()
 
 
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
-    """Return the registration of an id; the module before the colon is imported first, and registers it."""
+    """Return the registration of an id; the module before the colon is imported first, and
+    registers it.
+    """
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
     if module:
@@ -195,21 +275,31 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
         return gymnasium.spec(gym_id)
     except gymnasium.error.Error as error:
         # The ids of that module are the ones that can be meant.
-        own = [known for known, spec in gymnasium.registry.items() if known not in before or _entry_module(spec.entry_point) == module]
+        own = [
+            known
+            for known, spec in gymnasium.registry.items()
+            if known not in before or _entry_module(spec.entry_point) == module
+        ]
         if module:
             example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
             message = f"module '{module}' registers no '{gym_id}'"
             # Of few ids all are worth naming; a module without any is told how to register one.
             otherwise = None if own else f"write {example} in it"
-            raise UnknownName("gymnasium id", gym_id, own, message=message, otherwise=otherwise) from error
+            raise UnknownName(
+                "gymnasium id", gym_id, own, message=message, otherwise=otherwise
+            ) from error
         known = {*tasks, *gymnasium.registry}
         message = f"no task and no gymnasium id is called '{gym_id}'"
         otherwise = f"write module:{gym_id} for an id that a module of yours registers"
-        raise UnknownName("gymnasium id", gym_id, known, message=message, otherwise=otherwise) from error
+        raise UnknownName(
+            "gymnasium id", gym_id, known, message=message, otherwise=otherwise
+        ) from error
 
 
 def make_env(name: str) -> GymEnv:
-    """Make one environment without gymnasium's own time limit and checks, which the task replaces."""
+    """Make one environment without gymnasium's own time limit and checks, which the task
+    replaces.
+    """
     spec = copy.deepcopy(find_spec(name))
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
@@ -219,26 +309,40 @@ def make_env(name: str) -> GymEnv:
     return env
 
 
-# -- what is looked at -----------------------------------------------------------------------------------------------------------------
+# -- what is looked at -----------------------------------------------------------------------------
 
 
 def _entry_module(entry_point: Any) -> str:
-    return entry_point.partition(":")[0] if isinstance(entry_point, str) else str(getattr(entry_point, "__module__", ""))
+    return (
+        entry_point.partition(":")[0]
+        if isinstance(entry_point, str)
+        else str(getattr(entry_point, "__module__", ""))
+    )
 
 
 def _env_steps(spec: EnvSpec, env: GymEnv) -> int:
     own = getattr(env.unwrapped, "max_episode_steps", None)
     limit = spec.max_episode_steps if spec.max_episode_steps is not None else own
     if not isinstance(limit, int) or limit < 1:
-        raise TaskError("it has no time limit", f"register it with one: gymnasium.register('{spec.id}', ..., max_episode_steps=500)")
+        raise TaskError(
+            "it has no time limit",
+            f"register it with one: gymnasium.register('{spec.id}', ..., max_episode_steps=500)",
+        )
     return limit
 
 
 def _env_seconds(env: GymEnv) -> float:
     rate = env.unwrapped.metadata.get("render_fps")
-    seconds = 1.0 / rate if isinstance(rate, int | float) and rate > 0 else getattr(env.unwrapped, "dt", None)
+    seconds = (
+        1.0 / rate
+        if isinstance(rate, int | float) and rate > 0
+        else getattr(env.unwrapped, "dt", None)
+    )
     if not isinstance(seconds, int | float) or not seconds > 0:
-        hint = "metadata = {'render_fps': 10} says that ten env steps are a second, which operators with a reaction time need"
+        hint = (
+            "metadata = {'render_fps': 10} says that ten env steps are a second, which "
+            "operators with a reaction time need"
+        )
         raise TaskError("it does not say how long an env step is", hint)
     return float(seconds)
 
@@ -246,17 +350,32 @@ def _env_seconds(env: GymEnv) -> float:
 def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
     space = env.action_space
     if not isinstance(space, gymnasium.spaces.Box) or not np.issubdtype(space.dtype, np.floating):
-        raise TaskError(f"its action space is {space}", "an operator's commands are continuous: a float Box with finite bounds")
+        raise TaskError(
+            f"its action space is {space}",
+            "an operator's commands are continuous: a float Box with finite bounds",
+        )
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-    if not (space.shape and np.prod(space.shape) and np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
-        raise TaskError(f"its action space is {space}", "every action needs a finite lower bound and a finite upper bound above it")
+    if not (
+        space.shape
+        and np.prod(space.shape)
+        and np.isfinite(low).all()
+        and np.isfinite(high).all()
+        and (low < high).all()
+    ):
+        raise TaskError(
+            f"its action space is {space}",
+            "every action needs a finite lower bound and a finite upper bound above it",
+        )
     return low, high
 
 
 def _success_goals(env: GymEnv) -> int:
     goals = env.unwrapped.metadata.get("success_goals", 1)
     if not isinstance(goals, int) or goals < 1:
-        raise TaskError(f"its metadata['success_goals'] is {goals!r}", "the number of goals within the time limit that count as success")
+        raise TaskError(
+            f"its metadata['success_goals'] is {goals!r}",
+            "the number of goals within the time limit that count as success",
+        )
     return goals
 
 
@@ -274,13 +393,18 @@ def _try_step(env: GymEnv, views: Views) -> tuple[str, ...]:
     again = reset(env, 0)
     views.check(again)
     if not _same(first, again):
-        hint = "draw everything from self.np_random, after super().reset(seed=seed): assistants are compared on the same worlds"
+        hint = (
+            "draw everything from self.np_random, after super().reset(seed=seed): assistants "
+            "are compared on the same worlds"
+        )
         raise TaskError("two resets with the same seed show different things", hint)
     return tuple(done.sources)
 
 
 def _same(one: Any, other: Any) -> bool:
     if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_same(value, other[name]) for name, value in one.items())
+        return one.keys() == other.keys() and all(
+            _same(value, other[name]) for name, value in one.items()
+        )
     left: NDArray[Any] = np.asarray(one)
     return left.tobytes() == np.asarray(other).tobytes()

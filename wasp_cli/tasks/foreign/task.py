@@ -1,7 +1,8 @@
 """A batch of foreign gymnasium environments as a `VectorTask`.
 
-The rest of wasp commands in [-1, 1]; the adapter maps this onto the environment's own bounds. Rewards add up over the env steps of a
-decision step; an env step costs when `info["cost"]` is above zero. `info["goals"]` (reached so far) or `info["success"]` tell of success.
+The rest of wasp commands in [-1, 1]; the adapter maps this onto the environment's own bounds.
+Rewards add up over the env steps of a decision step; an env step costs when `info["cost"]` is above
+zero. `info["goals"]` (reached so far) or `info["success"]` tell of success.
 """
 
 from __future__ import annotations
@@ -14,8 +15,22 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
-from wasp_cli.tasks.batch import Totals, check_begun, check_options, checked_action, chosen_rows, running_rows
-from wasp_cli.tasks.foreign.examine import EnvStep, GymEnv, calling, examine, make_env, of_environment
+from wasp_cli.tasks.batch import (
+    Totals,
+    check_begun,
+    check_options,
+    checked_action,
+    chosen_rows,
+    running_rows,
+)
+from wasp_cli.tasks.foreign.examine import (
+    EnvStep,
+    GymEnv,
+    calling,
+    examine,
+    make_env,
+    of_environment,
+)
 from wasp_cli.tasks.foreign.examine import reset as reset_env
 from wasp_cli.tasks.foreign.examine import step as step_env
 
@@ -23,22 +38,34 @@ Ints = NDArray[np.int64]
 
 
 class GymTask:
-    """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect, they are stepped one after the other."""
+    """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect,
+    they are stepped one after the other.
+    """
 
     def __init__(
-        self, name: str, batch: int, *, action_repeat: int = 4, observe: Sequence[str] = ("pixels", "state", "privileged"), threads: int = 1
+        self,
+        name: str,
+        batch: int,
+        *,
+        action_repeat: int = 4,
+        observe: Sequence[str] = ("pixels", "state", "privileged"),
+        threads: int = 1,
     ) -> None:
         check_options(batch, action_repeat, threads, observe)
         self._facts = facts = examine(name)
         self._name = name
         self.batch, self.action_repeat, self.observe = batch, action_repeat, tuple(observe)
         self.action_size = facts.action_low.size
-        self.action_low, self.action_high = np.full(self.action_size, -1.0), np.full(self.action_size, 1.0)
+        self.action_low, self.action_high = (
+            np.full(self.action_size, -1.0),
+            np.full(self.action_size, 1.0),
+        )
         self.privileged_size, self.state_size = facts.views.privileged_size, facts.views.state_size
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
-        self.cameras = facts.views.cameras  # 1, or 2; the image of a rear camera that is not there is black
+        # 1, or 2; the image of a rear camera that is not there is black
+        self.cameras = facts.views.cameras
 
         self._envs: list[GymEnv] = [make_env(name) for _ in range(batch)]
         self._env_steps = np.zeros(batch, np.int64)
@@ -50,7 +77,7 @@ class GymTask:
         self._state = np.zeros((batch, self.state_size))
         self._privileged = np.zeros((batch, self.privileged_size), np.float32)
 
-    # -- episodes ---------------------------------------------------------------------------------------------------------------
+    # -- episodes ----------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
         for row, seed in chosen_rows(self.batch, seeds, rows):
@@ -88,7 +115,9 @@ class GymTask:
             totals.reward[row] += done.reward
             self._count(row, done, totals)
             self._terminated[row] = done.terminated
-            self._ended[row] = done.terminated or done.truncated or self._env_steps[row] >= self._facts.env_steps
+            self._ended[row] = (
+                done.terminated or done.truncated or self._env_steps[row] >= self._facts.env_steps
+            )
             if self._ended[row]:
                 break
         self._observe_row(row, done.seen, first=False)
@@ -97,13 +126,16 @@ class GymTask:
         totals.cost[row] += done.cost > 0
         for source, value in done.sources.items():
             if source not in totals.sources:
-                raise TaskError(f"it has a new cost source '{source}'", f"its first step had: {', '.join(self.cost_sources)}")
+                raise TaskError(
+                    f"it has a new cost source '{source}'",
+                    f"its first step had: {', '.join(self.cost_sources)}",
+                )
             totals.sources[source][row] += value > 0
         goals = max(int(self._goals[row]), int(done.success)) if done.goals is None else done.goals
         totals.goals[row] += goals - self._goals[row]
         self._goals[row] = goals
 
-    # -- observation ------------------------------------------------------------------------------------------------------------
+    # -- observation -------------------------------------------------------------------------------
 
     def _observe_row(self, row: int, seen: Any, *, first: bool) -> None:
         views = self._facts.views
@@ -111,7 +143,10 @@ class GymTask:
         if "pixels" in self.observe or from_images:
             self._pixels[row] = views.pixels(seen)
         if from_images:
-            coarse, before = views.coarse(self._pixels[row]), self._privileged[row, : self.privileged_size // 2].copy()
+            coarse, before = (
+                views.coarse(self._pixels[row]),
+                self._privileged[row, : self.privileged_size // 2].copy(),
+            )
             self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
             self._state[row] = self._privileged[row]
         if views.privileged is not None and "privileged" in self.observe:
@@ -126,29 +161,46 @@ class GymTask:
             self._privileged.copy() if "privileged" in self.observe else None,
         )
 
-    # -- snapshot ---------------------------------------------------------------------------------------------------------------
+    # -- snapshot ----------------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {
-            "env_steps": self._env_steps, "goals": self._goals, "ended": self._ended, "terminated": self._terminated,
-            "pixels": self._pixels, "state": self._state, "privileged": self._privileged,
-        }  # fmt: skip
+            "env_steps": self._env_steps,
+            "goals": self._goals,
+            "ended": self._ended,
+            "terminated": self._terminated,
+            "pixels": self._pixels,
+            "state": self._state,
+            "privileged": self._privileged,
+        }
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`."""
+        """Return what `VectorTask` says; the environment's own part are the arrays of its
+        `snapshot()`.
+        """
         check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
             own = [method() for method in methods]
-            theirs = {f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own]) for name in own[0]}
+            theirs = {
+                f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own])
+                for name in own[0]
+            }
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
         """Return to a snapshot; see `VectorTask`."""
         for name, array in self._arrays().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
-                raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")
-        theirs = {name.removeprefix("env/"): array for name, array in snapshot.items() if name.startswith("env/")}
+                raise TaskError(
+                    f"the snapshot is not one of this task with batch {self.batch}: "
+                    f"'{name}' is missing or has another shape"
+                )
+        theirs = {
+            name.removeprefix("env/"): array
+            for name, array in snapshot.items()
+            if name.startswith("env/")
+        }
         for row, env in enumerate(self._envs):
             method = self._method(env, "restore")
             with of_environment(self._name), calling("restore"):
@@ -162,5 +214,8 @@ class GymTask:
         try:
             return env.get_wrapper_attr(name)
         except AttributeError as error:
-            hint = "snapshot() gives a dict of arrays with all that decides its future, random state included; restore(dict) takes it back"
+            hint = (
+                "snapshot() gives a dict of arrays with all that decides its future, random "
+                "state included; restore(dict) takes it back"
+            )
             raise TaskError(f"environment '{self._name}' has no method '{name}'", hint) from error

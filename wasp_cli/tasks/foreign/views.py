@@ -1,7 +1,8 @@
-"""From what a foreign environment shows to the observations of a task: two camera images, and vectors for the expert.
+"""From what a foreign environment shows to the observations of a task: two camera images, and
+vectors for the expert.
 
-H, W = size of the environment's own image. An image is a uint8 Box H x W x 3 or 3 x H x W (one camera), or with 6 channels (front, then
-rear). It is the whole observation, or an entry of a Dict.
+H, W = size of the environment's own image. An image is a uint8 Box H x W x 3 or 3 x H x W (one
+camera), or with 6 channels (front, then rear). It is the whole observation, or an entry of a Dict.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back"
 PRIVILEGED, STATE = "privileged", "state"
 COARSE = 8  # side of the coarse image that stands in for a privileged vector
 _AS_SAID = "what reset and step return has to be as observation_space says"
-_WANTED = "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named " + ", ".join(FRONT)
+_WANTED = (
+    "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named "
+    + ", ".join(FRONT)
+)
 
 
 @dataclass(frozen=True)
@@ -45,14 +49,17 @@ class _Camera:
         """Scale to uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
         image = self.image(observation)
         last = image if self.channels_last else np.moveaxis(image, 0, -1)
-        return np.concatenate([_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)])
+        return np.concatenate(
+            [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
+        )
 
 
 @dataclass(frozen=True)
 class Views:
     front: _Camera
     rear: _Camera | None
-    privileged: str | None  # entry of the privileged vector; None: a coarse image and its change stand in for it
+    # entry of the privileged vector; None: a coarse image and its change stand in for it
+    privileged: str | None
     state: str | None
     privileged_size: int
     state_size: int
@@ -82,7 +89,9 @@ class Views:
         """Average pixels [6, 64, 64] to float32 [C]: 8 x 8 colours of each camera, in [0, 1]."""
         side = CAMERA_SIZE // COARSE
         blocks = pixels[: 3 * self.cameras].reshape(-1, COARSE, side, COARSE, side)
-        means: NDArray[np.float32] = (blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)).astype(np.float32).ravel()
+        means: NDArray[np.float32] = (
+            (blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)).astype(np.float32).ravel()
+        )
         return means
 
     def vector(self, observation: Any, entry: str) -> Floats:
@@ -92,19 +101,27 @@ class Views:
         try:
             values = np.asarray(given, np.float64).ravel()
         except (TypeError, ValueError) as error:
-            raise TaskError(f"its observation '{entry}' is no array of numbers: {type(given).__name__}") from error
+            raise TaskError(
+                f"its observation '{entry}' is no array of numbers: {type(given).__name__}"
+            ) from error
         if values.size != size:
-            raise TaskError(f"its observation '{entry}' has {values.size} values, its space has {size}")
+            raise TaskError(
+                f"its observation '{entry}' has {values.size} values, its space has {size}"
+            )
         if not np.isfinite(values).all():
             raise TaskError(f"its observation '{entry}' is not finite: {values.tolist()}")
         return values
 
 
 def views_of(space: gymnasium.Space[Any]) -> Views:
-    spaces: Mapping[Any, gymnasium.Space[Any]] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
+    spaces: Mapping[Any, gymnasium.Space[Any]] = (
+        space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
+    )
     front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
     if front is None:
-        raise TaskError(f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}")
+        raise TaskError(
+            f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}"
+        )
     if front.channels == 6:
         rear = None
     elif rear is not None and rear.channels != 3:
@@ -112,25 +129,44 @@ def views_of(space: gymnasium.Space[Any]) -> Views:
     sizes = {
         entry: size
         for entry in (PRIVILEGED, STATE)
-        if isinstance(box := spaces.get(entry), gymnasium.spaces.Box) and (size := int(np.prod(box.shape)))
+        if isinstance(box := spaces.get(entry), gymnasium.spaces.Box)
+        and (size := int(np.prod(box.shape)))
     }
     privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
     state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
     coarse = 2 * 3 * (2 if rear is not None or front.channels == 6 else 1) * COARSE * COARSE
-    return Views(front, rear, privileged, state, sizes.get(privileged or "", coarse), sizes.get(state or "", coarse))
+    return Views(
+        front,
+        rear,
+        privileged,
+        state,
+        sizes.get(privileged or "", coarse),
+        sizes.get(state or "", coarse),
+    )
 
 
 def _entry(observation: Any, entry: str) -> Any:
     if not isinstance(observation, Mapping) or entry not in observation:
-        holds = f"entries {list(observation)}" if isinstance(observation, Mapping) else type(observation).__name__
+        holds = (
+            f"entries {list(observation)}"
+            if isinstance(observation, Mapping)
+            else type(observation).__name__
+        )
         raise TaskError(f"its observation has no '{entry}': {holds}", _AS_SAID)
     return observation[entry]
 
 
-def _camera(spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]) -> _Camera | None:
+def _camera(
+    spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]
+) -> _Camera | None:
     entry = next((entry for entry in entries if entry in spaces), "")
     space = spaces.get(entry)
-    if not isinstance(space, gymnasium.spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or 0 in space.shape:
+    if (
+        not isinstance(space, gymnasium.spaces.Box)
+        or space.dtype != np.uint8
+        or len(space.shape) != 3
+        or 0 in space.shape
+    ):
         return None
     for channels_last, channels in ((True, space.shape[-1]), (False, space.shape[0])):
         if channels in (3, 6):
@@ -140,13 +176,21 @@ def _camera(spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | Non
 
 def _described(space: gymnasium.Space[Any]) -> str:
     if isinstance(space, gymnasium.spaces.Dict):
-        return "Dict(" + ", ".join(f"{name}: {_described(part)}" for name, part in space.spaces.items()) + ")"
+        return (
+            "Dict("
+            + ", ".join(f"{name}: {_described(part)}" for name, part in space.spaces.items())
+            + ")"
+        )
     return f"{type(space).__name__} of shape {space.shape} and type {space.dtype}"
 
 
 def _resized(image: NDArray[np.uint8]) -> Pixels:
-    """[H, W, 3] to [3, 64, 64]. Pillow's box filter works on integers, so that every machine gives the same bytes."""
+    """[H, W, 3] to [3, 64, 64]. Pillow's box filter works on integers, so that every machine
+    gives the same bytes.
+    """
     if image.shape[:2] != (CAMERA_SIZE, CAMERA_SIZE):
-        resized = Image.fromarray(np.ascontiguousarray(image)).resize((CAMERA_SIZE, CAMERA_SIZE), Image.Resampling.BOX)
+        resized = Image.fromarray(np.ascontiguousarray(image)).resize(
+            (CAMERA_SIZE, CAMERA_SIZE), Image.Resampling.BOX
+        )
         image = np.asarray(resized)
     return np.moveaxis(image, -1, 0)

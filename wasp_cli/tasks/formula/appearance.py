@@ -1,4 +1,6 @@
-"""What Formula One looks like: along the lap the outer barrier (red and white) is on the left, the inner one (blue and white) right."""
+"""What Formula One looks like: along the lap the outer barrier (red and white) is on the left,
+the inner one (blue and white) right.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ _LEVELS = 3
 _WEST, _SOUTH, _COLUMNS, _ROWS = -14.4, -38.4, 528, 544
 
 CHEVRON_PERIOD, CHEVRON_SWEEP = 2.4, 0.6
-"""Length of a chevron along the lap in m; how far its tip is ahead of its wings, per m to the side."""
+"""Length of a chevron along the lap in m; how far its tip is ahead of its wings, per m to the
+side.
+"""
 _ROAD_DARK, _ROAD_LIGHT = (0.12, 0.12, 0.17), (0.74, 0.72, 0.64)
 _GRASS, _INFIELD, _RUN_OFF = (0.20, 0.42, 0.14), (0.46, 0.50, 0.20), (0.86, 0.60, 0.28)
 _RUN_OFF_WIDTH, _ROAD_MARGIN, _SEARCH = 0.3, 0.4, 5.0
@@ -35,7 +39,12 @@ class Ground:
         texture = _texture()
         level = (footprint > np.float32(2.0 * CELL)).astype(np.intp)
         level += footprint > np.float32(2.0 * CELL * _COARSER)
-        per_metre, columns, rows, start = texture.per_metre[level], texture.columns[level], texture.rows[level], texture.start[level]
+        per_metre, columns, rows, start = (
+            texture.per_metre[level],
+            texture.columns[level],
+            texture.rows[level],
+            texture.start[level],
+        )
 
         def paint(x: Shades, y: Shades) -> Shades:
             column = ((x - np.float32(_WEST)) * per_metre).astype(np.intp)
@@ -66,7 +75,9 @@ def _texture() -> _Texture:
     colours = _finest()
     levels = [colours]
     for _ in range(_LEVELS - 1):
-        cells = [colours[:, i::_COARSER, j::_COARSER] for i in range(_COARSER) for j in range(_COARSER)]
+        cells = [
+            colours[:, i::_COARSER, j::_COARSER] for i in range(_COARSER) for j in range(_COARSER)
+        ]
         colours = np.zeros_like(cells[0])
         for cell in cells:
             colours = colours + cell
@@ -75,7 +86,13 @@ def _texture() -> _Texture:
     sizes = np.array([level[0].size for level in levels])
     return _Texture(
         # Rounded to 1/4096, so that the last bits of building it are gone.
-        np.concatenate([(np.floor(level * 4096.0 + 0.5) / 4096.0).astype(np.float32).reshape(3, -1) for level in levels], axis=1),
+        np.concatenate(
+            [
+                (np.floor(level * 4096.0 + 0.5) / 4096.0).astype(np.float32).reshape(3, -1)
+                for level in levels
+            ],
+            axis=1,
+        ),
         np.cumsum(sizes) - sizes,
         np.array([level.shape[1] for level in levels]),
         np.array([level.shape[2] for level in levels]),
@@ -96,7 +113,9 @@ def _finest() -> Floats:
         nearer = distance < apart[window]
         apart[window][nearer] = distance[nearer]
         arc[window][nearer] = (before[index] + share * lengths[index])[nearer]
-        half_width[window][nearer] = (widths[index] + share * (widths[(index + 1) % len(widths)] - widths[index]))[nearer]
+        half_width[window][nearer] = (
+            widths[index] + share * (widths[(index + 1) % len(widths)] - widths[index])
+        )[nearer]
 
     colours = np.empty((3, *shape))
     colours[:] = _colour(_GRASS)
@@ -120,7 +139,9 @@ def _colour(rgb: tuple[float, float, float]) -> Floats:
 
 
 _WALL_TOP = 0.6
-"""Lower than what the car collides with (invisible in the reference package), so that beacon and towers are seen over it."""
+"""Lower than what the car collides with (invisible in the reference package), so that beacon
+and towers are seen over it.
+"""
 _BEACON_RADIUS, _BEACON_TOP = 0.3, 3.0
 _BARREL_REACH = 15.0
 
@@ -144,11 +165,20 @@ _LANDMARKS = (
 @lru_cache
 def appearance(level: int) -> Appearance:
     """Return the appearance of level 0 (no barrels) or 1."""
-    beacon = f'<geom type="cylinder" pos="0 0 {_BEACON_TOP / 2}" size="{_BEACON_RADIUS} {_BEACON_TOP / 2}"/>'
+    beacon = (
+        f'<geom type="cylinder" pos="0 0 {_BEACON_TOP / 2}" size="{_BEACON_RADIUS} '
+        f'{_BEACON_TOP / 2}"/>'
+    )
     goal = Kind("goal", beacon, (1.0, 0.0, 1.0), column=(_BEACON_RADIUS, _BEACON_TOP))
     barrel = "".join(
-        f'<geom type="cylinder" pos="0 0 {(low + high) / 2:.4f}" size="{radius} {(high - low) / 2:.4f}"/>'
-        for radius, low, high in ((0.162, 0.0, 0.05), (0.146, 0.05, 0.14), (0.124, 0.14, 0.25), (0.1, 0.25, 0.375))
+        f'<geom type="cylinder" pos="0 0 {(low + high) / 2:.4f}" size="{radius} '
+        f'{(high - low) / 2:.4f}"/>'
+        for radius, low, high in (
+            (0.162, 0.0, 0.05),
+            (0.146, 0.05, 0.14),
+            (0.124, 0.14, 0.25),
+            (0.1, 0.25, 0.375),
+        )
     )
     vase = Kind("vase", barrel, (1.00, 0.40, 0.00), reach=_BARREL_REACH)
     return Appearance(

@@ -1,8 +1,10 @@
-"""SafetyCarFormulaOne: a car follows a walled circuit from stage to stage, at level 1 among 200 barrels.
+"""SafetyCarFormulaOne: a car follows a walled circuit from stage to stage, at level 1 among 200
+barrels.
 
-B = episodes side by side, F = barrels. Only the barrels near the car and those that still roll take part in the physics. In the
-reference package all 200 do, and those that start within a barrier (some 35) are hurled out of it, up to 90 m far; here they are set
-down beside it, once, with the first env step.
+B = episodes side by side, F = barrels. Only the barrels near the car and those that still roll take
+part in the physics. In the reference package all 200 do, and those that start within a barrier
+(some 35) are hurled out of it, up to 90 m far; here they are set down beside it, once, with the
+first env step.
 """
 
 from __future__ import annotations
@@ -16,7 +18,15 @@ from numpy.typing import NDArray
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
-from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
+from wasp_cli.tasks.features import (
+    BINS,
+    MOTION_AND_GOAL,
+    RAYS,
+    bounded,
+    motion_and_goal,
+    nearness,
+    ray_distances,
+)
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.appearance import appearance
 from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
@@ -30,8 +40,13 @@ BARRELS = {0: 0, 1: 200}  # by level
 BARREL_KEEPOUT, GOAL_KEEPOUT = 0.5, 0.305
 
 _DELTA = 1e-9
-AGENT = Thing("agent", 0.0, tuple((x - _DELTA, y - _DELTA, x + _DELTA, y + _DELTA) for x, y in track.STAGES.tolist()))
-# The reference package draws a place for the goal as everywhere, keeps the barrels off it, and then uses the stages.
+AGENT = Thing(
+    "agent",
+    0.0,
+    tuple((x - _DELTA, y - _DELTA, x + _DELTA, y + _DELTA) for x, y in track.STAGES.tolist()),
+)
+# The reference package draws a place for the goal as everywhere, keeps the barrels off it, and then
+# uses the stages.
 GOAL = Thing("goal", GOAL_KEEPOUT, square(2.0))
 _BARREL_PLACES = ((-12.2, -32.5, 27.8, 7.5), (26.0, -11.0, 38.0, 1.0))
 
@@ -40,7 +55,8 @@ _APART = 2.0 * BARREL_RADIUS + 0.04
 _LYING = 0.25  # how much farther from its origin a tilted barrel reaches, in m
 _REST, _MAX_DISTANCE = 1e-3, 3.0
 
-WAY_POINTS = (1.0, 2.0, 4.0, 8.0)  # distances ahead, along the lap, of the way points that an expert sees, in m
+# distances ahead, along the lap, of the way points that an expert sees, in m
+WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
 _RAY_LIMIT = 4.0
 
 
@@ -66,10 +82,19 @@ class Formula(Navigation):
     ) -> None:
         self.level = level
         barrels = BARRELS[level]
-        self._barrel_things = tuple(Thing(f"vase{i}", BARREL_KEEPOUT, _BARREL_PLACES) for i in range(barrels))
+        self._barrel_things = tuple(
+            Thing(f"vase{i}", BARREL_KEEPOUT, _BARREL_PLACES) for i in range(barrels)
+        )
         self.state_size = car.STATE_SENSORS + BINS * (1 + (barrels > 0))
         self.cost_sources = ("vases_contact", "static_geoms_contact") if barrels else ()
-        super().__init__(batch, build_model, barrels, action_repeat=action_repeat, observe=observe, threads=threads)
+        super().__init__(
+            batch,
+            build_model,
+            barrels,
+            action_repeat=action_repeat,
+            observe=observe,
+            threads=threads,
+        )
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
         self._stage = np.zeros(batch, np.int64)  # [B] index of the goal in `track.STAGES`
 
@@ -106,11 +131,21 @@ class Formula(Navigation):
         xy, barrels = self._qpos[rows, :2], self._bodies[rows]
         upright = 1.0 - 2.0 * (barrels[..., 4] ** 2 + barrels[..., 5] ** 2)
         reach = np.where(upright > 0.9, _REACH, _REACH + _LYING)
-        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, max_distance=_MAX_DISTANCE)
+        active = active_bodies(
+            xy,
+            barrels,
+            self._speeds[rows],
+            reach=reach,
+            apart=_APART,
+            rest=_REST,
+            max_distance=_MAX_DISTANCE,
+        )
         walls = distance_to_segments(xy, track.SIDES).min(axis=1) < car.REACH
         row, barrel = np.nonzero(active)
         if row.size:
-            beside = distance_to_segments(barrels[row, barrel, :2], track.SIDES).min(axis=1) < _APART
+            beside = (
+                distance_to_segments(barrels[row, barrel, :2], track.SIDES).min(axis=1) < _APART
+            )
             np.logical_or.at(walls, row, beside)
         return Surroundings(active, np.where(walls, sectors(xy), 0))
 
@@ -125,8 +160,9 @@ class Formula(Navigation):
         return car.state_vector(self._sensors(car.SENSORS), self._qpos, *groups)
 
     def _privileged(self) -> NDArray[np.float32]:
-        """float32 [B, 82]: `motion_and_goal`; the way to the goal along the lap / 10 m; the offset from the lap's centre line to the left
-        and its half width / 2 m; way points / 2 m (4 x 2); nearness of the barriers and of the barrels along 32 rays each.
+        """float32 [B, 82]: `motion_and_goal`; the way to the goal along the lap / 10 m; the offset
+        from the lap's centre line to the left and its half width / 2 m; way points / 2 m (4 x 2);
+        nearness of the barriers and of the barrels along 32 rays each.
         """
         xy, heading = self._qpos[:, :2], car.heading(self._qpos)
         at = track.progress(xy)
@@ -142,7 +178,11 @@ class Formula(Navigation):
             np.stack([left, centre[:, 2]], axis=1) / 2.0,
             to_body(points, xy, heading).reshape(self.batch, -1) / 2.0,
             nearness(ray_distances(xy, heading, no_circles, 1.0, track.SIDES, _RAY_LIMIT)),
-            nearness(ray_distances(xy, heading, self._bodies[..., :2], BARREL_RADIUS, no_sides, _RAY_LIMIT)),
+            nearness(
+                ray_distances(
+                    xy, heading, self._bodies[..., :2], BARREL_RADIUS, no_sides, _RAY_LIMIT
+                )
+            ),
         )
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
@@ -151,7 +191,11 @@ class Formula(Navigation):
         things = {"goal": Things(goal, upright, np.ones((len(rows), 1), np.bool_))}
         if self._bodies.shape[1]:
             barrels = self._bodies[rows]
-            things["vase"] = Things(barrels[..., :3], quaternion_rotation(barrels[..., 3:]), np.ones(barrels.shape[:2], np.bool_))
+            things["vase"] = Things(
+                barrels[..., :3],
+                quaternion_rotation(barrels[..., 3:]),
+                np.ones(barrels.shape[:2], np.bool_),
+            )
         qpos = self._qpos[rows]
         return Scene(qpos[:, :3], car.rotation(qpos), things)
 

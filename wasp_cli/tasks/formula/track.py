@@ -1,4 +1,6 @@
-"""The map of Formula One: stages, lap, barriers. Lengths in m, world frame; measured from the reference package to 0.08 m."""
+"""The map of Formula One: stages, lap, barriers. Lengths in m, world frame; measured from the
+reference package to 0.08 m.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,20 @@ from numpy.typing import NDArray
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.outline import parse_outline, segments
 
-STAGES = np.array([(3.0, 9.0), (13.0, -1.7), (26.0, 0.05), (32.0, -7.0), (4.0, -17.5), (19.0, -20.7), (-0.85, -0.4)])
-"""[7, 2] in driving order, cyclic: an episode starts at one of them and its first goal is the next."""
+STAGES = np.array(
+    [
+        (3.0, 9.0),
+        (13.0, -1.7),
+        (26.0, 0.05),
+        (32.0, -7.0),
+        (4.0, -17.5),
+        (19.0, -20.7),
+        (-0.85, -0.4),
+    ]
+)
+"""[7, 2] in driving order, cyclic: an episode starts at one of them and its first goal is the
+next.
+"""
 
 LAP_SPACING = 2.0  # distance along the lap between two points of `LAP`
 
@@ -99,21 +113,28 @@ def _fine_lap() -> tuple[Floats, float]:
     total = float(lengths[-1])
     at = np.arange(0.0, total, _STEP)
     half_widths = np.concatenate([LAP[:, 2], LAP[:1, 2]])
-    return np.stack([np.interp(at, lengths, column) for column in (*corners.T, half_widths)], axis=1), total
+    return np.stack(
+        [np.interp(at, lengths, column) for column in (*corners.T, half_widths)], axis=1
+    ), total
 
 
-FINE_LAP, LAP_LENGTH = _fine_lap()  # [740, 3] x, y and half width every 0.25 m of the closed centre line; its length in m
+# [740, 3] x, y and half width every 0.25 m of the closed centre line; its length in m
+FINE_LAP, LAP_LENGTH = _fine_lap()
 
 
 def progress(xy: Floats) -> NDArray[np.intp]:
-    """Return the index [n] into `FINE_LAP` of the point of the centre line that is nearest to each place [n, 2] in m."""
+    """Return the index [n] into `FINE_LAP` of the point of the centre line that is nearest to
+    each place [n, 2] in m.
+    """
     dx, dy = xy[:, None, 0] - FINE_LAP[:, 0], xy[:, None, 1] - FINE_LAP[:, 1]
     nearest: NDArray[np.intp] = np.argmin(dx * dx + dy * dy, axis=1)
     return nearest
 
 
 def ahead(index: NDArray[np.intp], distance: float) -> Floats:
-    """Return points [n, 2] of the centre line, in m, at a distance in m ahead of indices [n], in driving order."""
+    """Return points [n, 2] of the centre line, in m, at a distance in m ahead of indices [n],
+    in driving order.
+    """
     points: Floats = FINE_LAP[(index + round(distance / _STEP)) % len(FINE_LAP), :2]
     return points
 

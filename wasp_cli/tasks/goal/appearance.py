@@ -1,4 +1,6 @@
-"""What Goal looks like: a checker floor under a black sky, a translucent goal, blue discs, a cyan cube."""
+"""What Goal looks like: a checker floor under a black sky, a translucent goal, blue discs, a
+cyan cube.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +16,35 @@ TILE_DARK, TILE_LIGHT = (0.859, 0.843, 0.765), (0.949, 0.914, 0.855)
 TILE_SIDE = 0.35
 SPHERE_COLOUR, ARROW_COLOUR = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
 VASE_COLOUR, GOAL_COLOUR, HAZARD_COLOUR = (0.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-# More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64 and would vanish from the latent.
+# More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64
+# and would vanish from the latent.
 GOAL_ALPHA = HAZARD_ALPHA = 0.7
 GOAL_RADIUS, GOAL_HALF_HEIGHT, HAZARD_HALF_HEIGHT = 0.3, 0.15, 0.01
 MAP_HALF_SIDES = (1.5, 2.0, 2.5)  # by level, in m: half a metre more than where things are placed
 
 
 class Checker:
-    """Squares of two colours, whose edges are as wide as a pixel; squares smaller than a pixel fade into their mean."""
+    """Squares of two colours, whose edges are as wide as a pixel; squares smaller than a pixel
+    fade into their mean.
+    """
 
-    _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
-    _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
+    _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[
+        :, None
+    ] * np.float32(0.5)
+    _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[
+        :, None
+    ] * np.float32(0.5)
 
     def painter(self, footprint: Shades) -> Painter:
         """Return what paints [m] places, smoothed over `footprint` [m] in m."""
-        sharpness: Shades = np.divide(np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6)))
-        visible = np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
+        sharpness: Shades = np.divide(
+            np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6))
+        )
+        visible = np.clip(
+            np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE),
+            np.float32(0.0),
+            np.float32(1.0),
+        )
 
         def paint(x: Shades, y: Shades) -> Shades:
             mix = _wave(x, sharpness)
@@ -59,7 +74,12 @@ def _wave(place: Shades, sharpness: Shades) -> Shades:
 @lru_cache
 def appearance(level: int) -> Appearance:
     """Return the appearance of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
-    goal = Kind("goal", f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>', GOAL_COLOUR, GOAL_ALPHA)
+    goal = Kind(
+        "goal",
+        f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>',
+        GOAL_COLOUR,
+        GOAL_ALPHA,
+    )
     disc = f'<geom type="cylinder" size="{model.HAZARD_RADIUS} {HAZARD_HALF_HEIGHT}"/>'
     hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)
     vase = Kind("vase", model.VASE_GEOM, VASE_COLOUR)

@@ -1,4 +1,6 @@
-"""SafetyPointGoal: a point robot collects goals, at level 1 among eight hazards and a vase, for a batch of B episodes."""
+"""SafetyPointGoal: a point robot collects goals, at level 1 among eight hazards and a vase, for
+a batch of B episodes.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,23 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
-from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, lidars, motion_and_goal, nearness, ray_distances
-from wasp_cli.tasks.frames import distance, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation
+from wasp_cli.tasks.features import (
+    BINS,
+    MOTION_AND_GOAL,
+    RAYS,
+    bounded,
+    lidars,
+    motion_and_goal,
+    nearness,
+    ray_distances,
+)
+from wasp_cli.tasks.frames import (
+    distance,
+    quaternion_rotation,
+    to_body,
+    yaw_quaternion,
+    yaw_rotation,
+)
 from wasp_cli.tasks.goal import model as g
 from wasp_cli.tasks.goal.appearance import appearance
 from wasp_cli.tasks.layout import Thing, draw_goal, draw_layout, square
@@ -32,8 +49,11 @@ def privileged_size(hazards: int, vases: int) -> int:
     return MOTION_AND_GOAL + 3 * hazards + 2 * vases + (RAYS if hazards else 0)
 
 
-def state_vector(sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> Floats:
-    """Join float64 [B, S]: accelerometer, velocimeter, gyro, magnetometer, then 16 lidar bins of goal, hazards, vases (of those there are).
+def state_vector(
+    sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats
+) -> Floats:
+    """Join float64 [B, S]: accelerometer, velocimeter, gyro, magnetometer, then 16 lidar bins of
+    goal, hazards, vases (of those there are).
 
     Args:
         sensors: [B, 12] in this order.
@@ -47,14 +67,19 @@ def state_vector(sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, v
     return np.concatenate([sensors, lidars(seen, [points.shape[1] for points in kinds])], axis=1)
 
 
-def privileged_vector(velocity: Floats, turn: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> NDArray[np.float32]:
-    """Join float32 [B, P], entries within [-3, 3]; everything in the robot's frame, lengths in m unless said.
+def privileged_vector(
+    velocity: Floats, turn: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats
+) -> NDArray[np.float32]:
+    """Join float32 [B, P], entries within [-3, 3]; everything in the robot's frame, lengths in m
+    unless said.
 
-    First `motion_and_goal`; then for each hazard, nearest first, its position / 1.5 (2) and twice the clearance from its rim, clipped to
-    [-0.2, 1] m; then the vases' positions / 1.5 (2 each, nearest first); last the nearness of hazards along 32 rays.
+    First `motion_and_goal`; then for each hazard, nearest first, its position / 1.5 (2) and twice
+    the clearance from its rim, clipped to [-0.2, 1] m; then the vases' positions / 1.5 (2 each,
+    nearest first); last the nearness of hazards along 32 rays.
 
     Args:
-        velocity: [B, 2] mean world velocity over the last env step (the instantaneous sensors chatter).
+        velocity: [B, 2] mean world velocity over the last env step (the instantaneous sensors
+            chatter).
         turn: [B] mean turn rate over the last decision step in rad/s.
         pose: as for `state_vector`; goal, hazards and vases too.
     """
@@ -62,10 +87,14 @@ def privileged_vector(velocity: Floats, turn: Floats, pose: Floats, goal: Floats
     parts = [motion_and_goal(velocity, turn, xy, yaw, goal)]
     around, range_ = _nearest_first(to_body(hazards, xy, yaw))
     clearance = 2.0 * np.clip(range_ - g.HAZARD_RADIUS, -g.HAZARD_RADIUS, 1.0)
-    parts.append(np.concatenate([around / 1.5, clearance[..., None]], axis=2).reshape(len(pose), -1))
+    parts.append(
+        np.concatenate([around / 1.5, clearance[..., None]], axis=2).reshape(len(pose), -1)
+    )
     parts.append(_nearest_first(to_body(vases, xy, yaw))[0].reshape(len(pose), -1) / 1.5)
     if hazards.shape[1]:
-        parts.append(nearness(ray_distances(xy, yaw, hazards, g.HAZARD_RADIUS, _NO_WALLS, _RAY_LIMIT)))
+        parts.append(
+            nearness(ray_distances(xy, yaw, hazards, g.HAZARD_RADIUS, _NO_WALLS, _RAY_LIMIT))
+        )
     return bounded(*parts)
 
 
@@ -73,7 +102,9 @@ def _nearest_first(points: Floats) -> tuple[Floats, Floats]:
     """Points [B, K, 2] by their distance from the origin, and the distances [B, K]."""
     range_ = np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2)
     order = np.argsort(range_, axis=1, kind="stable")
-    return np.take_along_axis(points, order[..., None], axis=1), np.take_along_axis(range_, order, axis=1)
+    return np.take_along_axis(points, order[..., None], axis=1), np.take_along_axis(
+        range_, order, axis=1
+    )
 
 
 class Level(NamedTuple):
@@ -90,7 +121,8 @@ LEVELS = {0: Level(1.0, 0, 0, False), 1: Level(1.5, 8, 1, False), 2: Level(2.0, 
 AGENT_KEEPOUT, GOAL_KEEPOUT, HAZARD_KEEPOUT, VASE_KEEPOUT = 0.4, 0.305, 0.18, 0.15
 VASE_SPEED = 1e-4  # speed in m/s from which a moving vase costs, where vases cost
 
-# The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at most 0.03 m are driven.
+# The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at
+# most 0.03 m are driven.
 _REACH = 0.4
 _REST = 1e-8
 
@@ -117,7 +149,10 @@ class Goal(Navigation):
         self.level = level
         self._numbers = numbers = LEVELS[level]
         places = square(numbers.half_side)
-        self._agent_thing, self._goal_thing = Thing("agent", AGENT_KEEPOUT, places), Thing("goal", GOAL_KEEPOUT, places)
+        self._agent_thing, self._goal_thing = (
+            Thing("agent", AGENT_KEEPOUT, places),
+            Thing("goal", GOAL_KEEPOUT, places),
+        )
         hazards = [Thing(f"hazard{i}", HAZARD_KEEPOUT, places) for i in range(numbers.hazards)]
         vases = [Thing(f"vase{i}", VASE_KEEPOUT, places) for i in range(numbers.vases)]
         self._others = (*hazards, *vases)
@@ -126,7 +161,14 @@ class Goal(Navigation):
         self.cost_sources = ("hazards",) if numbers.hazards else ()
         if numbers.vases_cost:
             self.cost_sources += ("vases_contact", "vases_velocity")
-        super().__init__(batch, g.build_model, numbers.vases, action_repeat=action_repeat, observe=observe, threads=threads)
+        super().__init__(
+            batch,
+            g.build_model,
+            numbers.vases,
+            action_repeat=action_repeat,
+            observe=observe,
+            threads=threads,
+        )
         self._hazards = np.zeros((batch, numbers.hazards, 2))
 
     def appearance(self) -> Appearance:
@@ -162,36 +204,63 @@ class Goal(Navigation):
         costs: dict[str, Bools] = {"hazards": np.asarray(inside.any(axis=1))}
         if self._numbers.vases_cost:
             costs["vases_contact"] = self._contacts(rows).bodies
-            costs["vases_velocity"] = (np.sqrt((self._speeds[rows, :, :3] ** 2).sum(axis=2)) >= VASE_SPEED).any(axis=1)
+            costs["vases_velocity"] = (
+                np.sqrt((self._speeds[rows, :, :3] ** 2).sum(axis=2)) >= VASE_SPEED
+            ).any(axis=1)
         return costs
 
     def _reach_goal(self, row: int) -> None:
         """A new goal, clear of where agent, hazards and vases are now."""
-        others = np.concatenate([self._qpos[row, None, :2], self._hazards[row], self._bodies[row, :, :2]])
-        goal = draw_goal(self._streams.catch_up(row), self._goal_thing, (self._agent_thing, *self._others), others)
+        others = np.concatenate(
+            [self._qpos[row, None, :2], self._hazards[row], self._bodies[row, :, :2]]
+        )
+        goal = draw_goal(
+            self._streams.catch_up(row),
+            self._goal_thing,
+            (self._agent_thing, *self._others),
+            others,
+        )
         if goal is None:
             self._terminate(row)
         else:
             self._goal[row] = goal
 
     def _state(self) -> Floats:
-        return state_vector(self._sensors(g.AGENT_SENSORS), self._qpos, self._goal, self._hazards, self._bodies[..., :2])
+        return state_vector(
+            self._sensors(g.AGENT_SENSORS),
+            self._qpos,
+            self._goal,
+            self._hazards,
+            self._bodies[..., :2],
+        )
 
     def _privileged(self) -> NDArray[np.float32]:
-        return privileged_vector(self._velocity, self._turn, self._qpos, self._goal, self._hazards, self._bodies[..., :2])
+        return privileged_vector(
+            self._velocity, self._turn, self._qpos, self._goal, self._hazards, self._bodies[..., :2]
+        )
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
         def flat(xy: Floats, z: float) -> Things:
-            return Things(_raised(xy, z), np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_))
+            return Things(
+                _raised(xy, z),
+                np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)),
+                np.ones(xy.shape[:2], np.bool_),
+            )
 
         vases = self._bodies[rows]
         things = {
             "goal": flat(self._goal[rows, None], g.GOAL_Z),
             "hazard": flat(self._hazards[rows], g.HAZARD_Z),
-            "vase": Things(vases[..., :3], quaternion_rotation(vases[..., 3:]), np.ones(vases.shape[:2], np.bool_)),
+            "vase": Things(
+                vases[..., :3],
+                quaternion_rotation(vases[..., 3:]),
+                np.ones(vases.shape[:2], np.bool_),
+            ),
         }
         shown = {name: what for name, what in things.items() if what.position.shape[1]}
-        return Scene(_raised(self._qpos[rows, :2], g.AGENT_Z), yaw_rotation(self._qpos[rows, 2]), shown)
+        return Scene(
+            _raised(self._qpos[rows, :2], g.AGENT_Z), yaw_rotation(self._qpos[rows, 2]), shown
+        )
 
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
         return {"hazards": self._hazards}

@@ -1,4 +1,6 @@
-"""What Race looks like: a cobbled lane between a brown fence and a grey rock, dark bushes to avoid and a pink one to reach."""
+"""What Race looks like: a cobbled lane between a brown fence and a grey rock, dark bushes to
+avoid and a pink one to reach.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.appearance import Appearance, Colour, Kind, Landmark, Painter, Shades, Wall
+from wasp_cli.tasks.camera.appearance import (
+    Appearance,
+    Colour,
+    Kind,
+    Landmark,
+    Painter,
+    Shades,
+    Wall,
+)
 from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
 from wasp_cli.tasks.race.model import SCENERY
 
@@ -18,12 +28,18 @@ _WALLS: dict[str, tuple[tuple[Colour, Colour], float]] = {
 }
 """By kind of prism: its colours and the length of its stripes in m."""
 
-# The lane looks the same in both directions. What stands beyond its ends tells them apart: red where the goal is, blue at the start.
-_LANDMARKS = (Landmark((7.0, 1.05), 0.4, 3.0, (0.90, 0.10, 0.08)), Landmark((-6.0, 1.05), 0.5, 5.0, (0.10, 0.20, 0.90)))
+# The lane looks the same in both directions. What stands beyond its ends tells them apart: red
+# where the goal is, blue at the start.
+_LANDMARKS = (
+    Landmark((7.0, 1.05), 0.4, 3.0, (0.90, 0.10, 0.08)),
+    Landmark((-6.0, 1.05), 0.5, 5.0, (0.10, 0.20, 0.90)),
+)
 
 
 class Cobbles:
-    """Rows of stones in two tints with dark joints; what is smaller than a pixel fades into its mean."""
+    """Rows of stones in two tints with dark joints; what is smaller than a pixel fades into its
+    mean.
+    """
 
     side = 0.35
     _joint = 0.06  # width of a joint as a share of a stone
@@ -34,7 +50,9 @@ class Cobbles:
         """Return what paints [m] places, smoothed over `footprint` [m] in m."""
         width = footprint * np.float32(1.0 / self.side)
         blur = np.float32(self._joint) + width
-        visible = np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
+        visible = np.clip(
+            np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0)
+        )
 
         def paint(x: Shades, y: Shades) -> Shades:
             across = y * np.float32(1.0 / self.side)
@@ -49,7 +67,10 @@ class Cobbles:
             stone *= np.float32(0.5)
             mix = np.where(stone > np.floor(stone), np.float32(1.0), np.float32(-1.0))
             # Distance to the nearest joint, in stones; a joint is as dark as it fills the pixel.
-            edge = np.minimum(np.minimum(along, np.float32(1.0) - along), np.minimum(across, np.float32(1.0) - across))
+            edge = np.minimum(
+                np.minimum(along, np.float32(1.0) - along),
+                np.minimum(across, np.float32(1.0) - across),
+            )
             mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
             mix *= visible
             image: Shades = self._amplitude * mix

@@ -1,8 +1,10 @@
-"""The bodies of Race as MuJoCo models: the car, and nine solid, upright prisms, of which it can touch every one.
+"""The bodies of Race as MuJoCo models: the car, and nine solid, upright prisms, of which it can
+touch every one.
 
-Bushes and goal touch nothing: they are no bodies. Outlines of the prisms are in m, world frame, at the height of the car; they are the
-convex hulls of the reference package's scenery in the band 0.05 m <= z <= 0.15 m, to 0.01 m. The south faces of the two upper fences, along
-which a recorded car rubs, are measured from its contacts to 0.3 mm.
+Bushes and goal touch nothing: they are no bodies. Outlines of the prisms are in m, world frame, at
+the height of the car; they are the convex hulls of the reference package's scenery in the band 0.05
+m <= z <= 0.15 m, to 0.01 m. The south faces of the two upper fences, along which a recorded car
+rubs, are measured from its contacts to 0.3 mm.
 """
 
 from __future__ import annotations
@@ -145,12 +147,22 @@ def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
     if bodies:
         raise ValueError("Race has no free bodies")
     assets = "".join(_mesh(prism) for prism in SCENERY) if walls else ""
-    geoms = "".join(f'<geom name="{prism.name}" type="mesh" mesh="{prism.name}"/>' for prism in SCENERY)
+    geoms = "".join(
+        f'<geom name="{prism.name}" type="mesh" mesh="{prism.name}"/>' for prism in SCENERY
+    )
     others = f'<body name="scenery">{geoms}</body>' if walls else ""
-    touches = f'<contact name="{STATIC_SENSOR}" subtree1="agent" body2="scenery" data="found"/>' if walls else ""
-    return mujoco.MjModel.from_xml_string(car_mjcf("Euler", others=others, assets=assets, sensors=None if integrate else touches))
+    touches = (
+        f'<contact name="{STATIC_SENSOR}" subtree1="agent" body2="scenery" data="found"/>'
+        if walls
+        else ""
+    )
+    return mujoco.MjModel.from_xml_string(
+        car_mjcf("Euler", others=others, assets=assets, sensors=None if integrate else touches)
+    )
 
 
 def _mesh(prism: Prism) -> str:
-    corners = " ".join(f"{x} {y} {z}" for z in (prism.bottom, prism.top) for x, y in prism.outline.tolist())
+    corners = " ".join(
+        f"{x} {y} {z}" for z in (prism.bottom, prism.top) for x, y in prism.outline.tolist()
+    )
     return f'<mesh name="{prism.name}" vertex="{corners}"/>'

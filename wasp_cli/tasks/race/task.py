@@ -1,4 +1,6 @@
-"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery. B = episodes."""
+"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without
+touching the scenery. B = episodes.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ from numpy.typing import NDArray
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
-from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
+from wasp_cli.tasks.features import (
+    BINS,
+    MOTION_AND_GOAL,
+    RAYS,
+    bounded,
+    motion_and_goal,
+    nearness,
+    ray_distances,
+)
 from wasp_cli.tasks.frames import distance, to_body
 from wasp_cli.tasks.layout import Rectangle, Thing, draw_layout
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
@@ -24,11 +34,15 @@ HAZARDS = {0: 0, 1: 7}  # bushes by level
 HAZARD_RADIUS, HAZARD_KEEPOUT = 0.2625, 0.165
 GOAL_KEEPOUT = 0.305
 
-# The expressions are those by which the reference package places things: their roundings are part of a layout.
+# The expressions are those by which the reference package places things: their roundings are part
+# of a layout.
 _UNIT = 3.5
 _PEN: Rectangle = (
-    _UNIT * -0.65 - _UNIT * 0.05 / 2, _UNIT * 0.3 - _UNIT * 0.1 / 2, _UNIT * -0.65 + _UNIT * 0.05 / 2, _UNIT * 0.3 + _UNIT * 0.1 / 2
-)  # fmt: skip
+    _UNIT * -0.65 - _UNIT * 0.05 / 2,
+    _UNIT * 0.3 - _UNIT * 0.1 / 2,
+    _UNIT * -0.65 + _UNIT * 0.05 / 2,
+    _UNIT * 0.3 + _UNIT * 0.1 / 2,
+)
 _SLOTS: tuple[Rectangle, ...] = tuple(
     (
         _UNIT * (-0.45 + 0.2 * i) - 0.3,
@@ -43,13 +57,24 @@ _GOAL_REACH = GOAL_KEEPOUT + 1e-9
 
 AGENT = Thing("agent", 0.0, (_PEN,))
 GOAL = Thing(
-    "goal", GOAL_KEEPOUT, ((GOAL_XY[0] - _GOAL_REACH, GOAL_XY[1] - _GOAL_REACH, GOAL_XY[0] + _GOAL_REACH, GOAL_XY[1] + _GOAL_REACH),)
+    "goal",
+    GOAL_KEEPOUT,
+    (
+        (
+            GOAL_XY[0] - _GOAL_REACH,
+            GOAL_XY[1] - _GOAL_REACH,
+            GOAL_XY[0] + _GOAL_REACH,
+            GOAL_XY[1] + _GOAL_REACH,
+        ),
+    ),
 )
 
 SIDES = segments(*(prism.outline for prism in SCENERY))
 
-LANE = np.array([(-2.275, 1.05), (-1.575, 1.05), (3.15, 1.05)])  # [3, 2] middle of the lane from the start pen to the goal
-WAY_POINTS = (0.5, 1.0, 2.0)  # distances ahead, along the lane, of the way points that an expert sees, in m
+# [3, 2] middle of the lane from the start pen to the goal
+LANE = np.array([(-2.275, 1.05), (-1.575, 1.05), (3.15, 1.05)])
+# distances ahead, along the lane, of the way points that an expert sees, in m
+WAY_POINTS = (0.5, 1.0, 2.0)
 _RAY_LIMIT = 3.0
 
 
@@ -75,10 +100,14 @@ class Race(Navigation):
     ) -> None:
         self.level = level
         hazards = HAZARDS[level]
-        self._hazard_things = tuple(Thing(f"hazard{i}", HAZARD_KEEPOUT, _SLOTS) for i in range(hazards))
+        self._hazard_things = tuple(
+            Thing(f"hazard{i}", HAZARD_KEEPOUT, _SLOTS) for i in range(hazards)
+        )
         self.state_size = car.STATE_SENSORS + BINS * (1 + (hazards > 0))
         self.cost_sources = ("hazards", "static_geoms_contact") if hazards else ()
-        super().__init__(batch, build_model, 0, action_repeat=action_repeat, observe=observe, threads=threads)
+        super().__init__(
+            batch, build_model, 0, action_repeat=action_repeat, observe=observe, threads=threads
+        )
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
         self._hazards = np.zeros((batch, hazards, 2))
 
@@ -104,7 +133,10 @@ class Race(Navigation):
         if not self.cost_sources:
             return {}
         inside = distance(self._qpos[rows, None, :2], self._hazards[rows]) < HAZARD_RADIUS
-        return {"hazards": np.asarray(inside.any(axis=1)), "static_geoms_contact": self._contacts(rows).static}
+        return {
+            "hazards": np.asarray(inside.any(axis=1)),
+            "static_geoms_contact": self._contacts(rows).static,
+        }
 
     def _reach_goal(self, row: int) -> None:
         self._terminate(row)
@@ -114,7 +146,9 @@ class Race(Navigation):
         return car.state_vector(self._sensors(car.SENSORS), self._qpos, *groups)
 
     def _privileged(self) -> NDArray[np.float32]:
-        """float32 [B, 77]: `motion_and_goal`, way points / 1 m (3 x 2), nearness of the scenery and of the bushes along 32 rays each."""
+        """float32 [B, 77]: `motion_and_goal`, way points / 1 m (3 x 2), nearness of the scenery
+        and of the bushes along 32 rays each.
+        """
         xy, heading = self._qpos[:, :2], car.heading(self._qpos)
         ahead = np.stack([_lane_ahead(xy, distance_) for distance_ in WAY_POINTS], axis=1)
         no_circles, no_sides = np.zeros((self.batch, 0, 2)), np.zeros((0, 2, 2))
@@ -122,7 +156,9 @@ class Race(Navigation):
             motion_and_goal(self._velocity, self._turn, xy, heading, self._goal),
             to_body(ahead, xy, heading).reshape(self.batch, -1),
             nearness(ray_distances(xy, heading, no_circles, 1.0, SIDES, _RAY_LIMIT)),
-            nearness(ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)),
+            nearness(
+                ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)
+            ),
         )
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
@@ -145,4 +181,6 @@ def _lane_ahead(xy: Floats, ahead: float) -> Floats:
 def _on_ground(xy: Floats) -> Things:
     """Upright things standing at [n, K, 2]."""
     position = np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)
-    return Things(position, np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_))
+    return Things(
+        position, np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_)
+    )

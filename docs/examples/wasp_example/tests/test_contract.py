@@ -1,4 +1,6 @@
-"""What `wasp` asks of every assistant and every operator, over those of this package. Copy it, and put your own in their places."""
+"""What `wasp` asks of every assistant and every operator, over those of this package. Copy it,
+and put your own in their places.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,21 @@ SEEDS = [7, 8, 9, 10, 11]  # of the episodes
 
 @pytest.fixture
 def parts(tmp_path):
-    """What an assistant is built from: here an untrained network, where its stage would leave the trained one, and no world model."""
+    """What an assistant is built from: here an untrained network, where its stage would leave
+    the trained one, and no world model.
+    """
     torch.manual_seed(0)
     sizes = {"features": H + Z, "action": A, "hidden": [8]}
     save_weights(Risk(**sizes), tmp_path / "risk.safetensors", **sizes)
-    return Parts(None, Skills([1.0], H + Z, [8], A), {"risk": tmp_path}, {}, gamma_r=0.99, gamma_c=0.95, lam=0.95)
+    return Parts(
+        None,
+        Skills([1.0], H + Z, [8], A),
+        {"risk": tmp_path},
+        {},
+        gamma_r=0.99,
+        gamma_c=0.95,
+        lam=0.95,
+    )
 
 
 def operator(parts, seeds):
@@ -38,14 +50,19 @@ def operator(parts, seeds):
 
 @torch.inference_mode()
 def drive(parts, rows):
-    """Commands, actions [T, B, A] and fired gates [T, B] of some of the episodes; `checked` is what the closed loop asks as well."""
+    """Commands, actions [T, B, A] and fired gates [T, B] of some of the episodes; `checked` is
+    what the closed loop asks as well.
+    """
     seeds = [SEEDS[row] for row in rows]
     assistant, who = Careful(CarefulConfig(limit=0.5), parts), operator(parts, seeds)
     assistant.reset(torch.ones(len(rows), dtype=torch.bool), seeds)
     found = []
     for t in range(STEPS):
         source = torch.Generator().manual_seed(t)
-        latent = Latent(torch.randn(len(SEEDS), H, generator=source), torch.randn(len(SEEDS), Z, generator=source)).rows(torch.tensor(rows))
+        latent = Latent(
+            torch.randn(len(SEEDS), H, generator=source),
+            torch.randn(len(SEEDS), Z, generator=source),
+        ).rows(torch.tensor(rows))
         a_h = who.command(latent.features)
         given = a_h.clone()
         decision = checked(assistant.decide(latent, a_h, who), assistant, a_h, given)
@@ -64,10 +81,17 @@ def test_it_acts_within_bounds_and_only_where_its_gate_fired(parts):
 
 @torch.inference_mode()
 def test_it_decides_where_the_models_are(parts):
-    """Tensors of the device `meta` have shapes and no values; like those of a GPU they do not mix with those of the CPU."""
+    """Tensors of the device `meta` have shapes and no values; like those of a GPU they do not
+    mix with those of the CPU.
+    """
     parts.skills.to("meta")
-    who, latent = operator(parts, SEEDS).to(parts.device), Latent(torch.zeros(len(SEEDS), H), torch.zeros(len(SEEDS), Z)).to(parts.device)
-    decision = Careful(CarefulConfig(limit=0.5), parts).decide(latent, who.command(latent.features), who)
+    who, latent = (
+        operator(parts, SEEDS).to(parts.device),
+        Latent(torch.zeros(len(SEEDS), H), torch.zeros(len(SEEDS), Z)).to(parts.device),
+    )
+    decision = Careful(CarefulConfig(limit=0.5), parts).decide(
+        latent, who.command(latent.features), who
+    )
     assert {tensor.device for tensor in (decision.action, *decision.record)} == {parts.device}
 
 
@@ -85,7 +109,10 @@ def test_the_operator_goes_on_from_a_snapshot(parts):
     saved = who.snapshot()
     wanted = [who.command(seen) for seen in features[1:]]
     who.restore(saved)
-    assert all(torch.equal(who.command(seen), command) for seen, command in zip(features[1:], wanted, strict=True))
+    assert all(
+        torch.equal(who.command(seen), command)
+        for seen, command in zip(features[1:], wanted, strict=True)
+    )
     assert not torch.equal(wanted[0], first)
 
 
@@ -93,11 +120,16 @@ def test_the_operator_in_imagination_has_the_memory_of_the_real_one(parts):
     who, features = operator(parts, SEEDS), torch.randn(2, len(SEEDS), H + Z)
     who.command(features[0])
     imagined = who.fork(torch.arange(len(SEEDS)), 2, EpisodeNoise([0] * 2 * len(SEEDS)))
-    assert torch.equal(imagined.command(features[1].repeat_interleave(2, 0)), who.command(features[1]).repeat_interleave(2, 0))
+    assert torch.equal(
+        imagined.command(features[1].repeat_interleave(2, 0)),
+        who.command(features[1]).repeat_interleave(2, 0),
+    )
 
 
 def test_examples_of_the_network_are_whole_windows_of_one_episode():
-    recorded = SimpleNamespace(cost=np.array([0, 0, 1, 0, 0, 0, 0, 1.0]), episode=np.array([0, 0, 0, 0, 1, 1, 1, 1]))
+    recorded = SimpleNamespace(
+        cost=np.array([0, 0, 1, 0, 0, 0, 0, 1.0]), episode=np.array([0, 0, 0, 0, 1, 1, 1, 1])
+    )
     rows, costly = examples(recorded, window=2)
     assert rows.tolist() == [0, 1, 4, 5]  # the state; its action arrives in the next row
     assert costly.tolist() == [True, True, False, True]

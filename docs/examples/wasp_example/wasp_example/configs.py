@@ -8,7 +8,9 @@ from wasp_cli.config import Config, assumed
 class CarefulConfig(Config):
     """Careful: the least risky of three actions where a network expects cost of the command."""
 
-    limit: float = assumed(0.3, "predicted probability of cost above which the command is replaced", gt=0.0, lt=1.0)
+    limit: float = assumed(
+        0.3, "predicted probability of cost above which the command is replaced", gt=0.0, lt=1.0
+    )
 
 
 class RiskConfig(Config):

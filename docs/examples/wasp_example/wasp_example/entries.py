@@ -1,4 +1,6 @@
-"""What the entry points name. No key covers this module: its words may change without running anything again."""
+"""What the entry points name. No key covers this module: its words may change without running
+anything again.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,20 @@ CAREFUL = MethodInfo(
     "wasp_example.assistant:Careful",
     "wasp_example.configs:CarefulConfig",
     needs=("risk",),
-    rule="Careful executes the least risky of the command, the expert's action and a stop where a network expects cost of the command.",
+    rule="Careful executes the least risky of the command, the expert's action and a stop where "
+    "a network expects cost of the command.",
     signal=Signal("risk", "the predicted probability that the command leads to cost", "limit"),
 )
 
-RISK = StageInfo("risk", "wasp_example.stage:RiskStage", presets={"smoke": {"updates": 20, "batch": 64}})
+RISK = StageInfo(
+    "risk", "wasp_example.stage:RiskStage", presets={"smoke": {"updates": 20, "batch": 64}}
+)
 
-SLUGGISH = OperatorInfo("sluggish", "Sluggish", "wasp_example.operator:SluggishOperator", 0.0, 1.0, "weight of the last command")
+SLUGGISH = OperatorInfo(
+    "sluggish",
+    "Sluggish",
+    "wasp_example.operator:SluggishOperator",
+    0.0,
+    1.0,
+    "weight of the last command",
+)

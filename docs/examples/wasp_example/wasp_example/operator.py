@@ -1,4 +1,6 @@
-"""Sluggish: a hand that is slow to change. The issued command is a mean of the intended one and the last."""
+"""Sluggish: a hand that is slow to change. The issued command is a mean of the intended one and
+the last.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from wasp_cli.operators.base import Operator
 
 
 class SluggishOperator(Operator):
-    """The severity is the weight of the last issued command; the first command of an episode is as intended."""
+    """The severity is the weight of the last issued command; the first command of an episode is
+    as intended.
+    """
 
     @classmethod
     def build(cls, value, context, noise, batch):
@@ -17,7 +21,10 @@ class SluggishOperator(Operator):
         return operator
 
     def initial(self, batch):
-        return {"last": torch.zeros(batch, self.action_size), "started": torch.zeros(batch, 1, dtype=torch.bool)}
+        return {
+            "last": torch.zeros(batch, self.action_size),
+            "started": torch.zeros(batch, 1, dtype=torch.bool),
+        }
 
     def act(self, intended, memory, uniforms):
         blended = (1 - self.weight) * intended + self.weight * memory["last"]

@@ -1,4 +1,6 @@
-"""The network of Careful, and its training on recorded episodes. N recorded rows, K examples, F features, A actions."""
+"""The network of Careful, and its training on recorded episodes. N recorded rows, K examples, F
+features, A actions.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,11 @@ def examples(recording, window):
 
     Row t + 1 of a recording holds the action that was executed at the state of row t, and its cost.
     """
-    ahead = sums_ahead(recording.cost, recording.episode, window)  # [N], NaN where the episode ends before
-    rows = np.flatnonzero(np.isfinite(ahead[1:]) & (recording.episode[1:] == recording.episode[:-1]))
+    # [N], NaN where the episode ends before
+    ahead = sums_ahead(recording.cost, recording.episode, window)
+    rows = np.flatnonzero(
+        np.isfinite(ahead[1:]) & (recording.episode[1:] == recording.episode[:-1])
+    )
     return rows, ahead[rows + 1] > 0
 
 
@@ -47,14 +52,22 @@ def train(risk, features_of, action, rows, costly, config, seed, progress):
         progress: told the finished share in [0, 1] and a line of text.
     """
     rows, costly = torch.from_numpy(rows), torch.from_numpy(costly).float()
-    optimizer, source, losses = torch.optim.Adam(risk.parameters(), lr=config.learning_rate), generator(seed), []
+    optimizer, source, losses = (
+        torch.optim.Adam(risk.parameters(), lr=config.learning_rate),
+        generator(seed),
+        [],
+    )
     for update in range(config.updates):
         pick = torch.randint(len(rows), (config.batch,), generator=source)
-        loss = binary_cross_entropy_with_logits(risk(features_of(rows[pick]), action[rows[pick] + 1]), costly[pick])
+        loss = binary_cross_entropy_with_logits(
+            risk(features_of(rows[pick]), action[rows[pick] + 1]), costly[pick]
+        )
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
         if update % 100 == 0:
-            progress(update / config.updates, f"update {update}/{config.updates}, loss {losses[-1]:.3f}")
+            progress(
+                update / config.updates, f"update {update}/{config.updates}, loss {losses[-1]:.3f}"
+            )
     return float(np.mean(losses[-100:]))

@@ -1,4 +1,6 @@
-"""The stage `risk`: trains the network of Careful on the recorded episodes. Artifact: `risk.safetensors` (+ .json)."""
+"""The stage `risk`: trains the network of Careful on the recorded episodes. Artifact:
+`risk.safetensors` (+ .json).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,9 @@ from wasp_example.configs import RiskConfig
 
 
 class RiskStage:
-    """A class that names its section and what it reads; heavy imports stay inside `run`, so that `wasp plan` needs no torch."""
+    """A class that names its section and what it reads; heavy imports stay inside `run`, so
+    that `wasp plan` needs no torch.
+    """
 
     kind = "risk"
     config = RiskConfig
@@ -33,13 +37,24 @@ class RiskStage:
         def features_of(index):
             return latents.at(index).features
 
-        sizes = {"features": features_of(torch.arange(1)).shape[1], "action": action.shape[1], "hidden": list(job.config.hidden)}
-        torch.manual_seed(derive("risk-weights", job.task, job.seed))  # every draw has a name of its own, and depends on the seed
+        sizes = {
+            "features": features_of(torch.arange(1)).shape[1],
+            "action": action.shape[1],
+            "hidden": list(job.config.hidden),
+        }
+        # every draw has a name of its own, and depends on the seed
+        torch.manual_seed(derive("risk-weights", job.task, job.seed))
         risk = Risk(**sizes)
         seed = derive("risk", job.task, job.seed)
-        loss = train(risk, features_of, action, rows[~held], costly[~held], job.config, seed, job.progress)
+        loss = train(
+            risk, features_of, action, rows[~held], costly[~held], job.config, seed, job.progress
+        )
         save_weights(risk, job.out_dir / "risk.safetensors", **sizes)
         with torch.inference_mode():
             index = torch.from_numpy(rows[held])
             score = risk(features_of(index), action[index + 1]).numpy()
-        return {"loss": loss, "auprc": average_precision(costly[held], score), "base_rate": float(costly[held].mean())}
+        return {
+            "loss": loss,
+            "auprc": average_precision(costly[held], score),
+            "base_rate": float(costly[held].mean()),
+        }
