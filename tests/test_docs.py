@@ -219,21 +219,3 @@ def test_the_film_of_the_readme_moves_and_is_small():
     with Image.open(ROOT / name) as film:
         assert film.format == "WEBP"
         assert film.n_frames > 10
-
-
-@pytest.mark.parametrize(
-    ("page", "words", "most"),
-    [("README.md", r"\w", 700), ("REPRODUCTION.md", "[A-Za-z]", 2500)],
-    ids=str,
-)
-def test_pages_stay_short(page, words, most):
-    assert (
-        len(
-            [
-                word
-                for word in (ROOT / page).read_text(encoding="utf-8").split()
-                if re.search(words, word)
-            ]
-        )
-        <= most
-    )

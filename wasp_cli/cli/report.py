@@ -279,11 +279,9 @@ def export(
         )
         for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
             if folder is not None:
-                say(
-                    f"{name}: "
-                    f"{write(name, series_of(report.layout, report.trained, report.frame), folder)} "
-                    f"runs in {folder}"
-                )
+                series = series_of(report.layout, report.trained, report.frame)
+                count = write(name, series, folder)
+                say(f"{name}: {count} runs in {folder}")
     if damaged:
         raise ArtifactError(
             "\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)])

@@ -29,9 +29,9 @@ class PersonOperator(Operator):
         self.imagined = False  # whether this is a fork
 
     @classmethod
-    def build(
+    def build(  # type: ignore[override]
         cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int
-    ) -> Operator:  # type: ignore[override]
+    ) -> Operator:
         """Build the operator of a session; where a session is branched, one whom the
         participant's clone continues.
         """

@@ -187,10 +187,8 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
     parts = _words(fields, modules, versions)
     if not parts:
         upstream = manifest["upstream"]
-        parts = [
-            "upstream changed: "
-            f"{few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"
-        ]
+        changed = [name for name, needed in node.needs.items() if upstream.get(name) != needed.key]
+        parts = [f"upstream changed: {few(changed)}"]
     return len(fields) + len(modules) + len(versions), "; ".join(parts)
 
 

@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -138,13 +139,16 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
         # a report finds a session by the run that asked for it
         if sessions := by_people & run.nodes.keys():
             of_people.add(run_id)
-            keys |= reached(
-                sessions, lambda key, nodes=run.nodes: nodes[key].needs if key in nodes else ()
-            )  # type: ignore[misc]
+            keys |= reached(sessions, partial(_needs, run))
     # A sweep that counts keeps the runs of its values: its reports are made from them.
     kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
     keys |= {key for run in counting.values() for key in run.nodes}
     return keys, [run_id for run_id in ids if run_id not in kept]
+
+
+def _needs(run: PlannedRun, key: str) -> Iterable[str]:
+    """Return the keys that a planned node reads; none for a node of another run."""
+    return run.nodes[key].needs if key in run.nodes else ()
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
