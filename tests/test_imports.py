@@ -46,6 +46,7 @@ ALLOWED: Mapping[str, str] = {
     "plan/node.py": "where the source of a package lies, without importing it",
     "cli/options.py": "the registry whose names are offered, imported when it is asked for",
     "cli/doctor.py": "whether each library imports is what the command reports",
+    "tasks/foreign/assets.py": "where the module of an environment lies, without importing it",
     "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a "
     "package that nobody has imported",
 }

@@ -43,18 +43,16 @@ def moved(monkeypatch) -> Callable[[str], None]:
     hashed, sources = grid.closure_hash, reasons.source_hashes
 
     def change(module: str) -> None:
-        monkeypatch.setattr(
-            grid,
-            "closure_hash",
-            lambda roots: hashed(roots) + ("moved" if module in closure(roots) else ""),
-        )
-        monkeypatch.setattr(
-            reasons,
-            "source_hashes",
-            lambda roots: {
-                name: "moved" if name == module else old for name, old in sources(roots).items()
-            },
-        )
+        def moved_hash(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> str:
+            is_run = module in closure(roots, without)
+            return hashed(roots, without) + ("moved" if is_run else "")
+
+        def moved_sources(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, str]:
+            now = sources(roots, without)
+            return now | {module: "moved"} if module in now else now
+
+        monkeypatch.setattr(grid, "closure_hash", moved_hash)
+        monkeypatch.setattr(reasons, "source_hashes", moved_sources)
 
     return change
 

@@ -260,7 +260,7 @@ def test_gymnasium_ids_are_names_of_tasks(name):
                 seen=lambda self: np.random.default_rng().integers(0, 255, (64, 64, 3), np.uint8)
             ),
             {},
-            "two resets with the same seed",
+            "same seed and actions give another episode",
         ),
         (variant(__init__=lambda self: 1 / 0), {}, "cannot be made: ZeroDivisionError"),
         (

@@ -24,6 +24,7 @@ from wasp_cli.plan.node import (
     Node,
     Part,
     closure_hash,
+    data_hashes,
     driver_label,
     key_of,
     recipe_of,
@@ -305,19 +306,15 @@ class _Builder:
         variant: str = "",
     ) -> Node:
         """Return a node with its key; `variant` is that of its method, where it has one."""
-        modules = tuple(
-            sorted(
-                {
-                    module_of(STAGES[kind].target),
-                    *TASKS[task].modules,
-                    *map(module_of, code.values()),
-                }
-            )
-        )
+        info = TASKS[task]
+        roots = {module_of(STAGES[kind].target), *info.modules, *map(module_of, code.values())}
+        modules = tuple(sorted(roots))
+        # Who reads no image is not trained again for another camera.
+        without = () if STAGES[kind].reads_images else info.image_modules
         config, settings = self.config(kind, task), self.settings(kind)
         identity = {
             "kind": kind,
-            "task": TASKS[task].facts(),
+            "task": info.facts(without),
             "seed": seed,
             "axes": {**axes, "method_config": self.method(axes["method"], variant, task).identity}
             if variant
@@ -325,13 +322,17 @@ class _Builder:
             "config": config.identity,
             "settings": settings.identity,
         }
+        data = data_hashes(modules, without)
+        if data:  # what a world is made of is no version of the code
+            identity["data"] = data
         recipe = recipe_of(
             {**identity, "upstream": {name: needed.recipe for name, needed in needs.items()}}
         )
         key = self.reuse.get(recipe)
         if key is None:
             upstream = {name: needed.key for name, needed in needs.items()}
-            key = key_of({**identity, "upstream": upstream, "code": closure_hash(modules)})
+            code_hash = closure_hash(modules, without)
+            key = key_of({**identity, "upstream": upstream, "code": code_hash})
         sort = sort_of(kind, task, config.values, axes)
         return Node(
             kind,
@@ -346,6 +347,7 @@ class _Builder:
             f"{task} s{seed} {label}",
             sort,
             recipe,
+            without,
         )
 
 

@@ -10,7 +10,8 @@ The source is every project module that is imported, hashed without comments and
 are read, never imported, so that planning needs no torch. The package's registries are not followed
 (their import strings name every task and method at once); a node names the modules that it loads
 through them as further roots. In packages of others, such as a task of one's own, every module
-counts as it is: what they keep in a `registry` or a `config` may be constants.
+counts as it is: what they keep in a `registry` or a `config` may be constants. So do the data
+files that these modules name (`plan.data`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import WaspError
+from wasp_cli.plan.data import EXTENSIONS, data_files, data_hash, data_path
 from wasp_cli.store.reached import reached
+from wasp_cli.tasks.foreign.assets import MARK, data_name, is_data
 
 # raised when the meaning of artifacts changes in a way that no other part of the key shows
 SCHEMA = 1
@@ -133,6 +136,12 @@ class Node:
     # whatever the seed and the operator
     sort: str
     recipe: str = ""  # what it is, whatever code computes it
+    without: tuple[str, ...] = ()  # modules that its task imports and that it does not run
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """The hash by name of every module and data file of its code."""
+        return source_hashes(self.modules, self.without)
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -194,33 +203,62 @@ fields and their defaults do not count.
 """
 
 
-def closure(roots: Iterable[str]) -> frozenset[str]:
+def closure(roots: Iterable[str], without: Iterable[str] = ()) -> frozenset[str]:
+    """Return what the code that begins with `roots` consists of: modules and data files by name.
+
+    Args:
+        roots: modules, which are followed through their imports; and data files of others' modules
+            (`plan.data`), which are taken as they are.
+        without: modules that are left out, with what only they import and the data files that
+            they name.
+
+    Raises:
+        WaspError: the source of a root cannot be found.
+    """
+    left_out = frozenset(without)
     modules: set[str] = set()
+    files: set[str] = set()
     for root in roots:
+        if is_data(root):
+            files.add(root)
+            continue
         if _file(root) is None:
             hint = "check the module that the plugin's entry names; its source has to be installed"
             raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", hint)
-        modules |= _reach(root)
-    return frozenset(modules)
+        modules |= _reach(root, left_out)
+    for module in left_out:
+        files -= _data(module)
+    for module in modules:
+        if module.partition(".")[0] != PACKAGE:
+            files |= _data(module)
+    return frozenset(modules | files)
 
 
 @cache
-def closure_hash(roots: tuple[str, ...]) -> str:
-    lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
+def data_hashes(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, str]:
+    """Return the hash by name of every data file of a closure. Do not write into it."""
+    names = sorted(closure(roots, without))
+    return {name: source_hash(name) for name in names if is_data(name)}
+
+
+@cache
+def closure_hash(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> str:
+    """Return a hash over the source of a closure."""
+    lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots, without))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
 
 
-def source_hashes(roots: Iterable[str]) -> dict[str, str]:
+def source_hashes(roots: Iterable[str], without: Iterable[str] = ()) -> dict[str, str]:
     """Return the hash by module of the closure: the manifest keeps them, so that a later plan
     can name what changed.
     """
-    return {name: source_hash(name) for name in sorted(closure(roots))}
+    return {name: source_hash(name) for name in sorted(closure(roots, without))}
 
 
 @cache
 def source_hash(module: str) -> str:
-    """Return the hash of one module's syntax without docstrings, as it was when it was first
-    read here.
+    """Return the hash of one module's syntax without docstrings, or of a data file's bytes, as
+    they were when they were first read here.
     """
     return _hash(module, _stamp(module))
 
@@ -240,16 +278,18 @@ def changed_since(hashes: Mapping[str, str]) -> list[str]:
 
 
 def _stamp(module: str) -> tuple[int, int]:
-    """Time of the last write and size of a module's file; zeros where it has none. Taken before
-    a file is read.
+    """Time of the last write and size of the file of a module or of data; zeros where a module has
+    none. Taken before a file is read.
     """
-    file = _file(module)
+    file = _data_file(module) if is_data(module) else _file(module)
     state = file.stat() if file is not None else None
     return (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
 
 
 @cache
 def _hash(module: str, stamp: tuple[int, int]) -> str:
+    if is_data(module):
+        return data_hash(_data_file(module))
     tree = _tree(module, stamp)
     parts = module.split(".")
     configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
@@ -259,8 +299,8 @@ def _hash(module: str, stamp: tuple[int, int]) -> str:
 
 
 @cache
-def _reach(root: str) -> set[str]:
-    return reached([root], _imports)
+def _reach(root: str, without: frozenset[str]) -> set[str]:
+    return reached([root], lambda module: _imports(module) - without)
 
 
 @cache
@@ -268,12 +308,21 @@ def _imports(module: str) -> frozenset[str]:
     """Project modules that a module imports anywhere, functions included, except for type
     checking only.
     """
+    imported = {name for name in _asked(module) if _file(name) is not None}
+    # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
+    parts = [name.split(".") for name in imported]
+    parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
+    return frozenset(imported | {parent for parent in parents if _counts(parent)})
+
+
+@cache
+def _asked(module: str) -> frozenset[str]:
+    """The names that a module imports and that keys follow: modules, and attributes of modules."""
     file = _file(module)
-    package = (
-        module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
-    )
+    is_package = file is not None and file.name == "__init__.py"
+    package = module if is_package else module.rpartition(".")[0]
     own = module.partition(".")[0]
-    imported: set[str] = set()
+    asked: set[str] = set()
     for node in _running(_tree(module, _stamp(module))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -286,15 +335,33 @@ def _imports(module: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        imported |= {
-            name
-            for name in names
-            if _ours(name.partition(".")[0], own) and _counts(name) and _file(name) is not None
-        }
-    # Importing a.b.c runs a.b as well; the package's own __init__ does not count.
-    parts = [name.split(".") for name in imported]
-    parents = {".".join(names[:length]) for names in parts for length in range(2, len(names))}
-    return frozenset(imported | {parent for parent in parents if _counts(parent)})
+        asked |= {name for name in names if _ours(name.partition(".")[0], own) and _counts(name)}
+    return frozenset(asked)
+
+
+@cache
+def _data(module: str) -> frozenset[str]:
+    """The data files of a module of others, by name: those that it names, and compiled modules."""
+    top = module.partition(".")[0]
+    file = _file(module)
+    home = _home(top)
+    if file is None or home is None:
+        return frozenset()
+    files = data_files(_tree(module, _stamp(module)), file, home)
+    for name in _asked(module):
+        path = home.joinpath(*name.split("."))
+        if _file(name) is None and path.parent.is_dir():
+            compiled = path.parent.glob(f"{path.name}.*")
+            files += [each for each in compiled if each.suffix in EXTENSIONS]
+    return frozenset(data_name(each, top, home) for each in files)
+
+
+def _data_file(name: str) -> Path:
+    """Where a data file lies. Raises OSError where the module is gone that it belongs to."""
+    home = _home(name.partition(MARK)[0])
+    if home is None:
+        raise FileNotFoundError(name)
+    return data_path(name, home)
 
 
 @cache

@@ -19,6 +19,7 @@ from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, wh
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, FROM_PUBLISHED
 from wasp_cli.store.slim import without_steps
+from wasp_cli.tasks.foreign.assets import MARK, is_data
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +164,7 @@ class Reasons:
             id(method),
             id(node.needs),
             node.modules,
+            node.without,
         )
         if pair not in self._known:
             with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
@@ -181,7 +183,7 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
     sections = (before, manifest["settings"], manifest["axes"]), (now, node.settings, node.axes)
     fields = list(_fields(node.kind, *sections))
     modules, versions = (
-        _modules(source_hashes(node.modules), manifest["sources"]),
+        _modules(source_hashes(node.modules, node.without), manifest["sources"]),
         library_changes(manifest),
     )
     parts = _words(fields, modules, versions)
@@ -193,11 +195,10 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
 
 
 def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str]) -> list[str]:
-    return [
-        f"{what} changed: {few(items)}"
-        for what, items in (("spec", fields), ("code", modules), ("library", versions))
-        if items
-    ]
+    code = [name for name in modules if not is_data(name)]
+    data = [name.partition(MARK)[2] for name in modules if is_data(name)]
+    changes = {"spec": fields, "code": code, "data": data, "library": versions}
+    return [f"{what} changed: {few(items)}" for what, items in changes.items() if items]
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
@@ -215,7 +216,9 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
-    return _modules(source_hashes(node.modules), manifest["sources"]) + library_changes(manifest)
+    return _modules(
+        source_hashes(node.modules, node.without), manifest["sources"]
+    ) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.node import Node, source_hashes
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
@@ -367,7 +367,7 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
         config=node.config,
         settings=node.settings,
         inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
-        sources=source_hashes(node.modules),
+        sources=node.sources,
         attempt=attempts(layout, node.key) + 1,
         provenance=provenance(),
     )

@@ -8,6 +8,7 @@ import ctypes
 import math
 import os
 import platform
+import re
 import sys
 import time
 import traceback
@@ -239,9 +240,10 @@ def _change_of_source(job: NodeJob, error: BaseException | None = None) -> Sourc
     """
     # An error stands that is this one, or says what to do about modules that are not here at all.
     changed = changed_since(job.sources)
-    if isinstance(error, SourceChanged) or (
-        isinstance(error, WaspError) and not any(find_spec(name.split(".")[0]) for name in changed)
-    ):
+    if isinstance(error, SourceChanged):
+        return None
+    tops = {re.split(r"[.:]", name)[0] for name in changed}
+    if isinstance(error, WaspError) and not any(map(find_spec, tops)):
         return None
     hint = "run again; results that the change does not affect are kept"
     return (

@@ -18,7 +18,8 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry
 from wasp_cli.stages.registry import STAGES, stages_of
-from wasp_cli.tasks.registry import TASKS, task_named
+from wasp_cli.tasks.foreign.assets import declared_files
+from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
 EXTENDS = "extends"
 SHORT = "task"
@@ -69,7 +70,17 @@ def _task(name: str, info: ValidationInfo) -> str:
         TASKS[name]
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    return name if name in TASKS.own else _usable(name, info, lambda: TASKS.load(name))
+    return name if name in TASKS.own else _usable(name, info, lambda: _load_task(name))
+
+
+def _load_task(name: str) -> None:
+    """See that a task of others works, and that many of it can run side by side. Raises
+    WaspError.
+    """
+    TASKS.load(name)
+    task = TASKS[name]
+    if isinstance(task, ForeignInfo):
+        task.require_independent()
 
 
 def _registered(registry: Registry[Any]) -> AfterValidator:
@@ -83,15 +94,19 @@ def _registered(registry: Registry[Any]) -> AfterValidator:
 
 
 def _load(registry: Registry[Any], name: str) -> None:
-    """Import an entry that is not ours, and see that its `needs` are listed; WaspError where
-    they are not.
+    """Import an entry that is not ours, and see that its `needs` are listed and its `assets` are
+    there; WaspError where they are not.
     """
-    needs = getattr(registry.load(name), "needs", ())
+    loaded = registry.load(name)
+    needs = getattr(loaded, "needs", ())
     if not isinstance(needs, (tuple, list)):
         raise WaspError(
             f"`needs` of '{name}' is {needs!r}, no tuple of stages",
             'write it as in needs = ("critics",)',
         )
+    assets = getattr(loaded, "assets", None)
+    if assets is not None:
+        declared_files(assets, [loaded.__module__], f"'{name}'")
 
 
 def training_stages() -> list[str]:

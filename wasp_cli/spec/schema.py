@@ -47,6 +47,9 @@ def spec_schema() -> Schema:
     definitions, top = schema["$defs"], schema["properties"]
     for model in definitions.values():
         _cleaned(model["properties"])
+        # A description is a docstring, whose lines are those of the source.
+        if "description" in model:
+            model["description"] = " ".join(model["description"].split())
     _cleaned(top)
     for section, (field, _) in not_set_in_sections().items():
         _section(top[section], definitions)["properties"].pop(field, None)

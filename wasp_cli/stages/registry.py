@@ -39,6 +39,9 @@ class StageInfo:
     """Where no time was measured, nodes of heavier stages start first, so that a run does not
     end with one busy worker.
     """
+    # whether it, or what it drives, sees a task's cameras; a stage that does not is not computed
+    # again where a task says that only its image has changed
+    reads_images: bool = True
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By preset, what that preset says instead of the defaults of the config. Presets of this
     package are in `spec.presets`.
@@ -57,7 +60,7 @@ STAGES: Registry[StageInfo] = Registry(
     "stage",
     "wasp.stages",
     (
-        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", weight=14),
+        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", weight=14, reads_images=False),
         StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", weight=10),
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage", weight=13),
         StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=7),

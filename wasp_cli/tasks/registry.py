@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -42,9 +42,17 @@ class _Named:
         """
         return (module_of(self.target),)
 
-    def facts(self) -> dict[str, Any]:
+    @property
+    def image_modules(self) -> tuple[str, ...]:
+        """The modules that do nothing but draw what assistants see: nobody else needs them."""
+        return ()
+
+    def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return what the registry says of a task and moves results (the time limit, what
         counts as success); its titles do not.
+
+        Args:
+            without: modules of the task that are not run.
         """
         return {
             name: getattr(self, name)
@@ -111,15 +119,22 @@ class ForeignInfo(_Named):
 
     @property
     def modules(self) -> tuple[str, ...]:
-        return (*super().modules, *self.examine().modules)
+        facts = self.examine()
+        return (*super().modules, *facts.modules, *facts.files)
 
-    def facts(self) -> dict[str, Any]:
+    @property
+    def image_modules(self) -> tuple[str, ...]:
+        return self.examine().image_modules
+
+    def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return how an environment is registered too, which moves results."""
-        # A function of the registration is written with its address, which is another in every
-        # process.
-        return super().facts() | {
-            "registered": re.sub(r" at 0x[0-9a-fA-F]+", "", self.examine().registered)
-        }
+        return super().facts() | {"registered": self.examine().registered(without)}
+
+    def require_independent(self) -> None:
+        """Refuse an environment of which many cannot run side by side. Raises TaskError."""
+        from wasp_cli.tasks.foreign.examine import require_two
+
+        require_two(self.name)
 
 
 AnyTaskInfo = TaskInfo | ForeignInfo

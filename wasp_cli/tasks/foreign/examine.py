@@ -1,207 +1,48 @@
-"""Calls into the code of others, and what a foreign environment says of itself: it is made and
-stepped once when a spec is read.
-
-A call may fail in every way: each failure becomes one `TaskError` that names the environment.
-"""
+"""What a foreign environment says of itself: it is made and stepped when a spec is read."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
-import math
-import numbers
 import sys
-import traceback
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UnknownName, WaspError, described
 from wasp_cli.registry import import_here
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
+from wasp_cli.tasks.foreign.calls import GymEnv, close_env, of_environment
+from wasp_cli.tasks.foreign.layers import as_whole, attribute, env_seconds, env_steps, from_metadata
+from wasp_cli.tasks.foreign.registration import registration_text
 from wasp_cli.tasks.foreign.views import Views, views_of
-
-GymEnv = gymnasium.Env[Any, Any]
-
-COST_HINT = (
-    "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+from wasp_cli.tasks.foreign.worlds import (
+    AGAIN,
+    Episode,
+    random_actions,
+    require_independent,
+    require_same,
 )
-_A_COST = "a cost is a finite number of at least 0"
-LONE_SOURCE = "cost"  # the cost source of an environment that names none
-_SUM = "cost_sum"
 
-
-class EnvStep(NamedTuple):
-    seen: Any
-    reward: float
-    terminated: bool
-    truncated: bool
-    cost: float
-    sources: dict[str, float]  # cost by source
-    goals: int | None  # reached so far; None where the environment does not count them
-    success: bool
-
-
-@contextmanager
-def of_environment(name: str) -> Iterator[None]:
-    """Let every expected error of the block name the environment, and turn every other failure
-    into an expected one.
-    """
-    try:
-        with calling("code"):
-            yield
-    except TaskError as error:
-        raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
-
-
-@contextmanager
-def calling(part: str) -> Iterator[None]:
-    """Call code of another in the block, which must neither end this process nor print its
-    traceback.
-    """
-    try:
-        yield
-    except TaskError:
-        raise
-    except (Exception, SystemExit) as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        raise TaskError(
-            f"its {part} failed: {described(error)}",
-            f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}",
-        ) from error
-
-
-def reset(env: GymEnv, seed: int) -> Any:
-    with calling("reset"):
-        returned = env.reset(seed=seed)
-    seen, _ = _values("reset", returned, "(observation, info)", 2)
-    return seen
-
-
-def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
-    """Advance by an env step under `action`, of the shape of the environment's action space."""
-    with calling("step"):
-        returned = env.step(action)
-    seen, reward, terminated, truncated, info = _values(
-        "step", returned, "(observation, reward, terminated, truncated, info)", 5
-    )
-    if "cost" not in info:
-        raise TaskError("its info has no 'cost'", COST_HINT)
-    reward = _finite("its step gave a reward of", reward, "a reward is a finite number")
-    cost = _finite("info['cost'] is", info["cost"], _A_COST, least=0.0)
-    goals = None
-    if "goals" in info:
-        goals = _finite(
-            "info['goals'] is",
-            info["goals"],
-            "the number of goals reached so far in the episode",
-            least=0.0,
-            whole=True,
-        )
-    return EnvStep(
-        seen,
-        reward,
-        _flag("terminated", terminated),
-        _flag("truncated", truncated),
-        cost,
-        _sources(info, cost),
-        None if goals is None else int(goals),
-        _flag("info['success']", info.get("success", False)),
-    )
-
-
-def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
-    if not isinstance(returned, tuple) or len(returned) != size:
-        got = (
-            f"{len(returned)} values"
-            if isinstance(returned, tuple)
-            else f"a single {type(returned).__name__}"
-        )
-        raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
-    if not isinstance(returned[-1], Mapping):
-        raise TaskError(
-            f"its {part} returned {_shown(returned[-1])} as info",
-            "info is a dictionary; " + COST_HINT,
-        )
-    return returned
-
-
-def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
-    # Safety-Gymnasium tells its costs flat: `cost_<source>` beside `cost_sum`.
-    flat = {
-        key.removeprefix("cost_"): value
-        for key, value in info.items()
-        if str(key).startswith("cost_") and key != _SUM
-    }
-    sources: Any = info.get("cost_sources", (flat if _SUM in info else {}) or {LONE_SOURCE: cost})
-    if not (
-        isinstance(sources, Mapping)
-        and sources
-        and all(isinstance(source, str) for source in sources)
-    ):
-        raise TaskError(
-            f"info['cost_sources'] is {_shown(sources)}",
-            "a dictionary from names to costs, with every source in every step",
-        )
-    return {
-        source: _finite(f"info['cost_sources']['{source}'] is", value, _A_COST)
-        for source, value in sources.items()
-    }
-
-
-def _finite(
-    said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False
-) -> float:
-    number = _number(value)
-    if (
-        number is None
-        or not math.isfinite(number)
-        or number < least
-        or (whole and number != int(number))
-    ):
-        raise TaskError(f"{said} {_shown(value)}", hint)
-    return number
-
-
-def _flag(name: str, value: Any) -> bool:
-    number = _number(value)
-    if number is None:
-        raise TaskError(f"its step gave {name} = {_shown(value)}", "it is True or False")
-    return bool(number)
-
-
-def _number(value: Any) -> float | None:
-    """A real number, a bool, or an array of no axes that holds one; None for everything else,
-    texts of digits too.
-    """
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
-    return float(value) if isinstance(value, numbers.Real | np.bool_) else None
-
-
-def _shown(value: Any) -> str:
-    number = _number(value)
-    text = (
-        f"{number:g}"
-        if number is not None and not isinstance(value, bool | np.bool_)
-        else " ".join(repr(value).split())
-    )
-    return text if len(text) <= 60 else text[:57] + "..."
+FIRST_STEPS = 3
+"""Env steps of the episodes that are compared whenever a spec is read."""
 
 
 @dataclass(frozen=True)
 class Facts:
     modules: tuple[str, ...]  # where its code begins
-    # how it is registered, as text: the options that it is made with decide its results
-    registered: str
+    # the data files that it opens, by name (`tasks.foreign.assets`), and those that it declares
+    files: tuple[str, ...]
+    unowned: tuple[str, ...]  # paths of other files that it opened, of which no key knows
+    # modules that only draw the image; none where an expert learns from the image
+    image_modules: tuple[str, ...]
+    spec: EnvSpec  # its registration
     env_steps: int  # time limit in env steps
     env_seconds: float  # time of one env step in seconds
     success_goals: int  # goals that count as success
@@ -209,6 +50,12 @@ class Facts:
     action_low: Floats  # [A]
     action_high: Floats  # [A]
     views: Views
+
+    def registered(self, without: Container[str] = ()) -> str:
+        """Return how it is registered, as text: the options that it is made with decide its
+        results. Wrappers of the modules `without` are left out.
+        """
+        return registration_text(self.spec, without)
 
 
 def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
@@ -224,40 +71,61 @@ def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
 
 @cache
 def _examined(name: str) -> Facts:
-    spec = find_spec(name)
-    env = make_env(name)
-    try:
+    with watched() as watch:
+        spec = find_spec(name)
         with of_environment(name):
-            limit = _env_steps(spec, env)
-            low, high = _bounds(env)
-            views = views_of(env.observation_space)
-            sources = _try_step(env, views)
-            points = [
-                spec.entry_point,
-                *(wrapper.entry_point for wrapper in spec.additional_wrappers),
-            ]
-            modules = dict.fromkeys(
-                filter(None, [name.rpartition(":")[0], *map(_entry_module, points)])
-            )
-            registered = (
-                f"{sorted(spec.kwargs.items())} "
-                f"{[(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]}"
-            )
-            seconds, success = _env_seconds(env), _success_goals(env)
-            return Facts(
-                tuple(modules),
-                registered,
-                limit,
-                seconds,
-                success,
-                sources,
-                low.ravel(),
-                high.ravel(),
-                views,
-            )
-    finally:
-        with contextlib.suppress(TaskError), calling("close"):  # nothing is asked of it any more
-            env.close()
+            registration_text(spec)  # refused now, if it cannot be told apart from another one
+        env = make_env(name)
+        try:
+            with of_environment(name):
+                return _facts_of(name, spec, env, watch)
+        finally:
+            close_env(env)
+
+
+def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
+    limit = _env_steps(spec, env)
+    low, high = _bounds(env)
+    views = views_of(env.observation_space)
+    sources = _try_steps(env, views)
+    points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
+    named = [name.rpartition(":")[0], *map(_entry_module, points)]
+    modules = list(dict.fromkeys(filter(None, named)))
+    files, others = own_files(watch, modules)
+    assets = attribute(env, "assets")
+    if assets is not None:
+        files += declared_files(assets, modules)
+    return Facts(
+        modules=tuple(modules),
+        files=tuple(sorted(set(files))),
+        unowned=tuple(map(str, others)),
+        image_modules=_image_modules(env, modules, views),
+        spec=spec,
+        env_steps=limit,
+        env_seconds=_env_seconds(env),
+        success_goals=_success_goals(env),
+        cost_sources=sources,
+        action_low=low.ravel(),
+        action_high=high.ravel(),
+        views=views,
+    )
+
+
+@cache
+def require_two(name: str) -> None:
+    """Refuse an environment whose instances are not independent: two are stepped side by side.
+
+    Raises:
+        TaskError: an episode depends on other episodes, or on another instance.
+    """
+    with contextlib.redirect_stdout(sys.stderr):
+        one, other = make_env(name), make_env(name)
+        try:
+            with of_environment(name):
+                require_independent(one, other, FIRST_STEPS)
+        finally:
+            close_env(one)
+            close_env(other)
 
 
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
@@ -300,7 +168,7 @@ def make_env(name: str) -> GymEnv:
     """Make one environment without gymnasium's own time limit and checks, which the task
     replaces.
     """
-    spec = copy.deepcopy(find_spec(name))
+    spec = copy.copy(find_spec(name))
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
         env: GymEnv = gymnasium.make(spec)
@@ -321,9 +189,8 @@ def _entry_module(entry_point: Any) -> str:
 
 
 def _env_steps(spec: EnvSpec, env: GymEnv) -> int:
-    own = getattr(env.unwrapped, "max_episode_steps", None)
-    limit = spec.max_episode_steps if spec.max_episode_steps is not None else own
-    if not isinstance(limit, int) or limit < 1:
+    limit = env_steps(env, spec.max_episode_steps)
+    if limit is None:
         raise TaskError(
             "it has no time limit",
             f"register it with one: gymnasium.register('{spec.id}', ..., max_episode_steps=500)",
@@ -332,19 +199,14 @@ def _env_steps(spec: EnvSpec, env: GymEnv) -> int:
 
 
 def _env_seconds(env: GymEnv) -> float:
-    rate = env.unwrapped.metadata.get("render_fps")
-    seconds = (
-        1.0 / rate
-        if isinstance(rate, int | float) and rate > 0
-        else getattr(env.unwrapped, "dt", None)
-    )
-    if not isinstance(seconds, int | float) or not seconds > 0:
+    seconds = env_seconds(env)
+    if seconds is None:
         hint = (
             "metadata = {'render_fps': 10} says that ten env steps are a second, which "
             "operators with a reaction time need"
         )
         raise TaskError("it does not say how long an env step is", hint)
-    return float(seconds)
+    return seconds
 
 
 def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
@@ -370,41 +232,42 @@ def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
 
 
 def _success_goals(env: GymEnv) -> int:
-    goals = env.unwrapped.metadata.get("success_goals", 1)
-    if not isinstance(goals, int) or goals < 1:
+    stated = from_metadata(env, "success_goals")
+    goals = 1 if stated is None else as_whole(stated)
+    if goals is None or goals < 1:
         raise TaskError(
-            f"its metadata['success_goals'] is {goals!r}",
+            f"its metadata['success_goals'] is {stated!r}",
             "the number of goals within the time limit that count as success",
         )
     return goals
 
 
-def _try_step(env: GymEnv, views: Views) -> tuple[str, ...]:
-    """One step of two equal episodes.
+def _image_modules(env: GymEnv, modules: Sequence[str], views: Views) -> tuple[str, ...]:
+    """Return the modules that `metadata["image_modules"]` names: they only draw the image."""
+    stated = from_metadata(env, "image_modules") or ()
+    if isinstance(stated, str) or not all(isinstance(module, str) for module in stated):
+        raise TaskError(
+            f"its metadata['image_modules'] is {stated!r}",
+            "a list of modules that only draw the image, as in ['my_env.camera']",
+        )
+    for module in stated:
+        if module in modules:
+            raise TaskError(
+                f"its metadata['image_modules'] has '{module}', where the environment itself is",
+                "move what draws the image into a module of its own, and name that one",
+            )
+    # Without vectors an expert learns from the image, and needs all of it.
+    return tuple(stated) if views.privileged is not None else ()
+
+
+def _try_steps(env: GymEnv, views: Views) -> tuple[str, ...]:
+    """Run the first steps of an episode twice, and see that they are the same.
 
     Returns:
         The cost sources.
     """
-    middle = (env.action_space.low + env.action_space.high) / 2  # type: ignore[attr-defined]  # a Box, as `_bounds` has seen
-    first = reset(env, 0)
-    views.check(first)
-    done = step(env, middle.astype(env.action_space.dtype))
-    views.check(done.seen)
-    again = reset(env, 0)
-    views.check(again)
-    if not _same(first, again):
-        hint = (
-            "draw everything from self.np_random, after super().reset(seed=seed): assistants "
-            "are compared on the same worlds"
-        )
-        raise TaskError("two resets with the same seed show different things", hint)
-    return tuple(done.sources)
-
-
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(
-            _same(value, other[name]) for name, value in one.items()
-        )
-    left: NDArray[Any] = np.asarray(one)
-    return left.tobytes() == np.asarray(other).tobytes()
+    actions = random_actions(env, FIRST_STEPS)
+    first = Episode(env, 0, views).through(actions)
+    again = Episode(env, 0, views).through(actions)
+    require_same(first, again, AGAIN)
+    return tuple(first.steps[0].sources)

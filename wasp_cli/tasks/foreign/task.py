@@ -23,16 +23,10 @@ from wasp_cli.tasks.batch import (
     chosen_rows,
     running_rows,
 )
-from wasp_cli.tasks.foreign.examine import (
-    EnvStep,
-    GymEnv,
-    calling,
-    examine,
-    make_env,
-    of_environment,
-)
-from wasp_cli.tasks.foreign.examine import reset as reset_env
-from wasp_cli.tasks.foreign.examine import step as step_env
+from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
+from wasp_cli.tasks.foreign.calls import reset as reset_env
+from wasp_cli.tasks.foreign.calls import step as step_env
+from wasp_cli.tasks.foreign.examine import examine, make_env
 
 Ints = NDArray[np.int64]
 

@@ -1,0 +1,209 @@
+"""Calls into the code of others: what an environment returns is looked at, and every failure
+becomes one `TaskError` that names the environment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError, described
+from wasp_cli.tasks.foreign.layers import as_number
+
+GymEnv = gymnasium.Env[Any, Any]
+
+COST_HINT = (
+    "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+)
+LONE_SOURCE = "cost"
+"""The cost source of an environment that names none."""
+SUCCESS = ("success", "is_success")
+"""Entries of `info` that tell of success; the second is the word of stable-baselines3."""
+_A_COST = "a cost is a finite number of at least 0"
+_SUM = "cost_sum"
+_RESET = "def reset(self, *, seed=None, options=None), which returns (observation, info)"
+
+
+class EnvStep(NamedTuple):
+    """What one env step returned."""
+
+    seen: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    cost: float
+    sources: dict[str, float]  # cost by source
+    goals: int | None  # reached so far; None where the environment does not count them
+    success: bool
+
+
+@contextmanager
+def of_environment(name: str) -> Iterator[None]:
+    """Let every expected error of the block name the environment, and turn every other failure
+    into an expected one.
+    """
+    try:
+        with calling("code"):
+            yield
+    except TaskError as error:
+        raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
+
+
+@contextmanager
+def calling(part: str, hint: str | None = None) -> Iterator[None]:
+    """Call code of another in the block, which must neither end this process nor print its
+    traceback.
+
+    Args:
+        part: what is called, for the message.
+        hint: what to do where the code of the other was not even reached.
+
+    Raises:
+        TaskError: the block raised anything else, or wanted to end the process.
+    """
+    try:
+        yield
+    except TaskError:
+        raise
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
+        if hint is not None and frames[-1].filename == __file__:
+            place = f"write it as {hint}"
+        raise TaskError(f"its {part} failed: {described(error)}", place) from error
+
+
+def close_env(env: GymEnv) -> None:
+    """Close an environment of which nothing is asked any more; what its `close` raises is lost."""
+    with contextlib.suppress(TaskError), calling("close"):
+        env.close()
+
+
+def reset(env: GymEnv, seed: int) -> Any:
+    """Begin the episode of a seed, and return its first observation."""
+    with calling("reset", _RESET):
+        returned = env.reset(seed=seed)
+    seen, _ = _values("reset", returned, "(observation, info)", 2)
+    return seen
+
+
+def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
+    """Advance by an env step under `action`, of the shape of the environment's action space.
+
+    Raises:
+        TaskError: the step failed, or what it returned lacks a cost or is not of gymnasium's form.
+    """
+    with calling("step"):
+        returned = env.step(action)
+    form = "(observation, reward, terminated, truncated, info)"
+    seen, reward, terminated, truncated, info = _values("step", returned, form, 5)
+    if "cost" not in info:
+        raise TaskError(f"its info has no 'cost'{_entries(info)}", COST_HINT)
+    cost = _finite("info['cost'] is", info["cost"], _A_COST, least=0.0)
+    return EnvStep(
+        seen=seen,
+        reward=_finite("its step gave a reward of", reward, "a reward is a finite number"),
+        terminated=_flag("its step gave terminated", terminated),
+        truncated=_flag("its step gave truncated", truncated),
+        cost=cost,
+        sources=_sources(info, cost),
+        goals=_goals(info),
+        success=_success(info),
+    )
+
+
+def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
+    if not isinstance(returned, tuple) or len(returned) != size:
+        is_tuple = isinstance(returned, tuple)
+        got = f"{len(returned)} values" if is_tuple else f"a single {type(returned).__name__}"
+        raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
+    if not isinstance(returned[-1], Mapping):
+        message = f"its {part} returned {_shown(returned[-1])} as info"
+        raise TaskError(message, "info is a dictionary; " + COST_HINT)
+    return returned
+
+
+def _entries(info: Mapping[str, Any]) -> str:
+    names = ", ".join(sorted(map(str, info)))
+    return f", but {names[:200]}" if names else ""
+
+
+def _goals(info: Mapping[str, Any]) -> int | None:
+    if "goals" not in info:
+        return None
+    hint = "the number of goals reached so far in the episode"
+    return int(_finite("info['goals'] is", info["goals"], hint, least=0.0, whole=True))
+
+
+def _success(info: Mapping[str, Any]) -> bool:
+    return any(_flag(f"info['{name}']", info[name]) for name in SUCCESS if name in info)
+
+
+def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
+    # Safety-Gymnasium tells its costs flat: `cost_<source>` beside `cost_sum`.
+    flat = {
+        key.removeprefix("cost_"): value
+        for key, value in info.items()
+        if str(key).startswith("cost_") and key != _SUM
+    }
+    if "cost_sources" in info:
+        sources = info["cost_sources"]
+    elif _SUM in info and flat:
+        sources = flat
+    else:
+        sources = {LONE_SOURCE: cost}
+    is_named = isinstance(sources, Mapping) and all(isinstance(name, str) for name in sources)
+    if not is_named or not sources:
+        raise TaskError(
+            f"info['cost_sources'] is {_shown(sources)}",
+            "a dictionary from names to costs, with every source in every step",
+        )
+    return {
+        source: _finite(f"info['cost_sources']['{source}'] is", value, _A_COST)
+        for source, value in sources.items()
+    }
+
+
+def _finite(
+    said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False
+) -> float:
+    number = _number(value)
+    if (
+        number is None
+        or not math.isfinite(number)
+        or number < least
+        or (whole and number != int(number))
+    ):
+        raise TaskError(f"{said} {_shown(value)}", hint)
+    return number
+
+
+def _flag(name: str, value: Any) -> bool:
+    number = _number(value)
+    if number is None:
+        raise TaskError(f"{name} = {_shown(value)}", "it is True or False")
+    return bool(number)
+
+
+def _number(value: Any) -> float | None:
+    """A real number, a bool, or an array that holds a single one; None for everything else."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    if isinstance(value, bool | np.bool_):
+        return float(value)
+    return as_number(value)
+
+
+def _shown(value: Any) -> str:
+    number = as_number(value)
+    text = f"{number:g}" if number is not None else " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
