@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,7 +28,9 @@ from wasp_cli.spec.shipped import copy_specs, spec_path
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.read import Problem
+    from wasp_cli.tasks.foreign.learnable import Findings
 
 
 @command(
@@ -37,12 +40,18 @@ if TYPE_CHECKING:
 )
 def check(
     specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=spec_names)],
+    steps: Annotated[
+        int,
+        option("--steps", "Env steps of each simple driver in an environment of others.", min=1),
+    ] = 1000,
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Name every mistake in specs and paper files.
 
-    All at once, with file, line and column.
+    All at once, with file, line and column. An environment of your own is tried too: whether its
+    worlds follow their seeds, whether many of it can run side by side, and whether there is
+    anything to learn in it. Nothing is trained.
     """
     from wasp_cli.spec.read import InvalidSpec
 
@@ -50,24 +59,43 @@ def check(
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
     for path in specs:
         try:
-            cells, what = _what_it_has(path, set_ or ())
+            found = _examined(path, set_ or (), steps)
         except InvalidSpec as error:
             refused |= dict.fromkeys(error.problems)
             problems = [problem.as_json() for problem in error.problems]
             results.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
             continue
-        results.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
+        entry = {"file": str(path), "ok": True, "cells": found.cells, "problems": []}
+        if found.environments:
+            environments = found.environments.items()
+            entry["environments"] = {
+                task: {"summary": each.summary, "notes": each.notes} for task, each in environments
+            }
+        results.append(entry)
         if not json:
-            say(f"{path}: ok, {what}")
+            say(f"{path}: ok, {found.what}")
+            for task, each in found.environments.items():
+                say(f"  {task}: {each.summary}", *(f"    {note}" for note in each.notes))
     if json:
         print_json(results)
     if refused:
         raise typer.Exit(SpecError.exit_code) if json else SpecError("\n".join(map(str, refused)))
 
 
-def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
-    """Count the cells of a valid spec (None for a paper, which `--set` does not change), and
-    say it in words.
+@dataclass(frozen=True)
+class _Examined:
+    """What a valid spec has."""
+
+    cells: int | None  # None for a paper
+    what: str  # in words
+    environments: Mapping[str, Findings]  # by task, what was met in environments of others
+
+
+def _examined(path: Path, settings: Sequence[str], steps: int) -> _Examined:
+    """Read a spec or a paper, which `--set` does not change, and try its environments.
+
+    Raises:
+        InvalidSpec: it has mistakes, or nothing can be learned in one of its environments.
     """
     from wasp_cli.plan.grid import cells_of
     from wasp_cli.spec.load import chain_of, loaded, override
@@ -79,12 +107,45 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     if is_paper(source):
         paper = paper_of(source)
         rows = sum(len(table.rows[task]) for table in paper.tables for task in table.rows)
-        return None, f"{rows} printed rows, {len(paper.claims)} claims"
-    spec = loaded(
-        chain_of(source), [override(number, text) for number, text in enumerate(settings, start=1)]
-    ).spec
-    cells = len(list(cells_of(spec)))
-    return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
+        return _Examined(None, f"{rows} printed rows, {len(paper.claims)} claims", {})
+    overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
+    found = loaded(chain_of(source), overrides)
+    cells = len(list(cells_of(found.spec)))
+    what = "training only"
+    if found.spec.methods:
+        what = f"{cells} cell{'s' if cells != 1 else ''}"
+    return _Examined(cells, what, _environments(found, steps))
+
+
+def _environments(found: Loaded, steps: int) -> dict[str, Findings]:
+    """Try every environment of others that a spec names, by task.
+
+    Raises:
+        InvalidSpec: one of them is refused, with its place in the spec.
+    """
+    from wasp_cli.errors import TaskError
+    from wasp_cli.spec.read import InvalidSpec
+    from wasp_cli.tasks.registry import TASKS, ForeignInfo
+
+    findings: dict[str, Findings] = {}
+    refused: list[Problem] = []
+    for number, task in enumerate(found.spec.tasks):
+        if not isinstance(TASKS[task], ForeignInfo):
+            continue
+        # Not above: it imports gymnasium, which specs of built-in tasks do without.
+        from wasp_cli.tasks.foreign.learnable import findings_of
+
+        try:
+            findings[task] = findings_of(task, found.spec.action_repeat, steps)
+        except TaskError as error:
+            refused += found.problem(("tasks", number), error.message, error.hint).problems
+            continue
+        for message, hint in findings[task].problems:
+            words = f"environment '{task}': {message}"
+            refused += found.problem(("tasks", number), words, hint).problems
+    if refused:
+        raise InvalidSpec(refused)
+    return findings
 
 
 @command("wasp init", "wasp init experiments/specs")
