@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import shutil
+from dataclasses import fields
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -16,10 +17,14 @@ from PIL import Image
 import wasp_cli
 from tests.commands import ROOT, run_here
 from wasp_cli.cli import app
+from wasp_cli.cli.options import SelectedSpec
 from wasp_cli.drive.session import shipped
+from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.spec.load import ablation, load, read_sweep
+from wasp_cli.run.session import planned, planned_sweep
+from wasp_cli.spec.load import ablation, load, read_sweep, sized
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
@@ -96,6 +101,64 @@ def test_shown_commands_parse(page, folder, line):
         for path in value if isinstance(value, list) else [value]:
             if isinstance(path, Path) and path.suffix == ".yaml":
                 assert (ROOT / folder / path).is_file(), f"{page} shows {path}, which is not there"
+
+
+LONG = (
+    "wasp run specs/worldmodel.yaml --task goal1",
+    "wasp sweep specs/quickstart.yaml --vary action_repeat=2,4 --method human --method ida --json",
+)
+"""Shown commands that train at full size, which takes an hour and more: learning.md and guide.md
+say so.
+"""
+
+
+def examples() -> list[str]:
+    """Every command line of pages and of `--help` that computes cells of a shipped spec."""
+    commands: Any = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    helped = [
+        re.split(r" [|>] ", line)[0]
+        for command in commands.values()
+        for line in re.findall(r"\[bold\](.*?)\[/\]", command.epilog)
+    ]
+    found = []
+    for line in dict.fromkeys([*(line for _, _, line in shown()), *helped]):
+        name, first = line.split()[1:3] if line.count(" ") > 1 else ("", "")
+        of_spec = name in ("run", "sweep") and (ROOT / first).is_file()
+        if of_spec or name == "ablate":
+            found.append(line)
+    return found
+
+
+def planned_by(line: str, results: Path) -> Plan:
+    """The plan of a command line in an empty results folder."""
+    given, name = parse(line), line.split()[1]
+    if name == "ablate":
+        variant, task, preset, set_ = (given[key] for key in ("variant", "task", "preset", "set_"))
+        loaded = ablation(ROOT / given["spec"], variant, task, preset, set_ or ())
+        return planned(loaded, results, reuse=given["reuse"])
+    if name == "sweep":
+        settings = sized(given["preset"], given["set_"])
+        swept = read_sweep(
+            ROOT / given["spec"], given["vary"][0], given["method"] or (), settings, given["task"]
+        )
+        return planned_sweep(swept, Layout(results), given["reuse"])
+    names = [part.name for part in fields(SelectedSpec)]
+    asked = SelectedSpec(**{key: given[key] for key in names} | {"spec": ROOT / given["spec"]})
+    return planned(asked.load(), results, asked.select or (), asked.reuse)
+
+
+@pytest.mark.slow  # a plan of each
+@pytest.mark.parametrize("line", examples())
+def test_no_shown_command_trains_at_full_size_unless_its_page_says_how_long_that_takes(
+    line, tmp_path
+):
+    plan = planned_by(line, tmp_path / "results")
+    trained = [
+        node.label
+        for node in plan.to_run()
+        if node.kind == "expert" and node.config["interactions"] >= ExpertConfig().interactions
+    ]
+    assert bool(trained) == (line in LONG), trained
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,14 @@ from tests.commands import ROOT, run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.report.conftest import without_figures
 from wasp_cli.cli import app
-from wasp_cli.cli.options import GROUPS, method_names, setting_names, task_names, variant_names
+from wasp_cli.cli.options import (
+    GROUPS,
+    Work,
+    method_names,
+    setting_names,
+    task_names,
+    variant_names,
+)
 from wasp_cli.errors import UnknownName, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import lay_out
@@ -110,6 +117,7 @@ SHARED = [
         {"--task", "--preset", "--set", "--results"},
     ),
     (["logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
+    (["view", "drive"], {"--browser", "--port"}),
 ]
 NO_PICTURES = ("--no-films", "--no-trained")
 
@@ -159,6 +167,45 @@ def test_commands_of_a_kind_have_the_same_options_with_the_same_words(
         assert words.keys() == options, command
         texts.append(words)
     assert all(words == texts[0] for words in texts)
+
+
+def test_an_option_has_the_same_spellings_in_every_command() -> None:
+    spellings: dict[str, set[tuple[str, ...]]] = {}
+    for command in get_command(app).commands.values():  # type: ignore[attr-defined]
+        for parameter in command.params:
+            every = (*parameter.opts, *parameter.secondary_opts)
+            spellings.setdefault(every[0], set()).add(every)
+    assert {name: found for name, found in spellings.items() if len(found) > 1} == {}
+
+
+@pytest.mark.parametrize("command", [["view"], ["drive", "goal1"]], ids=" ".join)
+def test_a_browser_opens_unless_it_is_told_not_to(command: list[str]) -> None:
+    def opens(*options: str) -> bool:
+        name, *arguments = command
+        made = get_command(app).commands[name]  # type: ignore[attr-defined]
+        with made.make_context(name, [*arguments, *options]) as context:
+            browser: bool = context.params["browser"]
+            return browser
+
+    assert opens()
+    assert opens("--browser")
+    assert not opens("--no-browser")
+
+
+def test_a_word_that_an_option_had_before_is_in_no_help() -> None:
+    shown = run_here("view", "--help", columns=200).stdout
+    assert "--page" in shown
+    assert "--open" not in shown
+
+
+def test_a_scheduler_of_the_environment_is_not_for_this_machine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("WASP_SCHEDULER", "tcp://somewhere:8786")
+    asked = Work(backend="loky", scheduler="tcp://somewhere:8786").options()
+    assert (asked.backend, asked.scheduler) == ("loky", None)
+    assert Work(backend="loky", scheduler="tcp://typed:1").options().scheduler == "tcp://typed:1"
+    assert Work(backend="dask", scheduler="tcp://typed:1").options().scheduler == "tcp://typed:1"
 
 
 def test_two_results_folders_are_refused_and_one_may_be_said_twice(results: Path) -> None:

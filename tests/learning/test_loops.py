@@ -2,6 +2,7 @@
 world model and without one.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from itertools import count, product
 from types import SimpleNamespace
@@ -122,14 +123,14 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators)
         config = ResidualConfig(operators=operators)
         env = AssistedTask(Staggered(len(rows)), parts.world_model, parts.skills, config, "t", 0)
         lines = {row: iter(range(row, 1000, 4)) for row in rows}
-        owner = iter(())
+        owners: deque[int] = deque()
 
         def following() -> int:
-            return next(lines[next(owner)])
+            return next(lines[owners.popleft()])
 
         env._next_seed = env._noise_seed = following
         seen = []
-        owner = iter([*rows, *rows])
+        owners.extend([*rows, *rows])
         seen.append(env.reset())
         for _ in range(steps):
             env.step_async(np.full((len(rows), 2), 0.1, np.float32))
@@ -139,7 +140,7 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts, operators)
                 for row, s, step in zip(rows, env.task.seed, t, strict=True)
                 if step >= 2 + s % 4
             ]
-            owner = iter([*ending, *ending])
+            owners.extend([*ending, *ending])
             seen.append(env.step_wait()[0])
         return np.stack(seen)
 

@@ -152,6 +152,15 @@ def test_reinforcement_begins_with_the_best_round_and_changes_the_expert_alone(s
     assert json.loads(text, parse_constant=pytest.fail) == [{"interactions": 128.0, "return": None}]
 
 
+def test_successes_are_counted_against_the_goals_of_the_task_to_the_end(start):
+    for run in (start([GOOD]), start([-GOOD, -2 * GOOD, GOOD])):
+        judged = [
+            *run.evaluation["rounds"],
+            *(s["latent"] for s in run.evaluation["skills"].values()),
+        ]
+        assert {(row["goals"], row["success"]) for row in judged} == {(0.0, 0.0)}
+
+
 def test_a_reinforcement_that_made_it_worse_is_not_kept(start):
     run = start([-2 * GOOD, -GOOD, -3 * GOOD])
     assert run.began is not None

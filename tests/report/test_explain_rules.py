@@ -278,7 +278,7 @@ def test_the_command_by_key_label_and_path(results: Path) -> None:
         wasp("explain", cell, "-e", "0", "--results", results)
         for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))
     ]
-    browser = f"in a browser: wasp view {results} --open /cell/01234567/episode/0\n"
+    browser = f"in a browser: wasp view {results} --page /cell/01234567/episode/0\n"
     assert {(done.exit_code, done.stderr) for done in said} == {(0, browser)}
     assert len({done.stdout for done in said}) == 1
     hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"

@@ -163,46 +163,48 @@ def cells_that_are_markup(it: UntrustedStore, outside: Path) -> None:
     it.fails(message=SCRIPT, label=SCRIPT)
 
 
-ATTACKS |= {
-    "upstream_elsewhere": lambda it, outside: it.manifest(
-        upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}},
-        upstream_kinds={"b": "../../outside", "d": 7},
-    ),
-    "a_manifest_of_wrong_types": lambda it, outside: it.manifest(
-        upstream=7,
-        upstream_kinds=[],
-        config=[1],
-        settings="x",
-        axes=[],
-        provenance=[],
-        summary=7,
-        label={"a": 1},
-        seed="x",
-        task=5,
-    ),
-    "long_numbers": lambda it, outside: it.manifest(
-        files={"x": {"size": 10**400}}, provenance={"seconds": 10**400}
-    ),
-    "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
-    "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
-    "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
-    "a_linked_table": lambda it, outside: link(
-        it.artifact / EPISODES_FILE, outside / EPISODES_FILE
-    ),
-    "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
-    "cells_that_are_paths": lambda it, outside: it.plan(
-        cells=[{**it.cell, "key": "../../../outside"}]
-    ),
-    "rows_that_command_the_terminal": lambda it, outside: it.rows(
-        task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]
-    ),
-    "linked_logs": lambda it, outside: link(
-        it.layout.log(RUN, LABEL, it.key), outside / "secret.json"
-    ),
-    "a_linked_spec": lambda it, outside: link(
-        it.layout.run(RUN) / "spec.json", outside / "secret.json"
-    ),
-    "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
-    "a_linked_store": lambda it, outside: link(it.layout.store, outside),
-    "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
-}
+ATTACKS.update(
+    {
+        "upstream_elsewhere": lambda it, outside: it.manifest(
+            upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}},
+            upstream_kinds={"b": "../../outside", "d": 7},
+        ),
+        "a_manifest_of_wrong_types": lambda it, outside: it.manifest(
+            upstream=7,
+            upstream_kinds=[],
+            config=[1],
+            settings="x",
+            axes=[],
+            provenance=[],
+            summary=7,
+            label={"a": 1},
+            seed="x",
+            task=5,
+        ),
+        "long_numbers": lambda it, outside: it.manifest(
+            files={"x": {"size": 10**400}}, provenance={"seconds": 10**400}
+        ),
+        "a_name_that_is_a_path": lambda it, outside: it.specification(name="../../outside"),
+        "cells_of_no_form": lambda it, outside: it.plan(cells=7, parts="x", nodes={"a": 1}),
+        "a_linked_artifact": lambda it, outside: link(it.artifact, outside),
+        "a_linked_table": lambda it, outside: link(
+            it.artifact / EPISODES_FILE, outside / EPISODES_FILE
+        ),
+        "a_linked_run": lambda it, outside: link(it.layout.run(RUN), outside),
+        "cells_that_are_paths": lambda it, outside: it.plan(
+            cells=[{**it.cell, "key": "../../../outside"}]
+        ),
+        "rows_that_command_the_terminal": lambda it, outside: it.rows(
+            task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE]
+        ),
+        "linked_logs": lambda it, outside: link(
+            it.layout.log(RUN, LABEL, it.key), outside / "secret.json"
+        ),
+        "a_linked_spec": lambda it, outside: link(
+            it.layout.run(RUN) / "spec.json", outside / "secret.json"
+        ),
+        "a_linked_report": lambda it, outside: link(it.layout.root / "reports", outside),
+        "a_linked_store": lambda it, outside: link(it.layout.store, outside),
+        "a_table_of_wrong_types": lambda it, outside: it.rows(cost=["x"], tau_c=["y"]),
+    }
+)

@@ -165,7 +165,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
         ), "its own is written again"
         written.append({path.name for path in pages.iterdir()})
     assert written[0] == written[1] != set()
-    for more in (("--episodes", "x"), ("--port", "5"), ("--open", "/cells")):
+    for more in (("--episodes", "x"), ("--port", "5"), ("--page", "/cells")):
         assert (
             run_here("view", results, "--bundle", tmp_path / "new", *more, columns=200).exit_code
             == 2

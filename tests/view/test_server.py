@@ -182,7 +182,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
         "view",
         str(results),
         "--no-browser",
-        "--open",
+        "--page",
         f"/cell/{LABEL}",
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -210,6 +210,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
+        (("RESULTS", "--page", "cells"), 2, "places begin with a slash"),
         (("RESULTS", "--open", "cells"), 2, "places begin with a slash"),
         (("/nowhere",), 1, "neither runs nor a store"),
         (("RESULTS", "--episodes", "1"), 2, "go with --bundle"),

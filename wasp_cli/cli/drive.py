@@ -48,7 +48,9 @@ def drive(
     participant: Annotated[
         int | None, option("N", "Number of the participant. (default: 0)", min=0)
     ] = None,
-    episodes: Annotated[int | None, option("N", "Episodes to drive. (default: 5)", min=1)] = None,
+    episodes: Annotated[
+        int | None, option("N", "Episodes to drive. (default: 5, or what a spec says)", min=1)
+    ] = None,
     number: Annotated[
         int | None,
         option(
@@ -63,7 +65,7 @@ def drive(
         option("NAME", "Do not show: cameras, map, cost, goals, gate or imagined (repeatable)."),
     ] = None,
     port: options.PortOption = 0,
-    browser: options.NoBrowserOption = False,
+    browser: options.BrowserOption = True,
     check: Annotated[
         bool,
         flag(
@@ -137,7 +139,7 @@ def drive(
             habits = Habits(driver.participant or 0) if simulate else None
             try:
                 summaries.append(
-                    drive_session(session, port, open_browser=not browser, scripted=habits)
+                    drive_session(session, port, open_browser=browser, scripted=habits)
                 )
             finally:
                 driver.record(session)

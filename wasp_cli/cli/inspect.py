@@ -258,20 +258,22 @@ def _say_address(results: Path, cell: FoundCell, episode: int, step: int | None)
 
 @command(
     "wasp view results/",
-    "wasp view results/ --open '/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100'",
+    "wasp view results/ --page '/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100'",
     codes="0 done, 1 the results cannot be read, 2 usage, or packages of the extra 'web' are "
     "missing",
 )
 def view(
     results: options.Folder,
-    place: Annotated[
+    page: Annotated[
         str,
-        option(
-            "PLACE", "The page that opens: an address as pages and commands print it.", "--open"
-        ),
+        option("PLACE", "The page that opens: an address as pages and commands print it."),
     ] = "/",
+    # the word that `--page` had before, and that commands printed
+    open_: Annotated[
+        str | None, option("PLACE", "The same as --page.", "--open", hidden=True)
+    ] = None,
     port: options.PortOption = 0,
-    browser: options.NoBrowserOption = False,
+    browser: options.BrowserOption = True,
     bundle: Annotated[
         Path | None,
         directory("Write the pages to a folder that works from any host, and serve nothing."),
@@ -298,10 +300,13 @@ def view(
     from wasp_cli.view.server import serve
     from wasp_cli.view.site import site_of
 
+    if open_ is not None and page != "/":
+        raise UsageError("--page and --open are one option", "leave out --open")
+    place = page if open_ is None else open_
     if bundle is not None:
         if port or place != "/":
             raise UsageError(
-                "--port and --open are for a server, and --bundle starts none", "leave them out"
+                "--port and --page are for a server, and --bundle starts none", "leave them out"
             )
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")
         return
@@ -310,7 +315,7 @@ def view(
             "--cell and --episodes go with --bundle",
             "wasp view results/ --bundle DIR --cell LABEL --episodes 0,3",
         )
-    serve(site_of(results.path), port, place, open_browser=not browser)
+    serve(site_of(results.path), port, place, open_browser=browser)
 
 
 @command(

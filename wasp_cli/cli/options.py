@@ -189,6 +189,8 @@ def print_json(value: Any) -> None:
 
 
 RESULTS = Path("results")
+LOCAL = "loky"  # the backend of this machine
+SCHEDULER_VARIABLE = "WASP_SCHEDULER"
 Completion = Callable[..., list[str]] | None
 
 
@@ -319,7 +321,10 @@ MethodOption = Annotated[
 PresetOption = Annotated[
     str | None,
     option(
-        "NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=preset_names
+        "NAME",
+        "Sizes and budgets, in place of the spec's own. (default: what the spec says)",
+        "--preset",
+        among=preset_names,
     ),
 ]
 RunOption = Annotated[
@@ -362,7 +367,9 @@ ReuseOption = Annotated[
 ]
 JsonOption = Annotated[bool, flag("--json", "Print JSON.")]
 PortOption = Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)]
-NoBrowserOption = Annotated[bool, flag("--no-browser", "Only print the address.")]
+BrowserOption = Annotated[
+    bool, flag("--browser/--no-browser", "Open a browser, or only print the address.")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -458,11 +465,13 @@ class Work:
     ] = 0
     backend: Annotated[
         str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")
-    ] = "loky"
+    ] = LOCAL
     scheduler: Annotated[
         str | None,
         option(
-            "URL", "Address of dask or ray; of slurm, options of sbatch.", envvar="WASP_SCHEDULER"
+            "URL",
+            "Address of dask or ray; of slurm, options of sbatch.",
+            envvar=SCHEDULER_VARIABLE,
         ),
     ] = None
 
@@ -473,6 +482,7 @@ class Work:
         if self.backend not in BACKENDS:  # also told where nothing is going to run
             raise UnknownName("backend", self.backend, BACKENDS)
         jobs = cores() if self.jobs is None else self.jobs
-        return RunOptions(
-            jobs, self.timeout, self.retries, self.backend, self.scheduler, reports=True
-        )
+        scheduler = self.scheduler
+        if self.backend == LOCAL and scheduler == os.environ.get(SCHEDULER_VARIABLE):
+            scheduler = None  # the variable is for the backends that have one
+        return RunOptions(jobs, self.timeout, self.retries, self.backend, scheduler, reports=True)

@@ -70,7 +70,8 @@ def report(
         ),
     ] = None,
     out: Annotated[
-        Path | None, directory("Write to DIR/<spec>. (default: reports/ in the results folder)")
+        Path | None,
+        directory("Write to DIR/<spec>. (default: reports/ in the results folder)", "--out", "-o"),
     ] = None,
     strict: Annotated[
         bool, flag("--strict", "Exit with 1 if cells or counterfactual branches are missing.")
@@ -302,7 +303,10 @@ def compare(
     spec_a: Annotated[str | None, option("NAME", "The spec in A; needs --spec-b.")] = None,
     spec_b: Annotated[str | None, option("NAME", "The spec in B; needs --spec-a.")] = None,
     out: Annotated[
-        Path | None, directory("Also write the comparison there, as Markdown, CSV, LaTeX and HTML.")
+        Path | None,
+        directory(
+            "Also write the comparison there, as Markdown, CSV, LaTeX and HTML.", "--out", "-o"
+        ),
     ] = None,
     strict: Annotated[
         bool,
@@ -418,7 +422,9 @@ def publish(
         int | None,
         option("N", "Of each cell only the steps of the first N episodes. (default: all)", min=0),
     ] = None,
-    no_images: Annotated[bool, flag("--no-images", "Leave out the images of diagnostics.")] = False,
+    images: Annotated[
+        bool, flag("--images/--no-images", "Publish the images of diagnostics too.")
+    ] = True,
     archive: Annotated[
         Path | None,
         option(
@@ -464,7 +470,7 @@ def publish(
             )
         if dry_run:
             return
-        carry_publication(planned, spec, layout, target, Slimming(steps, images=not no_images))
+        carry_publication(planned, spec, layout, target, Slimming(steps, images=images))
     if target.root.is_dir():
         say(f"published in {target.root}")
     if archive is not None:

@@ -45,9 +45,7 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
 
     loaded, how = asked.load(), work.options()
     if work.dry_run:
-        plan = planned(
-            loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed
-        )
+        plan = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, how.jobs)
     else:
         run_and_report(
@@ -65,9 +63,11 @@ def plan(
     """Show what a run would compute, why, and for how long."""
     from wasp_cli.run.session import cores, planned
 
-    spec = asked.load().spec
-    laid_out = planned(spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
-    print_plan(laid_out, spec.name, cores() if jobs is None else jobs, every=every, json=json)
+    loaded = asked.load()
+    laid_out = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
+    print_plan(
+        laid_out, loaded.spec.name, cores() if jobs is None else jobs, every=every, json=json
+    )
 
 
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
@@ -94,7 +94,7 @@ def ablate(
     how = work.options()
     loaded = ablation(spec, variant, asked.task, asked.preset, asked.set_ or ())
     print_plan(
-        planned(loaded.spec, asked.results, reuse=reuse),
+        planned(loaded, asked.results, reuse=reuse),
         loaded.spec.name,
         how.jobs,
         aside=not work.dry_run,

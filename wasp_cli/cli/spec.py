@@ -348,7 +348,8 @@ def draw(
     ],
     seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
     out: Annotated[
-        Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")
+        Path | None,
+        option("PNG", "File of the picture. (default: <task>_seed<N>.png)", "--out", "-o"),
     ] = None,
 ) -> None:
     """Draw a layout of a task: its map and camera images."""

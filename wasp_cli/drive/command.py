@@ -138,7 +138,7 @@ class Wanted:
                         "change the spec, or use --set",
                     )
             episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
-            return load(Path(self.what), [*sized(self.preset, self.settings), *episodes])
+            return load(Path(self.what), [*episodes, *sized(self.preset, self.settings)])
         layout = Layout(self.results.absolute())
         return self._of(
             [

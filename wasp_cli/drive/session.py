@@ -383,10 +383,14 @@ def shipped(
     """Return the spec behind `wasp drive TASK`; seeds are sessions, and without a preset the
     models are those that are published.
     """
+    sizes = []
+    if preset is not None:
+        # A preset sizes what is trained, and not how long a person sits there.
+        sizes = [f"preset={preset}", f"episodes={load(SHIPPED).spec.episodes}"]
     return load(
         SHIPPED,
         [
-            *([] if preset is None else [f"preset={preset}"]),
+            *sizes,
             f"tasks=[{task}]",
             f"methods=[{', '.join(methods)}]",
             f"seeds=[{', '.join(map(str, seeds))}]",

@@ -68,7 +68,9 @@ class Grid:
     presets: Mapping[str, str]  # by key of a node, that of its spec: for estimates, and in no key
     # by key, the published results that stand in the place of nodes
     reused: Mapping[str, Reused] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()  # published results that cannot be used, each with the reason
+    # what plans and runs tell of it: sizes that a preset replaces, published results that cannot
+    # be used
+    notes: tuple[str, ...] = ()
 
     @property
     def targets(self) -> frozenset[str]:

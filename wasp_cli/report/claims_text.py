@@ -239,7 +239,7 @@ def verdict_markdown(verdict: VerdictReport) -> str:
         ]
         for judged in verdict.claims:
             if judged.part != "untested":
-                seconds = (_second_label(verdict, judged, i) for i in range(len(titles)))
+                seconds = [_second_label(verdict, judged, i) for i in range(len(titles))]
                 lines.append(
                     markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds))
                 )

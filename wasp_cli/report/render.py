@@ -485,4 +485,4 @@ def cell_address(cell: str, episode: int | None = None, step: int | None = None)
 
 
 def open_command(results: Path | str, address: str) -> str:
-    return f"wasp view {shlex.quote(str(results))} --open {shlex.quote(address)}"
+    return f"wasp view {shlex.quote(str(results))} --page {shlex.quote(address)}"

@@ -11,7 +11,7 @@ import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
@@ -26,7 +26,7 @@ from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.show import board
 from wasp_cli.spec.load import Loaded, Sweep
-from wasp_cli.spec.model import Spec
+from wasp_cli.spec.sizes import told
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import invalidate, read_manifest, sweep
 from wasp_cli.store.layout import Layout
@@ -119,7 +119,7 @@ def run_spec(
     *,
     failed: bool = False,
 ) -> Session:
-    grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
+    grid = laid_out(loaded, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
     with planning(results, options) as layout:
         plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
@@ -138,8 +138,16 @@ def _take_back(plan: Plan, layout: Layout) -> None:
                 invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
+def laid_out(loaded: Loaded, layout: Layout, reuse: str | None) -> Grid:
+    """Return the grid of a spec over what is published, which notes what a preset has replaced."""
+    grid = lay_out_over(loaded.spec, layout, reuse)
+    sections = {*(node.kind for node in grid.nodes), *loaded.spec.methods}
+    note = told(loaded.spec, loaded.replaced, sections)
+    return grid if note is None else replace(grid, notes=(note, *grid.notes))
+
+
 def planned(
-    spec: Spec,
+    loaded: Loaded,
     results: Path,
     chosen: Sequence[str] = (),
     reuse: str | None = None,
@@ -148,7 +156,7 @@ def planned(
 ) -> Plan:
     """Return the plan that `run_spec` would carry out; the results folder need not be there."""
     layout = Layout(results.absolute())
-    grid = lay_out_over(spec, layout, reuse)
+    grid = laid_out(loaded, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
 
 
@@ -297,7 +305,7 @@ def run_sweep(
 
 
 def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
-    grids = tuple(lay_out_over(point.loaded.spec, layout, reuse) for point in sweep.points)
+    grids = tuple(laid_out(point.loaded, layout, reuse) for point in sweep.points)
     cells = [frozenset(node.key for _, node in grid.cells) for grid in grids]
     if not any(cells):
         raise UsageError(

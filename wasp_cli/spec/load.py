@@ -10,8 +10,8 @@ import copy
 import json
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from wasp_cli.spec.read import (
     read,
 )
 from wasp_cli.spec.shipped import spec_path
+from wasp_cli.spec.sizes import BY_TASK, resized
 from wasp_cli.tasks.registry import TASKS
 
 USUAL = ("mild", "moderate", "severe")
@@ -49,6 +50,8 @@ class Loaded:
     overrides: tuple[Override, ...] = ()
     # whether a run of it has only some cells or episodes of the spec (--task, --method, --limit)
     restricted: bool = False
+    # sizes that its files have for another preset than the one that counts, by their places
+    replaced: Mapping[tuple[str, ...], Any] = field(default_factory=dict)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
         """Return a refusal that points at a place of this spec, for what only later steps can
@@ -68,7 +71,13 @@ def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
-    document, problems = chain.document(named=any(option.path == ("name",) for option in overrides))
+    document, replaced, problems = chain.document(
+        named=any(option.path == ("name",) for option in overrides)
+    )
+    presets = [option.value for option in overrides if option.path == (PRESET,)]
+    if presets and isinstance(presets[-1], str):
+        document, more = resized(document, presets[-1])
+        replaced |= more
     document = apply(document, overrides)
     places = {(problem.source, problem.position) for problem in problems}
     mistakes = misplaced(document)
@@ -89,7 +98,17 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
         raise InvalidSpec(
             sorted(problems, key=lambda problem: (*names, problem.source).index(problem.source))
         )
-    return Loaded(spec, chain, tuple(overrides))
+    # What an option has set itself is not the preset's.
+    replaced = {place: value for place, value in replaced.items() if not _is_set(place, overrides)}
+    return Loaded(spec, chain, tuple(overrides), replaced=replaced)
+
+
+def _is_set(place: tuple[str, ...], overrides: Sequence[Override]) -> bool:
+    of_all = place[2:] if place[0] == BY_TASK else place
+    return any(
+        option.path in (whole[: len(option.path)] for whole in (place, of_all))
+        for option in overrides
+    )
 
 
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
@@ -117,6 +136,7 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
     return source.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
 
 
+PRESET = "preset"
 LONGEST_CHAIN = 8
 SUFFIX = ".yaml"
 
@@ -134,14 +154,21 @@ class Chain:
             return self.sources[0].text
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
-    def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """Return the values of all files, nearer ones over farther ones, and what in them is
-        none; `named`: an option brings the name.
+    def document(
+        self, *, named: bool = False
+    ) -> tuple[dict[str, Any], dict[tuple[str, ...], Any], list[Problem]]:
+        """Return the values of all files, nearer ones over farther ones; the sizes that a nearer
+        preset has replaced; and what in the files is no value. `named`: an option brings the name.
         """
         values: dict[str, Any] = {}
+        replaced: dict[tuple[str, ...], Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
             problems += source.problems
+            preset = source.document.get(PRESET)
+            if values and isinstance(preset, str):
+                values, more = resized(values, preset)
+                replaced |= more
             values = merged(
                 values,
                 {name: value for name, value in source.document.items() if name != EXTENDS},
@@ -158,7 +185,7 @@ class Chain:
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
-        return values, problems
+        return values, replaced, problems
 
 
 def chain_of(source: Source) -> Chain:

@@ -54,7 +54,8 @@ class PoliciesStage:
         fractions = checkpoint_fractions(job.inputs["expert"])
         experts = [load_privileged(job.inputs["expert"], f) for f in fractions]
         recording = read_shards(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
-        model, enough = load_world_model(job.inputs["world_model"]), TASKS[job.task].success_goals
+        model = load_world_model(job.inputs["world_model"])
+        success_goals = TASKS[job.task].success_goals
 
         def seed(role: str, *parts: int) -> int:
             return derive(role, job.task, job.seed, *parts)
@@ -78,7 +79,9 @@ class PoliciesStage:
         )
 
         def drive(sums: EpisodeSums) -> verdict.Drive:
-            return verdict.Drive.of(sums.returns, sums.costs, sums.goals, enough, sums.env_steps)
+            return verdict.Drive.of(
+                sums.returns, sums.costs, sums.goals, success_goals, sums.env_steps
+            )
 
         def latent(index: int, seeds: list[int]) -> verdict.Drive:
             loop = learning.latent_episodes(sighted, model, skills, fractions[index], seeds)
@@ -86,7 +89,7 @@ class PoliciesStage:
                 loop.reward.sum(0),
                 loop.cost_env.sum(0),
                 loop.goals.sum(0),
-                enough,
+                success_goals,
                 loop.env_steps.sum(0),
             )
 
@@ -176,11 +179,11 @@ class PoliciesStage:
 
         # -- reinforcement
         best = verdict.best_round(verdicts)
-        enough = (
+        close_enough = (
             verdicts[best].return_share >= config.reinforce.return_share
             and not verdicts[best].excess_cost
         )
-        if not (verdicts[best].reached or enough) and config.reinforce.interactions:
+        if not (verdicts[best].reached or close_enough) and config.reinforce.interactions:
             skills.load_state_dict(weights[best])
             # Its limit comes from episodes of their own, and many, since none of them needs a
             # camera.

@@ -265,7 +265,7 @@ def draw(
         part = folder / "frame.part"
         image.save(part, format="WEBP", quality=QUALITY, method=2)
         part.replace(folder / frame_name(number))
-        state |= {"ready": number + 1, "legend": legend}
+        state.update(ready=number + 1, legend=legend)
         write_record(folder / STATE, state)
     return {**state, "state": "done", "frames": state["ready"]}
 
