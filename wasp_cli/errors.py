@@ -53,6 +53,10 @@ class TrainingError(WaspError):
     """A learning stage cannot go on: a non-finite loss, or data without what it needs."""
 
 
+class DrawingError(WaspError):
+    """No figure can be drawn, since matplotlib does not begin."""
+
+
 class NotAccepted(WaspError):
     """What was measured does not keep the rule that it is held against."""
 
