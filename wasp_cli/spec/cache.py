@@ -21,7 +21,7 @@ from wasp_cli.store.packs import copied, has_to_be_copied, usable_copy
 
 NAME = "wasp"
 REMEDY = (
-    "set XDG_CACHE_HOME to a folder that can be written, with 150 MB of space; "
+    "set XDG_CACHE_HOME to a folder that can be written, with 160 MB of space; "
     "--reuse none does without published results"
 )
 
@@ -57,6 +57,8 @@ def place(root: Path) -> Path | None:
     refused: list[str] = []
     for folder in folders():
         try:
+            if folder == temporary_folder() and os.path.lexists(folder):
+                _require_own(folder)
             if usable_copy(root, folder) is None:
                 _require_writable(folder)
             return folder
@@ -115,8 +117,6 @@ def _require_own(folder: Path) -> None:
 
 
 def _require_writable(folder: Path) -> None:
-    if folder == temporary_folder() and os.path.lexists(folder):
-        _require_own(folder)
     there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
     if not os.path.isdir(there):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(there))
