@@ -144,6 +144,7 @@ name: drawn
 preset: smoke
 task: puddle:Puddle-v0
 methods: [human]
+operators: {noisy: {moderate: 0.4}}
 seeds: [0]
 episodes: 2
 """
