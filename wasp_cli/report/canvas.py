@@ -59,8 +59,18 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
     save(figure, png)
     # what has been laid out stays where it is: doing it again takes as long as drawing
     figure.set_layout_engine("none")
+    _round_places(figure)
     save(figure, svg)
     return [png, svg]
+
+
+def _round_places(figure: Figure) -> None:
+    """Round where the panels are: the solver of the layout differs in the last bits from process
+    to process, and the names of clip paths in an SVG are digests of all bits.
+    """
+    for panel in figure.axes:
+        left, bottom, width, height = panel.get_position().bounds
+        panel.set_position((round(left, 9), round(bottom, 9), round(width, 9), round(height, 9)))
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -14,7 +14,7 @@ from tests.commands import ROOT, python
 from tests.report.golden_store import STORE
 from wasp_cli.report.canvas import drawn, figure_files
 
-INLINE = "module://a_backend_of_jupyter.that_is_not_here"
+INLINE = "module://matplotlib_inline.backend_inline"  # of Jupyter and Colab
 OWN_STYLE = """
 backend: TkAgg
 font.size: 20
@@ -77,6 +77,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     "variables",
     [
         {"MPLBACKEND": INLINE},
+        {"MPLBACKEND": "module://not.here"},
         {"MPLBACKEND": "nonsense"},
         {"PYTHONWARNINGS": "error"},
         {"PYTHONOPTIMIZE": "2"},
@@ -182,3 +183,21 @@ def test_a_report_is_the_same_in_a_notebook_with_a_style_of_its_own(
     found = files(tmp_path / "plain")
     assert {"report.html", "cost_return.png", "learning.svg"} <= set(found)
     assert files(tmp_path / "own") == found
+
+
+DRAW_FIGURE3 = """
+import hashlib, sys
+from pathlib import Path
+from tests.report.golden_store import report_of
+from wasp_cli.report.figures import necessity_figure
+
+for path in necessity_figure(report_of(Path(sys.argv[1])).frame, Path(sys.argv[1])):
+    print(hashlib.sha256(path.read_bytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_every_process_writes_the_same_bytes(tmp_path: Path) -> None:
+    results = shutil.copytree(STORE, tmp_path / "results")
+    drawn = [python(tmp_path, "-c", DRAW_FIGURE3, str(results), code=0).stdout for _ in range(8)]
+    assert len(set(drawn)) == 1
