@@ -53,11 +53,31 @@ def test_several_workers_are_refused_before_anything_is_written(small_spec, resu
     assert not list(results.glob("runs/*"))
 
 
-def test_doctor_has_a_row_of_it(tmp_path) -> None:
+def test_doctor_has_a_row_of_it_and_of_temporary_files(tmp_path) -> None:
     done = unable("-m", "wasp_cli", "doctor", "--results", tmp_path)
-    (row,) = [line for line in done.stdout.splitlines() if "shared memory" in line]
-    assert "ok" not in row
-    assert done.returncode == (0 if "limited" in row else 1)
+    rows = {
+        name: next(line for line in done.stdout.splitlines() if line.strip().startswith(name))
+        for name in ("shared memory", "temporary files")
+    }
+    assert "limited" in rows["shared memory"] or "--shm-size" in rows["shared memory"]
+    assert "missing" in rows["temporary files"]
+    assert "TMPDIR" in rows["temporary files"]
+    assert done.returncode == 1
+
+
+NO_TEMPORARY_FOLDER = """
+import tempfile
+from wasp_cli.errors import refusal
+
+try:
+    tempfile.gettempdir()
+except OSError as error:
+    print(refusal(error).hint)
+"""
+
+
+def test_where_no_temporary_file_can_be_written_the_variable_is_named() -> None:
+    assert "TMPDIR" in unable("-c", NO_TEMPORARY_FOLDER).stdout
 
 
 def in_container(mount: str, *command: str | Path) -> subprocess.CompletedProcess[str]:
