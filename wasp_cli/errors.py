@@ -53,6 +53,10 @@ class TrainingError(WaspError):
     """A learning stage cannot go on: a non-finite loss, or data without what it needs."""
 
 
+class DrawingError(WaspError):
+    """No figure can be drawn, since matplotlib does not begin."""
+
+
 class NotAccepted(WaspError):
     """What was measured does not keep the rule that it is held against."""
 
@@ -114,9 +118,12 @@ LONGEST_NAME = 300
 
 def refusal(error: OSError) -> WaspError:
     reason = (error.strerror or str(error) or type(error).__name__).lower()
+    hint = "wasp --debug COMMAND shows where"
+    if "no usable temporary directory" in reason:  # the words of Python's tempfile
+        hint = "set TMPDIR to a folder that can be written"
     return WaspError(
         reason if error.filename is None else f"'{error.filename}': {reason}",
-        "wasp --debug COMMAND shows where",
+        hint,
     )
 
 

@@ -14,10 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -34,6 +30,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.canvas import drawn
 from wasp_cli.report.figures import style_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
@@ -272,46 +269,42 @@ def measured_in(rows: pa.Table) -> list[tuple[str, Knob]]:
 def draw(rows: pa.Table, path: Path) -> None:
     """Draw return and cost against the effective intervention rate: a column for each task."""
     tasks = shown_tasks(rows)
-    figure, axes = plt.subplots(
-        2,
-        len(tasks),
-        figsize=(1 + 3.3 * len(tasks), 6),
-        sharex="col",
-        squeeze=False,
-        layout="constrained",
-    )
-    for column, task in enumerate(tasks):
-        for row, measure in enumerate(("return", "cost")):
-            panel = axes[row, column]
-            for method, knob in measured_in(rows):
-                points = {value: point(rows, task, method, value) for value in knob.values}
-                x, y = ([each[name] for each in points.values()] for name in ("effective", measure))
-                colour, marker = style_of(method)
-                panel.plot(
-                    x,
-                    y,
-                    "-",
-                    marker=marker,
-                    ms=4,
-                    lw=1.2,
-                    color=colour,
-                    label=METHODS[method].title,
+    with drawn((1 + 3.3 * len(tasks), 6), look={}, dpi=100) as figure:
+        axes = figure.subplots(2, len(tasks), sharex="col", squeeze=False)
+        for column, task in enumerate(tasks):
+            for row, measure in enumerate(("return", "cost")):
+                panel = axes[row, column]
+                for method, knob in measured_in(rows):
+                    points = {value: point(rows, task, method, value) for value in knob.values}
+                    x, y = (
+                        [each[name] for each in points.values()] for name in ("effective", measure)
+                    )
+                    colour, marker = style_of(method)
+                    panel.plot(
+                        x,
+                        y,
+                        "-",
+                        marker=marker,
+                        ms=4,
+                        lw=1.2,
+                        color=colour,
+                        label=METHODS[method].title,
+                    )
+                    at = points[knob.used]
+                    panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=colour)
+                panel.set(
+                    title=TASKS[task].title if not row else "",
+                    ylabel=measure if not column else "",
+                    xlabel="effective Int." if row else "",
                 )
-                at = points[knob.used]
-                panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=colour)
-            panel.set(
-                title=TASKS[task].title if not row else "",
-                ylabel=measure if not column else "",
-                xlabel="effective Int." if row else "",
-            )
-            panel.spines[["top", "right"]].set_visible(False)
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(),
-        frameon=False,
-        fontsize=8,
-        loc="outside right upper",
-    )
-    figure.savefig(path, dpi=110)
+                panel.spines[["top", "right"]].set_visible(False)
+        figure.legend(
+            *axes[0, 0].get_legend_handles_labels(),
+            frameon=False,
+            fontsize=8,
+            loc="outside right upper",
+        )
+        figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":

@@ -12,13 +12,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("agg")
-import matplotlib.pyplot as plt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from wasp_cli.report.canvas import drawn
 from wasp_cli.spec.load import load
 from wasp_cli.tasks.registry import TASKS
 
@@ -98,36 +95,30 @@ def draw() -> None:
     """
     experts = published()
     tasks = list(dict.fromkeys(task for task, _ in experts))
-    figure, axes = plt.subplots(
-        2,
-        len(tasks),
-        figsize=(3.4 * len(tasks), 4.4),
-        squeeze=False,
-        layout="constrained",
-        sharex="col",
-    )
-    for (task, seed), rows in experts.items():
-        curve = [row for row in rows if row["accepted"] is None]
-        x = [row["interactions"] / 1000 for row in curve]
-        for axis, measure in zip(axes[:, tasks.index(task)], ("return", "cost"), strict=True):
-            axis.plot(
-                x,
-                [row[measure] for row in curve],
-                color=COLOURS[seed - 1],
-                lw=1,
-                label=f"training {seed}",
-            )
-    for column, task in enumerate(tasks):
-        axes[0, column].set_title(TASKS[task].title)
-        axes[1, column].set_xlabel("interactions (thousands)")
-    axes[0, 0].set_ylabel("return")
-    axes[1, 0].set_ylabel("cost")
-    # a task may lack a training
-    lines = {line.get_label(): line for axis in axes[0] for line in axis.get_lines()}
-    figure.legend(
-        lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False
-    )
-    figure.savefig(PICTURE, dpi=110)
+    with drawn((3.4 * len(tasks), 4.4), look={}, dpi=100) as figure:
+        axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
+        for (task, seed), rows in experts.items():
+            curve = [row for row in rows if row["accepted"] is None]
+            x = [row["interactions"] / 1000 for row in curve]
+            for axis, measure in zip(axes[:, tasks.index(task)], ("return", "cost"), strict=True):
+                axis.plot(
+                    x,
+                    [row[measure] for row in curve],
+                    color=COLOURS[seed - 1],
+                    lw=1,
+                    label=f"training {seed}",
+                )
+        for column, task in enumerate(tasks):
+            axes[0, column].set_title(TASKS[task].title)
+            axes[1, column].set_xlabel("interactions (thousands)")
+        axes[0, 0].set_ylabel("return")
+        axes[1, 0].set_ylabel("cost")
+        # a task may lack a training
+        lines = {line.get_label(): line for axis in axes[0] for line in axis.get_lines()}
+        figure.legend(
+            lines.values(), lines, loc="outside lower center", ncols=len(lines), frameon=False
+        )
+        figure.savefig(PICTURE, dpi=110)
 
 
 def _read(path: Path) -> Any:

@@ -23,6 +23,7 @@ from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
+from wasp_cli.report.canvas import drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,19 +122,13 @@ dashes tell them apart in print.
 
 def draw(path: Path, found: list[Scene] | None = None) -> None:
     """Draw the four scenes as a PNG: speed over place in the corridor, maps of the plane."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     style: dict[Any, Any] = {
         "font.size": 9,
         "axes.spines.top": False,
         "axes.spines.right": False,
         "hatch.linewidth": 0.6,
     }
-    with rc_context(style):
-        figure = Figure(figsize=(9.6, 5.8), layout="constrained", dpi=150)
-        FigureCanvasAgg(figure)
+    with drawn((9.6, 5.8), style, dpi=150) as figure:
         figure.get_layout_engine().set(h_pad=0.1, w_pad=0.08)
         panels = figure.subplots(2, 2).flat
         for panel, scene in zip(panels, scenes() if found is None else found, strict=True):

@@ -224,6 +224,16 @@ def test_a_machine_named_like_a_method_gives_nothing_away(results, small_spec, m
     assert keys(results / "published") == keys(results)
 
 
+def test_an_account_without_a_home_can_publish(results, small_spec, monkeypatch):
+    def no_entry(_: int) -> None:
+        raise KeyError("uid not found")
+
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setattr("pwd.getpwuid", no_entry)
+    assert "published in" in publish(small_spec, results)
+    assert keys(results / "published") == keys(results)
+
+
 def test_two_that_publish_to_one_folder_take_turns(results, small_spec, tmp_path, monkeypatch):
     """The second one comes while the first one copies; a sweep of the folder comes too."""
     spec, layout, target = load(small_spec).spec, Layout(results), Layout(tmp_path / "layer")

@@ -40,6 +40,9 @@ def main_options(
 def main() -> None:
     # no process of ours imports from the working directory, which may be somebody's results
     os.environ["PYTHONSAFEPATH"] = "1"
+    # nor draws into a notebook or a window, or in a user's own style: also a task that draws its
+    # images with matplotlib shows the same on every machine
+    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
     for stream in (sys.stdout, sys.stderr):
         # an ASCII terminal shows ? where it has no character
         if isinstance(stream, io.TextIOWrapper):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import warnings
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from wasp_cli.cli.options import RESULTS, ResultsOption, command
 from wasp_cli.console import out
-from wasp_cli.errors import StoreError, UsageError, WaspError
+from wasp_cli.errors import DrawingError, StoreError, UsageError, WaspError, refusal
 from wasp_cli.registry import Registry, load_target
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
@@ -47,6 +48,7 @@ def doctor(results: ResultsOption = RESULTS) -> None:
         "missing": "bold red",
         "broken": "bold red",
         "low": "yellow",
+        "limited": "yellow",
         "optional": "yellow",
     }
     for finding in findings:
@@ -60,7 +62,7 @@ def doctor(results: ResultsOption = RESULTS) -> None:
     require(findings)
 
 
-State = Literal["ok", "missing", "broken", "low", "optional"]
+State = Literal["ok", "missing", "broken", "low", "limited", "optional"]
 
 
 class Finding(NamedTuple):
@@ -76,7 +78,9 @@ def examine(results: Path) -> Iterator[Finding]:
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         try:
-            import_module(name.replace("-", "_"))
+            # such as joblib's about shared memory, which has a row of its own
+            with warnings.catch_warnings(action="ignore"):
+                import_module(name.replace("-", "_"))
         except Exception as error:
             # OSError: a library that it loads is not there; others: it is there, and cannot begin
             state: State = "missing" if isinstance(error, ImportError | OSError) else "broken"
@@ -85,6 +89,7 @@ def examine(results: Path) -> Iterator[Finding]:
             )
         else:
             yield Finding(name, "ok", installed(name) or "found")
+    yield _figures()
     yield from _plugins()
     yield Finding(
         "cores",
@@ -104,7 +109,10 @@ def examine(results: Path) -> Iterator[Finding]:
             f"{memory:g} GB",
             "use -j 1 and the preset quick" if small else "",
         )
+    yield _shared_memory()
     yield _gpu()
+    yield _cache()
+    yield _temporary()
     yield _writable(results)
 
 
@@ -181,6 +189,58 @@ def _gpu() -> Finding:
         f"{VARIABLE}=cpu keeps all off it"
     )
     return Finding("GPU", "ok", name, meaning)
+
+
+def _shared_memory() -> Finding:
+    from wasp_cli.run.session import cores
+    from wasp_cli.run.shared_memory import PLACE, REMEDY, refusal_of_semaphores
+
+    reason = refusal_of_semaphores(cores())
+    if reason is None:
+        return Finding("shared memory", "ok", f"'{PLACE}' has room for worker processes")
+    if cores() == 1:
+        return Finding("shared memory", "limited", reason, "`wasp run` starts no worker process")
+    return Finding("shared memory", "missing", reason, REMEDY)
+
+
+def _cache() -> Finding:
+    from wasp_cli.spec.cache import REMEDY, place, temporary_folder
+    from wasp_cli.spec.shipped import packaged_folder
+
+    root = packaged_folder()
+    if root is None:
+        return Finding("cache", "ok", "not needed", "this package has no published results")
+    try:
+        folder = place(root)
+    except StoreError as error:
+        return Finding("cache", "missing", error.message, REMEDY)
+    if folder is None:
+        return Finding("cache", "ok", "not needed", f"published results are in '{root}'")
+    if folder == temporary_folder():
+        meaning = "XDG_CACHE_HOME names a folder that lasts: published results are unpacked there"
+        return Finding("cache", "limited", f"'{folder}', which is temporary", meaning)
+    return Finding("cache", "ok", f"'{folder}' can be written")
+
+
+def _temporary() -> Finding:
+    import tempfile
+
+    try:
+        return Finding("temporary files", "ok", f"'{tempfile.gettempdir()}' can be written")
+    except OSError as error:
+        meaning = "set TMPDIR to a folder that can be written"
+        return Finding("temporary files", "missing", refusal(error).message, meaning)
+
+
+def _figures() -> Finding:
+    from wasp_cli.report.canvas import load_matplotlib
+
+    try:
+        return Finding("matplotlib", "ok", str(load_matplotlib().__version__))
+    except DrawingError as error:
+        return Finding("matplotlib", "broken", error.message, error.hint or "")
+    except ImportError as error:
+        return Finding("matplotlib", "missing", str(error), "required: pip install matplotlib")
 
 
 def _writable(results: Path) -> Finding:

@@ -28,6 +28,7 @@ from wasp_cli.console import out as console
 from wasp_cli.errors import (
     ArtifactError,
     CellsFailed,
+    DrawingError,
     NotAccepted,
     StoreError,
     UnknownName,
@@ -237,6 +238,10 @@ def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw
                 evidence=trained,
                 redraw=redraw,
             )
+    except DrawingError as error:
+        raise NotWritten(
+            f"the report of {report.name} cannot be written: {error.message}", error.hint
+        ) from error
     except (OSError, StoreError) as error:
         refused = error if isinstance(error, WaspError) else refusal(error)
         hint = "wasp report DIR --out FOLDER writes it elsewhere"

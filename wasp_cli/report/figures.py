@@ -1,4 +1,4 @@
-"""How all figures of a report look and are written, and those of methods.
+"""How all figures of a report look, and those of methods.
 
 Cost against return, what interventions were worth (Figure 3), and along the severities. A figure
 that has nothing to show writes no file.
@@ -7,10 +7,8 @@ that has nothing to show writes no file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import groupby, pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,12 +17,12 @@ from zlib import crc32
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.canvas import drawn, figure_files
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 from wasp_cli.report.tables.main import PAPER_COLUMNS, has_severity
-from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,20 +34,12 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
 # of methods with one colour, in their rounds; the last one is that of classes of one's own
 LINES = ("-", "--", ":")
-ENDINGS = ("png", "svg")
 # The markers move on by one with every round of the colours, or the eighth method would look like
 # the first.
 # colour and marker of a method, the same in every figure; the marker also tells them apart in print
 STYLES = {
     name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)])
     for i, name in enumerate(METHODS)
-}
-LOOK: dict[Any, Any] = {  # settings of matplotlib for every figure
-    "font.size": 9,
-    "svg.hashsalt": "wasp",
-    "svg.fonttype": "none",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
 }
 CAPTIONS = {  # by the name of the file, in the order of the page
     "cost_return": "Cost against return of every method: large marks "
@@ -72,44 +62,6 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "costly with some probability, the "
     "share that was.",
 }
-
-
-@contextmanager
-def drawn(size: tuple[float, float]) -> Iterator[Figure]:
-    """Yield an empty figure of `size` (inches), to be filled inside the block, where LOOK is in
-    force.
-    """
-    # Imported here: matplotlib takes most of a second, and most commands draw nothing.
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(LOOK):
-        figure = Figure(figsize=size, layout="constrained", dpi=160)
-        FigureCanvasAgg(figure)
-        yield figure
-
-
-def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers
-    give the same bytes.
-    """
-    png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
-    save(figure, png)
-    # what has been laid out stays where it is: doing it again takes as long as drawing
-    figure.set_layout_engine("none")
-    save(figure, svg)
-    return [png, svg]
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure: whole, or not at all where the process is killed meanwhile."""
-    from matplotlib import rc_context
-
-    drawing, dated = BytesIO(), ("Software",) if path.suffix == ".png" else ("Date", "Creator")
-    with rc_context(LOOK):
-        figure.savefig(drawing, format=path.suffix[1:], metadata=dict.fromkeys(dated))
-    replace_file(path, drawing.getvalue())
 
 
 def style_of(method: str) -> tuple[str, str]:

@@ -19,6 +19,7 @@ from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan
 from wasp_cli.report import provenance
+from wasp_cli.report.canvas import ENDINGS, figure_files
 from wasp_cli.report.claims import VerdictReport, judge
 from wasp_cli.report.claims_text import (
     numbers_table,
@@ -28,9 +29,7 @@ from wasp_cli.report.claims_text import (
 )
 from wasp_cli.report.figures import (
     CAPTIONS,
-    ENDINGS,
     cost_return_figure,
-    figure_files,
     necessity_figure,
     profile_figure,
     severity_figure,

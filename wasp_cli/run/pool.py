@@ -26,13 +26,16 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from wasp_cli.console import plain
 from wasp_cli.errors import UsageError, WaspError, described
 from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
+from wasp_cli.run.shared_memory import refusal_of_semaphores, require_semaphores
 from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.store.layout import Layout
 
 PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
-BACKENDS = ("loky", *PACKAGES)
+LOCAL = "loky"
+BACKENDS = (LOCAL, *PACKAGES)
 EXAMPLES = {
     "dask": "--scheduler tcp://HOST:8786",
     "ray": "--scheduler HOST:6379",
@@ -95,8 +98,8 @@ def require_backend(backend: str, scheduler: str | None) -> None:
 
 
 def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
-    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one. dask and
-    ray bring their own number.
+    """Return the workers of a backend; of loky `jobs` processes, or with 0 this one, as with 1
+    where no worker process can be started. dask and ray bring their own number.
     """
     if backend == "dask":
         return DaskPool(scheduler)
@@ -104,7 +107,12 @@ def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
         return RayPool(scheduler)
     if backend == "slurm":
         return SlurmPool(jobs, scheduler)
-    return LokyPool(jobs) if jobs else InlinePool()
+    if jobs == 0:
+        return InlinePool()
+    if jobs == 1 and (reason := refusal_of_semaphores(jobs)) is not None:
+        plain(f"no worker process can be started ({reason}): this process computes, as with -j 0")
+        return InlinePool()
+    return LokyPool(jobs)
 
 
 def _passed_on(
@@ -137,7 +145,7 @@ class InlinePool(Pool):
 class LokyPool(Pool):
     """joblib's loky workers: started on first use, so that torch is imported once in each."""
 
-    name, local = "loky", True
+    name, local = LOCAL, True
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
@@ -187,6 +195,7 @@ class LokyPool(Pool):
 
 
 def _new_workers(count: int) -> Any:
+    require_semaphores(count)
     from joblib.externals.loky import ProcessPoolExecutor
 
     return ProcessPoolExecutor(max_workers=count, initializer=start_worker, initargs=(os.getpid(),))

@@ -226,7 +226,8 @@ def _private(layout: Layout) -> dict[str, str]:
         "the results folder": str(layout.root),
         "the results folder behind a link": str(layout.root.resolve()),
         "the folder of the source": str(checkout),
-        "the home folder": str(Path.home()),
+        # of an account without one "~", which is too short to be looked for
+        "the home folder": os.path.expanduser("~"),
         "this machine": platform.node(),
     }
     # a machine of such a name is not told by it

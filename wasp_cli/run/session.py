@@ -21,9 +21,10 @@ from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.run.job import SIGNALS, listening
-from wasp_cli.run.pool import pool_of, require_backend
+from wasp_cli.run.pool import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary
+from wasp_cli.run.shared_memory import require_semaphores
 from wasp_cli.run.show import board
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.sizes import told
@@ -104,7 +105,7 @@ class RunOptions:
     jobs: int  # worker processes at most; 0 computes in this process
     limit: float | None = None  # seconds that a node may take
     retries: int = 0
-    backend: str = "loky"
+    backend: str = LOCAL
     scheduler: str | None = None
     # whether this process writes a report afterwards, and then removes `Layout.reporting`
     reports: bool = False
@@ -123,9 +124,26 @@ def run_spec(
     selected = select(grid, chosen)
     with planning(results, options) as layout:
         plan = plan_against(grid, layout, wanted=selected, failed_only=failed)
+        _require_workers(plan, options)
         _take_back(plan, layout)
         run_id = new_run(layout, loaded, plan, reports=options.reports)
     return carry_out(plan, layout, run_id, options, {})
+
+
+def _require_workers(plan: Plan, options: RunOptions) -> None:
+    """See that the worker processes of this machine can be started, before anything is written. A
+    single one is not needed: then this process computes.
+    """
+    workers = _workers(plan, options)
+    if options.backend == LOCAL and workers > 1:
+        require_semaphores(workers)
+
+
+def _workers(plan: Plan, options: RunOptions) -> int:
+    """Return how many worker processes have something to do: an idle one costs memory too."""
+    nodes = plan.to_run()
+    side_by_side = simulated(nodes, durations(nodes, plan.seconds), None)[1] if nodes else 0
+    return min(options.jobs, side_by_side)
 
 
 def _take_back(plan: Plan, layout: Layout) -> None:
@@ -216,9 +234,7 @@ def _compute(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Summary:
     nodes = len(plan.to_run())
-    side_by_side = simulated(plan.to_run(), durations(plan.to_run(), plan.seconds), None)[1]
-    # an idle worker costs memory too
-    pool = pool_of(options.backend, min(options.jobs, side_by_side), options.scheduler)
+    pool = pool_of(options.backend, _workers(plan, options), options.scheduler)
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(
@@ -280,6 +296,7 @@ def run_sweep(
     grids = _grids(sweep, Layout(results.absolute()), reuse)
     with planning(results, options) as layout:
         plan = plan_against(together(grids), layout)
+        _require_workers(plan, options)
         _take_back(plan, layout)
         run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
     users: dict[str, list[int]] = {}

@@ -147,11 +147,13 @@ def _answers(
     from joblib.externals.loky import ProcessPoolExecutor
 
     from wasp_cli.run.pool import signals_wait, start_worker
+    from wasp_cli.run.shared_memory import require_semaphores
 
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         if jobs == 1 and not environment:
             yield from (again(layout.root, key, Path(folder)) for key in keys)
             return
+        require_semaphores(jobs)
         workers = ProcessPoolExecutor(
             jobs, env=environment, initializer=start_worker, initargs=(os.getpid(),)
         )

@@ -14,7 +14,7 @@ import shutil
 from pathlib import Path
 
 from wasp_cli.errors import UsageError
-from wasp_cli.store.packs import writable
+from wasp_cli.spec.cache import unpackable
 
 _PACKAGE = Path(__file__).parents[1]
 SUFFIX, FOLDER = ".yaml", "specs"
@@ -31,13 +31,17 @@ def published_folder() -> Path | None:
     """Return where the published parts are, laid out as a results folder; None where the package
     came without them.
 
-    They are copied, once, where nobody may write to the package.
+    They are copied, once, where nobody may write to the package. Raises StoreError where they
+    have to be, and cannot.
     """
+    folder = packaged_folder()
+    return folder and unpackable(folder)
+
+
+def packaged_folder() -> Path | None:
+    """Return where the package has the published parts, which may be for nobody to write to."""
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
-    folder = next((folder for folder in folders if (folder / "store").is_dir()), None)
-    return folder and writable(
-        folder, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "wasp")
-    )
+    return next((folder for folder in folders if (folder / "store").is_dir()), None)
 
 
 def shipped_names() -> list[str]:

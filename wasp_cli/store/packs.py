@@ -12,6 +12,7 @@ is like any other.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import lzma
@@ -109,21 +110,60 @@ def _extract(pack: Path, folder: Path) -> None:
             path.write_bytes(file.read())
 
 
-def writable(root: Path, cache: Path) -> Path:
-    """Return a published folder whose packs can be unpacked: itself, or a copy in `cache` where
-    it cannot be written.
+def has_to_be_copied(root: Path) -> bool:
+    """Whether a published folder has packs to unpack, and cannot be written."""
+    return bool(_waiting(root)) and not _can_be_written(root)
+
+
+def _can_be_written(root: Path) -> bool:
+    return os.access(root / FOLDER, os.W_OK) and os.access(root / "store", os.W_OK)
+
+
+def usable_copy(root: Path, cache: Path) -> Path | None:
+    """Return the copy of a published folder in `cache`; None where it is not there, or has packs
+    to unpack and cannot be written.
     """
-    waiting = _waiting(root)
-    if not waiting or (os.access(root / FOLDER, os.W_OK) and os.access(root / "store", os.W_OK)):
-        return root
-    copy = cache / hashlib.sha256("".join(pack.name for pack in waiting).encode()).hexdigest()[:12]
-    if not copy.is_dir():
-        cache.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=cache) as folder:
-            shutil.copytree(root, Path(folder, "copy"))
-            with suppress(OSError):  # another process was faster
-                Path(folder, "copy").rename(copy)
+    copy = _copy_in(cache, root)
+    return copy if copy.is_dir() and not has_to_be_copied(copy) else None
+
+
+def copied(root: Path, cache: Path) -> Path:
+    """Return the copy of a published folder in `cache`, which is made and unpacked where it is not
+    there.
+
+    It gets its name when it is whole. Raises OSError or StoreError where it cannot be written.
+    """
+    copy = usable_copy(root, cache)
+    if copy is not None:
+        return copy
+    copy = _copy_in(cache, root)
+    if copy.is_dir():
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(copy))
+    with tempfile.TemporaryDirectory(dir=cache) as folder:
+        made = Path(folder, "copy")
+        _copy(root, made)
+        unpack(made)
+        with suppress(OSError):  # another process was faster
+            made.rename(copy)
     return copy
+
+
+def _copy_in(cache: Path, root: Path) -> Path:
+    names = "".join(pack.name for pack in _waiting(root))
+    return cache / hashlib.sha256(names.encode()).hexdigest()[:12]
+
+
+def _copy(root: Path, target: Path) -> None:
+    """Copy the files of a folder, without the modes of a package that is read only."""
+    for folder, _, names in os.walk(root, onerror=_raised, followlinks=True):
+        place = target / Path(folder).relative_to(root)
+        place.mkdir(parents=True)
+        for name in names:
+            shutil.copyfile(Path(folder, name), place / name)
+
+
+def _raised(error: OSError) -> None:
+    raise error
 
 
 def write_pack(root: Path, name: str) -> Path | None:

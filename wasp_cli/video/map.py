@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from wasp_cli.report.canvas import load_matplotlib
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.make import require_mujoco
@@ -238,9 +239,7 @@ def along(places: Sequence[Floats]) -> Floats:
 
 @lru_cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    import matplotlib
-
-    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    folder = Path(load_matplotlib().get_data_path()) / "fonts" / "ttf"
     return ImageFont.truetype(
         str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from wasp_cli.report.figures import save
+from wasp_cli.report.canvas import save
 from wasp_cli.report.render import markdown
 from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from wasp_cli.errors import UsageError, WaspError
-from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines, drawn
+from wasp_cli.report.canvas import drawn
+from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines
 from wasp_cli.report.stats import Floats, Frame
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.tables.main import full_groups, main_table
