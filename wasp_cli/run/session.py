@@ -187,6 +187,8 @@ def _compute(
     pool = pool_of(options.backend, min(options.jobs, side_by_side), options.scheduler)
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
+    if estimate and plan.unmeasured:
+        estimate += " and the time in the environment, which is not known yet"
     plain(
         f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in "
         f"{layout.run(run_id) / 'logs'}"
