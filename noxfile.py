@@ -19,6 +19,7 @@ import nox
 
 nox.needs_version = ">=2025.5.1"
 nox.options.reuse_existing_virtualenvs = True
+nox.options.envdir = os.environ.get("NOX_ENVDIR", ".nox")  # `.ci/run` wants all of it anew
 
 SPECS = sorted(path.as_posix() for path in Path("specs").glob("*.yaml"))
 PEERS = (

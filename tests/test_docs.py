@@ -52,8 +52,13 @@ def shown() -> list[tuple[str, str, str]]:
             for line in block.splitlines():
                 if line.startswith("$ cd "):
                     folder = line.removeprefix("$ cd ").strip()
-                elif line.startswith("$ wasp"):
-                    found.append((page.name, folder, line[2:].partition("  #")[0].strip()))
+                elif line.startswith("$ "):
+                    commands = line[2:].partition("  #")[0].split(" && ")
+                    found += [
+                        (page.name, folder, command.strip())
+                        for command in commands
+                        if command.startswith("wasp")
+                    ]
     return found
 
 
@@ -282,3 +287,11 @@ def test_the_film_of_the_readme_moves_and_is_small():
     with Image.open(ROOT / name) as film:
         assert film.format == "WEBP"
         assert film.n_frames > 10
+
+
+def test_the_readme_names_the_command_that_the_check_of_a_change_runs():
+    (start, *_) = blocks(ROOT / "README.md", "console")
+    tests = start.splitlines()[-1].removeprefix("$ ")
+    script = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
+    assert script[-1] == tests
+    assert "nox" in tests

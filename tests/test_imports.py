@@ -34,6 +34,7 @@ BY_STRING = frozenset(
 RUNS_TEXT = frozenset({"exec", "eval", "compile"})
 ALLOWED: Mapping[str, str] = {
     "registry.py": "the one place that imports what registries and plugins name",
+    "own.py": "whether a module is one of Python's tests, without importing it",
     "methods/registry.py": "the config model that a method's registry entry "
     "names: its section of the spec",
     "plan/grid.py": "the stage that a node's registry entry names",

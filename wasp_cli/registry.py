@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
 from wasp_cli.errors import UnknownName, WaspError, described
+from wasp_cli.own import hidden, misspelt, nearby, of_python
 
 
 class Entry(Protocol):
@@ -127,6 +128,14 @@ def _loaded(point: EntryPoint) -> Any:
         ) from error
 
 
+def require_spelling(kind: str, name: str) -> None:
+    """Raise an UnknownName, with how it is written, where `module:Name` names its module as no
+    module is named: by its path, with a dash, with `.py`.
+    """
+    if (hint := misspelt(name)) is not None:
+        raise UnknownName(kind, name, (), otherwise=hint)
+
+
 def load_target(target: str, whose: str = "") -> Any:
     """Import and return what an import string names; where it is the code of others, `whose`
     begins the message of a failure.
@@ -147,9 +156,12 @@ def import_here(module: str) -> ModuleType:
     """Import a module that a spec names; it may lie in the folder that the process was started in.
 
     No process of ours searches that folder otherwise. It comes last, so that nothing installed is
-    hidden.
+    hidden. A WaspError where it does not import, and where it is a module of Python itself: that
+    one is never meant, and some of them open a browser.
     """
     top = module.partition(".")[0]
+    if (said := of_python(module)) is not None:
+        raise WaspError(*said)
     try:
         here = os.getcwd()
         if importlib.util.find_spec(top) is None and PathFinder.find_spec(top, [here]) is not None:
@@ -162,15 +174,15 @@ def import_here(module: str) -> ModuleType:
             and error.name is not None
             and f"{module}.".startswith(f"{error.name}.")
         )
-        hint = (
-            f"run in the folder that holds '{top}', or install it: pip install -e ."
-            if absent
-            else "repair the module"
-        )
-        hint = (
-            f"write '{module.removesuffix('.py')}', without .py" if module.endswith(".py") else hint
-        )
+        hint = hidden(module) or (nearby(module) if absent else "repair the module")
         raise WaspError(f"module '{module}' does not import: {described(error)}", hint) from error
+
+
+def remedy(module: str, otherwise: str) -> str:
+    """Return what to do where a module lacks what a spec names of it: another one may have been
+    imported than the file that is meant.
+    """
+    return hidden(module) or otherwise
 
 
 def module_of(target: str) -> str:

@@ -12,7 +12,7 @@ from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
 from wasp_cli.methods.registry import MethodInfo
 from wasp_cli.operators.registry import OperatorInfo
-from wasp_cli.run import session
+from wasp_cli.run import cores
 
 
 def gpu(tmp_path: Path) -> Finding:
@@ -69,9 +69,9 @@ def test_a_library_that_cannot_begin_is_broken(
     ],
 )
 def test_a_container_has_the_cores_and_the_memory_of_its_limits(files, tmp_path, monkeypatch):
-    monkeypatch.setattr(session, "CGROUP", tmp_path)
+    monkeypatch.setattr(cores, "CGROUP", tmp_path)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: range(64), raising=False)
-    assert session.cores() == 64
+    assert cores.cores() == 64
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)

@@ -90,13 +90,13 @@ def test_a_sheet_shows_what_the_cameras_see(task: str, cameras: int, tmp_path: P
     ("arguments", "code", "expected"),
     [
         (["gaol1"], 2, "unknown task 'gaol1'\n       did you mean 'goal"),
-        (["wasp/SafetyPointGaol1-v0"], 2, "did you mean 'wasp/SafetyPointGoal1-v0'"),
-        (["puddle:Pudle-v0"], 2, "did you mean 'Puddle-v0'?"),
+        (["wasp/SafetyPointGaol1-v0"], 2, "did you mean 'goal1'"),
+        (["puddle:Pudle-v0"], 2, "did you mean 'puddle:Puddle-v0'?"),
         (["goal1", "--seed", "-1"], 2, "Invalid value for '--seed'"),
         (["goal1", "--out", "map.txt"], 2, "'map.txt' is no name of a picture"),
         (["nowhere:MyEnv-v0"], 1, "module 'nowhere' does not import"),
         (["goal1", "--out", "no/such/folder/map.png"], 2, "create the folder 'no/such/folder'"),
-        (["SafetyPointGoal3-v0"], 2, "'wasp/SafetyPointGoal1-v0'"),
+        (["SafetyPointGoal3-v0"], 2, "did you mean 'goal0'"),
         (["../../etc/passwd"], 2, "no task and no gymnasium id is called"),
     ],
 )

@@ -21,6 +21,7 @@ from wasp_cli.run.job import NodeJob, NodeResult, boot_id
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
+from wasp_cli.run.show import pace
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
@@ -109,6 +110,32 @@ def test_a_run_that_goes_on(layout):
     # d waits for c, however many workers there are
     assert state.left_seconds == pytest.approx(0.75 * 60 + 40)
     assert state.unknown == 0
+
+
+def in_new_environment(number: int, label: str, kind: str, seconds: float) -> dict[str, Any]:
+    node = planned(number, label, needs=[number - 1], seconds=seconds)
+    return {**node, "kind": kind, "task": "my_env:My-v0", "decisions": 1000}
+
+
+def test_the_first_node_in_a_new_environment_tells_how_long_the_others_take(layout):
+    nodes = [
+        planned(0, "a", "cached"),
+        in_new_environment(1, "b", "expert", 10.0),
+        in_new_environment(2, "c", "dataset", 20.0),
+        in_new_environment(3, "d", "evaluate", 30.0),
+    ]
+    write_run(layout, RUN, nodes, [started()])
+    state = only(layout)
+    assert (state.left_seconds, state.unmeasured) == (pytest.approx(60.0), 3000)
+    assert "not counting 3,000 decisions" in pace(state)
+    # 50 s more than planned for a thousand decisions
+    events = [started(), (60, "done", {"key": key(1), "label": "b", "seconds": 60.0})]
+    write_run(layout, "20260501-130000-small-0002", nodes, events)
+    newest, _ = planned_runs(layout)
+    state = state_of(layout, newest, START + timedelta(seconds=61))
+    assert state.left_seconds == pytest.approx(20 + 50 + 30 + 50)
+    assert state.unmeasured == 0
+    assert "not counting" not in pace(state)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ class Finding(NamedTuple):
 
 
 def examine(results: Path) -> Iterator[Finding]:
-    from wasp_cli.run.session import cores, limits
+    from wasp_cli.run.cores import cores, memory_limit, thread_limit
 
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
@@ -97,11 +97,15 @@ def examine(results: Path) -> Iterator[Finding]:
         f"{cores()} ({processor()})",
         "`wasp run` starts as many workers; -j N sets their number",
     )
-    memory, most = memory_gb(), limits("memory.max") or limits("memory/memory.limit_in_bytes")
+    if (limit := thread_limit()) is not None:
+        name, count = limit
+        yield Finding(name, "ok", str(count), "threads of a node at most")
+    memory, most = memory_gb(), memory_limit()
     if memory is None:
         yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:
-        memory = min([memory, *(round(size / 1e9, 1) for size in most)])
+        if most is not None:
+            memory = min(memory, round(most / 1e9, 1))
         small = memory < SMALL_MEMORY_GB
         yield Finding(
             "memory",
@@ -192,7 +196,7 @@ def _gpu() -> Finding:
 
 
 def _shared_memory() -> Finding:
-    from wasp_cli.run.session import cores
+    from wasp_cli.run.cores import cores
     from wasp_cli.run.shared_memory import PLACE, REMEDY, refusal_of_semaphores
 
     reason = refusal_of_semaphores(cores())

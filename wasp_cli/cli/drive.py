@@ -176,7 +176,8 @@ def clone(
     from wasp_cli.drive.clone import clone_participant, quality_table
     from wasp_cli.drive.session import driven_tasks, shipped
     from wasp_cli.operators.registry import CLONED
-    from wasp_cli.run.session import RunOptions, cores
+    from wasp_cli.run.cores import cores
+    from wasp_cli.run.session import RunOptions
 
     if participant is None:
         raise UsageError("whose commands?", "name the participant with --participant N")

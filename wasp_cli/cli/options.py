@@ -339,7 +339,7 @@ JobsOption = Annotated[
     int | None,
     option(
         "N",
-        "At most N workers; 0 computes in this process. (default: all cores)",
+        "At most N workers, which share N cores; 0: one, in this process. (default: all cores)",
         "--jobs",
         "-j",
         min=0,
@@ -476,8 +476,9 @@ class Work:
     ] = None
 
     def options(self) -> RunOptions:
+        from wasp_cli.run.cores import cores
         from wasp_cli.run.pool import BACKENDS
-        from wasp_cli.run.session import RunOptions, cores
+        from wasp_cli.run.session import RunOptions
 
         if self.backend not in BACKENDS:  # also told where nothing is going to run
             raise UnknownName("backend", self.backend, BACKENDS)

@@ -500,7 +500,7 @@ def verify(
     They are drawn, and computed from the models beside them. Nothing in the folder changes. Wall
     times are not compared. What differs with AVX512 is computed once more with AVX2.
     """
-    from wasp_cli.run.session import cores
+    from wasp_cli.run.cores import cores
     from wasp_cli.run.verify import draw, kind, show_answer
     from wasp_cli.run.verify import verify as verified
 

@@ -38,8 +38,9 @@ from wasp_cli.plan.node import Cell, Node, with_upstream
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.tables import who_title
+from wasp_cli.run.cores import cores
 from wasp_cli.run.record import new_run
-from wasp_cli.run.session import RunOptions, cores
+from wasp_cli.run.session import RunOptions
 from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import (

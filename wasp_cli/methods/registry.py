@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.config import Config
-from wasp_cli.errors import WaspError
-from wasp_cli.registry import Registry, import_here, load_target
+from wasp_cli.errors import WaspError, did_you_mean
+from wasp_cli.own import misspelt
+from wasp_cli.registry import Registry, import_here, load_target, remedy, require_spelling
 
 
 @dataclass(frozen=True)
@@ -116,11 +117,14 @@ class OwnMethod(MethodInfo):
     def load(self) -> Any:
         """Import and return the class."""
         module, _, name = self.target.partition(":")
-        found = getattr(imported := import_here(module), name, None)
-        if found is None:  # Python's own modules hide files of the same name
+        imported = import_here(module)
+        found = getattr(imported, name, None)
+        if found is None:
+            classes = [known for known, what in vars(imported).items() if isinstance(what, type)]
+            hint = did_you_mean(name, classes, f"write a class {name} in it")
             raise WaspError(
                 f"the assistant '{self.name}' is not in {imported}",
-                "name a class of it; if your file is another, rename it",
+                remedy(module, hint.replace(" '", f" '{module}:")),
             )
         if lacks := [
             method for method in ("reset", "decide") if not callable(getattr(found, method, None))
@@ -134,12 +138,11 @@ class MethodRegistry(Registry[MethodInfo]):
     """The registered methods; a class of one's own resolves too, but is not listed."""
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or (
-            isinstance(name, str) and _OWN.fullmatch(name) is not None
-        )
+        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
     def __getitem__(self, name: str) -> MethodInfo:
-        return OwnMethod.named(name) if _OWN.fullmatch(name) else super().__getitem__(name)
+        require_spelling("method", name)
+        return OwnMethod.named(name) if is_own(name) else super().__getitem__(name)
 
     def load(self, name: str) -> Any:
         info = self[name]
@@ -147,6 +150,13 @@ class MethodRegistry(Registry[MethodInfo]):
 
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+def is_own(name: str) -> bool:
+    """Tell whether a name has the form of a class of one's own: `module:Class`."""
+    return _OWN.fullmatch(name) is not None and misspelt(name) is None
+
+
 _VOTE = Signal(
     "vote",
     "on a scale from -1 (no member of the ensemble prefers the copilot's action by more "

@@ -20,6 +20,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
+from wasp_cli.plan.unmeasured import guessed
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import WITHOUT_STEPS
@@ -57,6 +58,14 @@ class Plan:
     guessed: frozenset[str] = frozenset()
     """The sorts whose time is an estimate: nodes like them were measured, or other machines
     measured them.
+    """
+
+    borrowed: frozenset[str] = frozenset()
+    """The sorts whose time is an estimate from other tasks or presets: nothing alike was measured.
+    """
+    unmeasured: Mapping[str, int] = field(default_factory=dict)
+    """By sort the decisions in an environment that nobody has measured: their time is in no
+    estimate.
     """
 
     def to_run(self) -> list[Node]:
@@ -122,6 +131,8 @@ class Plan:
                     "reason": step.reason,
                     "needs": {name: needed.key for name, needed in step.node.needs.items()},
                     "seconds": self.seconds.get(step.node.sort),
+                    "task": step.node.task,
+                    "decisions": self.unmeasured.get(step.node.sort, 0),
                 }
                 for step in self.steps
             ],
@@ -234,13 +245,17 @@ def plan_against(
         if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
     ]
     begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
-    guesses = estimated(
-        [node for node in plan.to_run() if node.sort not in plan.seconds],
-        grid.presets,
-        _timed(plan),
-    )
+    new = [node for node in plan.to_run() if node.sort not in plan.seconds]
+    timed = list(_timed(plan))
+    alike = estimated(new, grid.presets, timed)
+    others = guessed([node for node in new if node.sort not in alike], grid.presets, timed)
     return replace(
-        plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses)
+        plan,
+        seconds={**plan.seconds, **alike, **others.seconds},
+        begun=begun,
+        guessed=frozenset(alike),
+        borrowed=frozenset(others.seconds),
+        unmeasured=others.decisions,
     )
 
 
@@ -373,7 +388,7 @@ def _time(plan: Plan, workers: int) -> list[str]:
     names = [node.label for node in path]
     if len(names) > SHOWN:
         names[SHOWN // 2 : -SHOWN // 2] = ["..."]
-    guessed = sum(node.sort in plan.guessed for node in plan.to_run())
+    alike = sum(node.sort in plan.guessed for node in plan.to_run())
     if plan.begun:
         count = len(plan.begun)
         rest += (
@@ -381,12 +396,29 @@ def _time(plan: Plan, workers: int) -> list[str]:
             "and are taken over"
         )
     source = (
-        f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine"
-        if guessed
+        f"; for {alike} nodes an estimate, from times of nodes like them or of another machine"
+        if alike
         else ""
     )
+    borrowed = sum(node.sort in plan.borrowed for node in plan.to_run())
+    if borrowed:
+        source += f"; for {borrowed} nodes an estimate, from other tasks and sizes"
     return [
         *lines,
         f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
+        *_unmeasured(plan),
         f"critical path {duration(longest)}: {' > '.join(names)}",
+    ]
+
+
+def _unmeasured(plan: Plan) -> list[str]:
+    """What the time does not count, by environment."""
+    decisions: Counter[str] = Counter()
+    for node in plan.to_run():
+        decisions[node.task] += plan.unmeasured.get(node.sort, 0)
+    return [
+        f"not counting about {count:,} decisions in {task}: how long one takes there is known when "
+        "the first node of a run has ended"
+        for task, count in decisions.items()
+        if count
     ]

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, FiniteFloat, StringConstraints, TypeAdapter
+from pydantic import BeforeValidator, Field, FiniteFloat, StringConstraints, TypeAdapter
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
@@ -31,6 +31,9 @@ class PlannedNode:
     state: str
     needs: Annotated[tuple[Key, ...], BeforeValidator(lambda needs: tuple(needs.values()))]
     seconds: FiniteFloat | None = None
+    task: str = ""
+    # in an environment that nobody had measured when it was planned: not in `seconds`
+    decisions: Annotated[int, Field(ge=0, lt=2**53)] = 0
 
     @property
     def runs(self) -> bool:

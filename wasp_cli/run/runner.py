@@ -76,14 +76,17 @@ class Runner:
         pool: Pool,
         *,
         cores: int = 1,
+        threads: int | None = None,
         limit: float | None = None,
         retries: int = 0,
     ) -> None:
-        """`cores` of this machine that nodes side by side leave free go to physics and cameras;
-        `limit` is in seconds for each node.
+        """`cores` are those of this machine that nodes side by side share; what they leave free
+        goes to physics and cameras. A node has at most so many `threads` (None: no limit of its
+        own), and takes at most `limit` seconds.
         """
         self._layout, self._run_id, self._pool = layout, run_id, pool
-        self._cores, self._limit, self._retries = cores, limit, retries
+        self._cores, self._threads = cores, threads
+        self._limit, self._retries = limit, retries
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0  # deaths of workers that computed nothing
         # what workers compute now, in the order in which it began
@@ -171,8 +174,7 @@ class Runner:
                 )
 
     def _begin(self, schedule: Schedule) -> None:
-        jobs = self._pool.jobs
-        while len(self._flying) < jobs and not self.stop.asked:
+        while self._has_room() and not self.stop.asked:
             if (
                 self._pool.local
                 and self._flying
@@ -185,13 +187,13 @@ class Runner:
                     flight, alone=True, since=time.monotonic()
                 )
             elif len(schedule):
+                threads = self._share(len(schedule))
                 node = schedule.pop()
-                together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
                 job = self._jobs.pop(node.key, None) or job_of(self._layout, self._run_id, node)
                 job = replace(
                     job,
                     earlier=self._begun.get(node.key),
-                    threads=max(1, self._cores // together),
+                    threads=threads,
                     limit=self._limit,
                 )
                 self._flying[self._pool.submit(job)] = Flight(node, job)
@@ -199,6 +201,26 @@ class Runner:
                 self._flying[self._pool.submit(waited.job)] = waited
             else:
                 return
+
+    def _has_room(self) -> bool:
+        """Whether another node may begin. A node that began when there were few of them may have
+        several threads: it counts as so many, so that a run never has more than it was given.
+        """
+        room = max(self._pool.jobs, self._cores)
+        return len(self._flying) < self._pool.jobs and self._threads_in_use() < room
+
+    def _share(self, ready: int) -> int:
+        """Return the threads of the next of so many nodes that can begin: an equal share of the
+        cores, as far as they are free.
+        """
+        together = min(self._pool.jobs, len(self._flying) + ready)
+        share = min(self._cores // together, self._cores - self._threads_in_use())
+        if self._threads is not None:
+            share = min(share, self._threads)
+        return max(share, 1)
+
+    def _threads_in_use(self) -> int:
+        return sum(flight.job.threads for flight in self._flying.values())
 
     def _waited(self) -> Flight | None:
         """A node that another run has computed, or given up: no worker is asked before, which

@@ -6,8 +6,6 @@ A sweep is one run with one plan over all values, so that what they share is com
 
 from __future__ import annotations
 
-import math
-import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -16,10 +14,11 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import ArtifactError, CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, select, together
+from wasp_cli.plan.grid import Grid, select, stage_class, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.run.cores import cores, thread_limit
 from wasp_cli.run.job import SIGNALS, listening
 from wasp_cli.run.pool import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
@@ -34,32 +33,6 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
-
-CGROUP = Path("/sys/fs/cgroup")  # what limits a container, on Linux
-
-
-def limits(*names: str) -> list[int]:
-    """Return the numbers in files of the container's limits; none where a file is not there, or
-    says that there is no limit.
-    """
-    with suppress(OSError, ValueError):
-        return [
-            int(word)
-            for name in names
-            for word in (CGROUP / name).read_text(encoding="ascii").split()
-        ]
-    return []
-
-
-def cores() -> int:
-    """Return how many cores this process may use: by its affinity, and by the share of time
-    that its container has.
-    """
-    affinity = getattr(os, "sched_getaffinity", None)  # Linux only
-    count = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
-    # without a limit: "max", or -1
-    share = limits("cpu.max") or limits("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
-    return min(count, math.ceil(share[0] / share[1])) if len(share) == 2 and share[0] > 0 else count
 
 
 @dataclass(frozen=True)
@@ -234,9 +207,12 @@ def _compute(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Summary:
     nodes = len(plan.to_run())
+    most = _threads_of_a_node(plan) if options.backend == "loky" else None
     pool = pool_of(options.backend, _workers(plan, options), options.scheduler)
     seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
+    if estimate and plan.unmeasured:
+        estimate += " and the time in the environment, which is not known yet"
     plain(
         f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in "
         f"{layout.run(run_id) / 'logs'}"
@@ -245,7 +221,8 @@ def _compute(
         layout,
         run_id,
         pool,
-        cores=cores() if pool.local else 1,
+        cores=min(cores(), max(options.jobs, 1)) if pool.local else 1,
+        threads=most,
         limit=options.limit,
         retries=options.retries,
     )
@@ -269,6 +246,24 @@ def _compute(
         ) from None
     pool.close()
     return summary
+
+
+def _threads_of_a_node(plan: Plan) -> int | None:
+    """Return how many threads the user allows a node; None for as many as there are cores. A
+    UsageError where a stage of a plugin computes with more: fewer would round differently.
+    """
+    limit = thread_limit()
+    if limit is None:
+        return None
+    name, most = limit
+    for kind in dict.fromkeys(node.kind for node in plan.to_run()):
+        needed = getattr(stage_class(kind), "torch_threads", 1)
+        if needed > most:
+            raise UsageError(
+                f"the stage '{kind}' computes with {needed} threads, and {name} allows {most}",
+                f"set {name}={needed}, or unset it: with other threads it rounds differently",
+            )
+    return most
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:

@@ -287,7 +287,12 @@ def pace(state: RunState) -> str:
     """Say how long a run takes yet; of one that is over, nothing."""
     if state.state != "running" or state.left_seconds is None:
         return ""
-    known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
+    missing = []
+    if state.unknown:
+        missing.append(f"{state.unknown} nodes whose time is unknown")
+    if state.unmeasured:
+        missing.append(f"{state.unmeasured:,} decisions in an environment not measured yet")
+    known = f", not counting {' and '.join(missing)}" if missing else ""
     return f"about {duration(state.left_seconds)} left{known}"
 
 

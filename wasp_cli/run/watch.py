@@ -12,12 +12,14 @@ import platform
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from statistics import median
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun
+from wasp_cli.plan.unmeasured import DRIVES
 from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
@@ -70,6 +72,8 @@ class RunState:
     # what remains, by the estimates of the plan; None of a run that does not go on, or when unknown
     left_seconds: float | None
     unknown: int  # nodes to come without an estimate: what remains takes longer by them
+    # decisions to come in an environment that no node has measured yet: as above
+    unmeasured: int
     idle: bool  # nothing had to be computed; what counts as done was there before
 
     @property
@@ -129,9 +133,10 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         if going and of_workers and of_workers[-1]["event"] == "workers gone"
         else ""
     )
-    seconds, unknown = None, 0
+    seconds, unknown, unmeasured = None, 0, 0
     if going and not deserted:
         left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
+        left, unmeasured = with_decisions(left, run, by_event.get("done", ()))
         seconds, unknown = _left(left, active, workers, now)
     counts = Counter(ends.values())
     return RunState(
@@ -151,6 +156,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         active=active,
         left_seconds=seconds,
         unknown=unknown,
+        unmeasured=unmeasured,
         idle=not total,
     )
 
@@ -252,6 +258,32 @@ def desertion(event: Mapping[str, Any]) -> str:
         f"is there: {event.get('start')}",
         "",
     )
+
+
+def with_decisions(
+    left: Iterable[PlannedNode], run: PlannedRun, done: Iterable[Mapping[str, Any]]
+) -> tuple[list[PlannedNode], int]:
+    """Return nodes with the time of their decisions in environments that were not measured when the
+    run was planned, as far as what has ended since measures them; and how many decisions are left
+    without.
+    """
+    beyond: dict[str, list[float]] = {}  # seconds of a decision, by task
+    for event in done:
+        node, seconds = run.nodes.get(str(event.get("key"))), _number(event, "seconds")
+        if node is None or node.kind not in DRIVES or not node.decisions or seconds is None:
+            continue
+        extra = max(seconds - (node.seconds or 0.0), 0.0)
+        beyond.setdefault(node.task, []).append(extra / node.decisions)
+    timed: list[PlannedNode] = []
+    unmeasured = 0
+    for node in left:
+        if node.decisions and node.task in beyond and node.seconds is not None:
+            driven = median(beyond[node.task]) * node.decisions
+            timed.append(replace(node, seconds=node.seconds + driven))
+        else:
+            timed.append(node)
+            unmeasured += node.decisions
+    return timed, unmeasured
 
 
 def _left(

@@ -19,6 +19,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TextIO
 
+from threadpoolctl import threadpool_limits
+
 from wasp_cli import seeds
 from wasp_cli.config import Config
 from wasp_cli.console import duration
@@ -360,9 +362,13 @@ def finite(value: Any, name: str = "summary") -> Any:
 
 
 def set_threads(count: int) -> None:
+    """Let linear algebra use so many threads, in libraries that are loaded (NumPy mostly is) and
+    in those that come.
+    """
     os.environ.update(
         OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1"
     )
+    threadpool_limits({"openmp": count, "blas": 1})
     if (torch := sys.modules.get("torch")) is not None:
         torch.set_num_threads(count)
 

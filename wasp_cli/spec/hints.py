@@ -4,18 +4,20 @@ wordings and suggestions.
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.model import method_sections, spec_type
+from wasp_cli.spec.model import method_sections, spec_type, validate
 from wasp_cli.spec.names import EXTENDS, TOP
+from wasp_cli.spec.proposals import Proposal, proposals
 from wasp_cli.spec.read import KEY, Loc
 
 
@@ -60,15 +62,6 @@ def _section(field: FieldInfo | None) -> type[BaseModel] | None:
 
 
 CLOSE = "did you mean"
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_BOOLEANS = {
-    "true": "true",
-    "yes": "true",
-    "on": "true",
-    "false": "false",
-    "no": "false",
-    "off": "false",
-}
 
 
 def key_hint(loc: Loc) -> str:
@@ -104,30 +97,51 @@ def _elsewhere(name: str, section: str) -> str | None:
     )
 
 
-def value_hint(entries: list[dict[str, Any]]) -> str | None:
-    """Return how a value is written so that it has the right type, or else the closest allowed
-    word, where one can tell.
+Accepts = Callable[[Loc, Any], bool]
+"""Whether a document with a value at a place has nothing wrong there."""
+
+
+def _anything(loc: Loc, value: Any) -> bool:
+    return True
+
+
+def accepts_in(document: Mapping[str, Any]) -> Accepts:
+    """Return what tries values in a document that is to be a spec."""
+
+    def accepts(loc: Loc, value: Any) -> bool:
+        changed = copy.deepcopy(dict(document))
+        node: Any = changed
+        for part in loc[:-1]:
+            node = node[part if isinstance(node, list) else str(part)]
+        node[loc[-1] if isinstance(node, list) else str(loc[-1])] = value
+        try:
+            validate(changed)
+        except ValidationError as error:
+            places = [_without_tags(entry["loc"], changed) for entry in error.errors()]
+            return all(place[: len(loc)] != loc for place in places)
+        return True
+
+    return accepts
+
+
+def proposal(
+    loc: Loc, entries: list[dict[str, Any]], document: Mapping[str, Any], accepts: Accepts
+) -> Proposal | None:
+    """Return how a value is written that is accepted in the place of this one, or the closest
+    allowed word; None where one cannot tell.
     """
-    value, types = entries[0]["input"], [entry["type"] for entry in entries]
-    written = str(value).lower() if isinstance(value, bool) else str(value)
-    if "tuple_type" in types and isinstance(value, str | int | float):
-        return f"write [{written}]"
-    if "dict_type" in types and isinstance(value, int | float) and not isinstance(value, bool):
-        return f"with a name, for example {{moderate: {value}}}"
-    if "bool_type" in types and str(value).lower() in _BOOLEANS:
-        return f"write {_BOOLEANS[str(value).lower()]}"
-    if "string_type" in types and isinstance(value, int | float):
-        return f'in quotes: "{written}"'
-    numeric = "float_type" in types or ("int_type" in types and not re.search(r"[.eE]", str(value)))
-    if isinstance(value, str) and numeric and _NUMBER.fullmatch(value):
-        return f"without quotes: {value}"
-    allowed = [
-        name
-        for entry in entries
-        if entry["type"] == "literal_error"
-        for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])
-    ]
-    return did_you_mean(value, allowed) if allowed and isinstance(value, str) else None
+    for meant in proposals(loc, entries[0]["input"], entries):
+        if not meant.instead:
+            fits = accepts(loc, meant.value)
+        else:
+            whole: Any = document
+            for part in loc[:-1]:
+                whole = whole[part]
+            index = int(loc[-1])
+            fits = accepts(loc[:-1], [*whole[:index], *meant.value, *whole[index + 1 :]])
+        if fits:
+            return meant
+    return None
 
 
 @dataclass(frozen=True)
@@ -136,6 +150,7 @@ class Finding:
     message: str
     hint: str | None = None
     at_key: bool = False  # the key is wrong (or its whole section), not its value
+    written: str | None = None  # the value that the hint proposes, as YAML
 
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
@@ -180,9 +195,10 @@ def findings(
     document: Mapping[str, Any],
     key_hint: Hint = key_hint,
     description: Hint = description,
+    accepts: Accepts = _anything,
 ) -> list[Finding]:
     """Return one finding for each place: what pydantic says of the members of a union belongs
-    together.
+    together. A hint proposes no value that is not one of those that `accepts` takes.
     """
     by_place: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
@@ -195,8 +211,9 @@ def findings(
         for loc, entries in by_place.items()
         if entries[0]["type"] == "too_short" and loc in sections
     }
+    meant = partial(proposal, document=document, accepts=accepts)
     return [
-        _worded(loc, entries, key_hint, description)
+        _worded(loc, entries, key_hint, description, meant)
         for loc, entries in by_place.items()
         if loc not in hollow
     ]
@@ -225,9 +242,20 @@ _WORDS = {  # pydantic's words for what a YAML file holds, and ours
 }
 
 
-def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description: Hint) -> Finding:
+def _worded(
+    loc: Loc,
+    entries: list[dict[str, Any]],
+    key_hint: Hint,
+    description: Hint,
+    meant: Callable[[Loc, list[dict[str, Any]]], Proposal | None],
+) -> Finding:
     first = entries[0]
     kind, context, shown = first["type"], first.get("ctx") or {}, _shown(first["input"])
+    if kind == "extra_forbidden" and str(loc[-1]) in settings() and "." in str(loc[-1]):
+        section, _, field = str(loc[-1]).rpartition(".")
+        written = f"{field}: {first['input']}" if shown != "a mapping" else field
+        hint = f"write `{written}` in the section '{section}'; names with dots are for --set"
+        return Finding(loc, f"unknown key '{loc[-1]}'", hint, at_key=True)
     if kind == "extra_forbidden":
         return Finding(loc, f"unknown key '{loc[-1]}'", key_hint(loc), at_key=True)
     if kind == "missing":
@@ -257,9 +285,12 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
         message = message.replace(theirs, ours)
     if message.startswith(("be ", "have ", "match ")):
         message = f"should {message}"
-    return Finding(
-        loc, f"{message}, not {shown}" if shown not in message else message, value_hint(entries)
-    )
+    if shown not in message:
+        message = f"{message}, not {shown}"
+    proposed = meant(loc, entries)
+    if proposed is None:
+        return Finding(loc, message)
+    return Finding(loc, message, proposed.hint, written=proposed.written)
 
 
 def _shown(value: Any) -> str:

@@ -10,6 +10,7 @@ import copy
 import json
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.spec.hints import Finding, findings, misplaced
+from wasp_cli.spec.hints import Finding, accepts_in, findings, misplaced
 from wasp_cli.spec.model import Spec, method_sections, validate
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, spec_name
 from wasp_cli.spec.presets import PRESETS, merged
@@ -41,6 +42,7 @@ from wasp_cli.spec.sizes import BY_TASK, resized
 from wasp_cli.tasks.registry import TASKS
 
 USUAL = ("mild", "moderate", "severe")
+SET = "--set"
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     try:
         spec = validate(document)
     except ValidationError as error:
-        mistakes += findings(error, document)
+        mistakes += findings(error, document, accepts=accepts_in(document))
     placed = [_placed(chain, overrides, finding) for finding in mistakes]
     problems += [
         problem
@@ -121,9 +123,7 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
     near: list[Override] = []
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
-        if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(
-            depth, len(option.path)
-        ):
+        if _path(loc[:shared]) == option.path[:shared] and shared >= min(depth, len(option.path)):
             near.append(option)
     words = re.findall(r"\w+", finding.message)
     # Of a whole section, what the message names has it wrong.
@@ -132,8 +132,15 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
     ]
     for option in said or (near if depth < len(loc) else []):
         message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
-        return Problem(f"{option.option} {option.text}", None, message, finding.hint)
+        hint = finding.hint
+        if finding.written is not None and option.option == SET and _path(loc) == option.path:
+            hint = f"write {SET} {shlex.quote(f'{dotted(loc)}={finding.written}')}"
+        return Problem(f"{option.option} {option.text}", None, message, hint)
     return source.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
+
+
+def _path(loc: Loc) -> tuple[str, ...]:
+    return tuple(map(str, loc))
 
 
 PRESET = "preset"
@@ -258,7 +265,7 @@ class Override:
     text: str
     path: tuple[str, ...]
     value: Any
-    option: str = "--set"  # the option that brought it, for messages
+    option: str = SET  # the option that brought it, for messages
 
 
 def override(number: int, text: str) -> Override:

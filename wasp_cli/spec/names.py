@@ -66,10 +66,7 @@ def _task(name: str, info: ValidationInfo) -> str:
             raise PydanticCustomError(
                 "task", "'{name}' is built in under another name", {"name": name, "hint": hint}
             )
-    try:
-        TASKS[name]
-    except UnknownName as error:
-        raise unknown(error.kind, error.name, error.known) from error
+    _require(TASKS, name)
     return name if name in TASKS.own else _usable(name, info, lambda: _load_task(name))
 
 
@@ -83,10 +80,17 @@ def _load_task(name: str) -> None:
         task.require_independent()
 
 
+def _require(registry: Registry[Any], name: str) -> None:
+    try:
+        registry[name]
+    except UnknownName as error:
+        context = {"message": error.message, "hint": error.hint or ""}
+        raise PydanticCustomError("unknown_name", "{message}", context) from error
+
+
 def _registered(registry: Registry[Any]) -> AfterValidator:
     def check(name: str, info: ValidationInfo) -> str:
-        if name not in registry:
-            raise unknown(registry.kind, name, registry)
+        _require(registry, name)
         # The code of others is loaded now: it should not fail after the training.
         return name if name in registry.own else _usable(name, info, lambda: _load(registry, name))
 

@@ -38,6 +38,19 @@ class Position:
 START = Position(1, 1)
 
 
+WIDEST = 160  # characters of a line that are shown
+LONGEST = 1500  # characters of a message and of a hint
+
+
+def shortened(text: str) -> str:
+    """Return a text without its middle where it is too long to be read: a whole file may stand in
+    one line, or in one name.
+    """
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST // 2]} ... {text[-LONGEST // 4 :]}"
+
+
 @dataclass(frozen=True)
 class Problem:
     source: str  # the file as the user named it, or the option that brought the value
@@ -56,9 +69,10 @@ class Problem:
         )
 
     def __str__(self) -> str:
-        parts = [f"{self.place}: {printable(self.message)}", *self._excerpt()]
+        place, message = shortened(self.place), shortened(printable(self.message))
+        parts = [f"{place}: {message}", *self._excerpt()]
         if self.hint:
-            parts.append(f"    {printable(self.hint)}")
+            parts.append(f"    {shortened(printable(self.hint))}")
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
@@ -69,20 +83,29 @@ class Problem:
             "file": self.source,
             "line": line,
             "column": column,
-            "message": self.message,
-            "hint": self.hint,
-            "excerpt": self.line,
+            "message": shortened(self.message),
+            "hint": None if self.hint is None else shortened(self.hint),
+            "excerpt": None if self.line is None else self._window()[0],
         }
+
+    def _window(self) -> tuple[str, int]:
+        """What is shown of the line, and the column in it."""
+        line, column = self.line or "", self.position.column if self.position is not None else 1
+        if len(line) <= WIDEST:
+            return line, column
+        first = max(min(column - 1 - WIDEST // 2, len(line) - WIDEST), 0)
+        before = "... " if first else ""
+        after = " ..." if first + WIDEST < len(line) else ""
+        shown = line[first : first + WIDEST]
+        return f"{before}{shown}{after}", len(before) + column - first
 
     def _excerpt(self) -> list[str]:
         if self.position is None or self.line is None:
             return []
+        line, column = self._window()
         # Tabs stay tabs, so that the caret stands under its character at any tab width.
-        before = "".join(
-            "\t" if character == "\t" else " "
-            for character in self.line[: self.position.column - 1]
-        )
-        return [f"{self.position.line:>5} | {printable(self.line)}", f"      | {before}^"]
+        before = "".join("\t" if character == "\t" else " " for character in line[: column - 1])
+        return [f"{self.position.line:>5} | {printable(line)}", f"      | {before}^"]
 
 
 class InvalidSpec(SpecError):

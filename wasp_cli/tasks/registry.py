@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from wasp_cli.errors import UnknownName, closeness
-from wasp_cli.registry import Registry, module_of
+from wasp_cli.errors import UnknownName, closeness, did_you_mean
+from wasp_cli.registry import Registry, module_of, require_spelling
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
@@ -103,7 +103,11 @@ class ForeignInfo(_Named):
         # Not above: what plans and reads specs must not import gymnasium for every task.
         from wasp_cli.tasks.foreign.examine import examine
 
-        return examine(self.name, [*TASKS, *(TASKS[task].gym_id for task in TASKS)])
+        try:
+            return examine(self.name, [*TASKS, *(TASKS[task].gym_id for task in TASKS)])
+        except UnknownName as error:
+            hint = by_our_names(error.hint or "")
+            raise UnknownName(error.kind, error.name, (), error.message, hint) from error
 
     @property
     def env_seconds(self) -> float:
@@ -144,16 +148,17 @@ class TaskRegistry(Registry[AnyTaskInfo]):
     """The registered tasks; gymnasium ids resolve too, but are not listed."""
 
     def __getitem__(self, name: str) -> AnyTaskInfo:
+        require_spelling("task", name)
         if name not in self and is_foreign(name):
             return ForeignInfo(name)
         try:
             return super().__getitem__(name)
         except UnknownName:
-            # Who writes something like a gymnasium id is told ours.
             ids = [info.gym_id for info in self.values()]
-            raise UnknownName(
-                "task", name, ids if closeness(name, ids) > closeness(name, self) else self
-            ) from None
+            if closeness(name, ids) <= closeness(name, self):
+                raise
+            hint = by_our_names(did_you_mean(name, ids))
+            raise UnknownName("task", name, (), otherwise=hint) from None
 
     def load(self, name: str) -> Any:
         """Return the class of a task, or for a gymnasium id what takes the same arguments."""
@@ -285,6 +290,13 @@ def is_foreign(name: str) -> bool:
     own = name.removeprefix(_GYM_MODULE).startswith(NAMESPACE)
     marked = ":" in name or "/" in name or re.search(r"-v\d+$", name) is not None
     return marked and not own and _GYM_ID.fullmatch(name) is not None
+
+
+def by_our_names(hint: str) -> str:
+    """Return a hint with our names in the place of our gymnasium ids, which no spec takes."""
+    for info in TASKS.values():
+        hint = hint.replace(f"'{info.gym_id}'", f"'{info.name}'")
+    return hint
 
 
 def task_named(text: str) -> str:

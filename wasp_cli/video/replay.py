@@ -24,6 +24,7 @@ from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
 from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
+from wasp_cli.run.cores import threads_here
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
@@ -140,7 +141,6 @@ def source_of(layout: Layout, stored: Episode) -> Source:
         size = cell.setting("settings", "side_by_side")
         size = size if isinstance(size, int) and size > 0 else len(whole.a)
         recorded = whole.of(range(episode // size * size, (episode // size + 1) * size))
-    threads = cell.setting("provenance", "threads")
     clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
         **known,
@@ -151,7 +151,7 @@ def source_of(layout: Layout, stored: Episode) -> Source:
         expert=expert,
         expert_goes_on=imagines_expert(cell),
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
-        threads=threads if isinstance(threads, int) and threads > 0 else 1,
+        threads=threads_here(),
     )
 
 

@@ -14,8 +14,8 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from wasp_cli.errors import TaskError, UnknownName, WaspError, described
-from wasp_cli.registry import import_here
+from wasp_cli.errors import TaskError, UnknownName, WaspError, described, did_you_mean
+from wasp_cli.registry import import_here, remedy
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
 from wasp_cli.tasks.foreign.calls import GymEnv, close_env, of_environment
@@ -149,12 +149,10 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
             if known not in before or _entry_module(spec.entry_point) == module
         ]
         if module:
-            example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
             message = f"module '{module}' registers no '{gym_id}'"
-            # Of few ids all are worth naming; a module without any is told how to register one.
-            otherwise = None if own else f"write {example} in it"
+            hint = remedy(module, _registering(module, gym_id, own))
             raise UnknownName(
-                "gymnasium id", gym_id, own, message=message, otherwise=otherwise
+                "gymnasium id", gym_id, (), message=message, otherwise=hint
             ) from error
         known = {*tasks, *gymnasium.registry}
         message = f"no task and no gymnasium id is called '{gym_id}'"
@@ -162,6 +160,24 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
         raise UnknownName(
             "gymnasium id", gym_id, known, message=message, otherwise=otherwise
         ) from error
+
+
+def _registering(module: str, gym_id: str, own: Sequence[str]) -> str:
+    """What to write in the place of an id that `module` does not register; `own` are those that
+    it does.
+    """
+    made = getattr(sys.modules[module], gym_id, None)
+    if isinstance(made, type):  # the class stands there, not the id under which it is registered
+        for known in own:
+            if gymnasium.spec(known).entry_point in (made, f"{module}:{gym_id}"):
+                return f"write '{module}:{known}'"
+        example = f"gymnasium.register('{gym_id}-v0', entry_point={gym_id}, max_episode_steps=...)"
+        return f"write {example} in it, and '{module}:{gym_id}-v0' here"
+    example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
+    # Of few ids all are worth naming; a module without any is told how to register one.
+    listed = "known: " + ", ".join(f"'{known}'" for known in own)
+    hint = did_you_mean(gym_id, own, listed if own else f"write {example} in it")
+    return hint.replace(" '", f" '{module}:") if own else hint
 
 
 def make_env(name: str) -> GymEnv:

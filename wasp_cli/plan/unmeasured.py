@@ -1,0 +1,170 @@
+"""How long nodes take of which nothing alike was measured: those of an environment of one's own, of
+a preset without figures, of other sizes.
+
+What such a node learns takes as long as on our tasks, by the shipped figures and its sizes. What it
+drives takes longer by as much for each decision as the finished nodes of its environment show;
+before there are any, that time is not known, and the number of decisions is told instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from statistics import median
+from typing import Any
+
+from wasp_cli.plan.grid import stage_class
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.schedule import SIZES, figures_like, shipped, speed, units
+from wasp_cli.spec.presets import PRESETS, preset_values
+from wasp_cli.tasks.registry import TASKS
+
+DRIVES = ("expert", "dataset", "residual")
+"""Stages whose time grows with their decisions alone: they show how long one takes."""
+BY_LENGTH = ("evaluate", "heldout")
+"""Stages whose time grows with the decisions of an episode too."""
+REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the shipped figures
+
+
+@dataclass(frozen=True)
+class Guesses:
+    """By sort of a node: its seconds, and the decisions in it that are not in them, since nobody
+    has measured the environment.
+    """
+
+    seconds: Mapping[str, float]
+    decisions: Mapping[str, int]
+
+
+def guessed(
+    nodes: Iterable[Node], presets: Mapping[str, str], done: Iterable[tuple[Node, float]]
+) -> Guesses:
+    """Return what is known of nodes of which nothing alike was measured. `done` are nodes that
+    were computed here, each with its seconds; `presets` are by key of a node.
+    """
+    here = _measured(done)
+    seconds: dict[str, float] = {}
+    decisions: dict[str, int] = {}
+    for node in {node.sort: node for node in nodes}.values():
+        preset = presets[node.key]
+        unit = _unit(node.kind, node.axes, preset)
+        if unit is None:
+            continue
+        extra = _of_a_decision(node.task, preset, here)
+        if drives(node) and extra is None:
+            decisions[node.sort] = drives(node)
+        share = 1.0 if drives(node) else _of_learning(node.task, preset, here)
+        learned = unit * share * _amount(node.kind, node.config, _length(node))
+        seconds[node.sort] = learned + (extra or 0.0) * drives(node)
+    return Guesses(seconds, decisions)
+
+
+@dataclass(frozen=True)
+class _Done:
+    kind: str
+    axes: Mapping[str, Any]
+    unit: float  # seconds for each of what its time grows with
+    drives: bool
+
+
+def _measured(done: Iterable[tuple[Node, float]]) -> Mapping[str, list[_Done]]:
+    found: dict[str, list[_Done]] = {}  # by task
+    for node, seconds in done:
+        unit = seconds / _amount(node.kind, node.config, _length(node))
+        found.setdefault(node.task, []).append(
+            _Done(node.kind, node.axes, unit, bool(drives(node)))
+        )
+    return found
+
+
+def _of_a_decision(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float | None:
+    """Seconds of a decision in an environment beyond those in our own: none where it is ours, None
+    where it was not measured.
+    """
+    if task in TASKS.own:
+        return 0.0
+    beyond = [
+        max(done.unit - unit, 0.0)
+        for done in here.get(task, ())
+        if done.kind in DRIVES and (unit := _unit(done.kind, done.axes, preset)) is not None
+    ]
+    return median(beyond) if beyond else None
+
+
+def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float:
+    """How many times as long as the figures say learning takes for a task here."""
+    shares = [
+        done.unit / unit
+        for done in here.get(task, ())
+        if not done.drives and (unit := _unit(done.kind, done.axes, preset))
+    ]
+    return median(shares) if shares else 1.0
+
+
+def drives(node: Node) -> int:
+    """Return how many decisions a node takes in its environment, about."""
+    config, length = node.config, _length(node)
+    if node.kind in DRIVES:
+        return int(config[SIZES[node.kind]])
+    if node.kind in (*BY_LENGTH, "diagnostics"):
+        return int(config["episodes"]) * length
+    if node.kind == "counterfactual":  # its episodes again, and two branches of an intervention
+        episodes = int(node.needs["evaluate"].config["episodes"])
+        return episodes * length + 2 * int(config["window"]) * int(config["most"] or 0)
+    if node.kind == "policies":
+        judged = (1 + config["labelling_rounds"]) * config["evaluation_episodes"]
+        labelled = config["labelling_rounds"] * config["labelling_episodes"]
+        return int(config["reinforce"]["interactions"] + (judged + labelled) * length)
+    return 0
+
+
+def _length(node: Node) -> int:
+    """Decisions of an episode at most."""
+    if node.kind not in (*BY_LENGTH, "diagnostics", "counterfactual", "policies"):
+        return 1
+    return max(_env_steps(node.task) // int(node.settings.get("action_repeat", REPEAT)), 1)
+
+
+@cache
+def _env_steps(task: str) -> int:
+    return TASKS[task].env_steps
+
+
+def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:
+    """What the time of a stage grows with."""
+    if kind in BY_LENGTH:
+        return float(config["episodes"]) * length
+    return float(config.get("updates", 1)) if kind not in SIZES else units(kind, config)
+
+
+def _unit(kind: str, axes: Mapping[str, Any], preset: str) -> float | None:
+    """Seconds for each of what the time of a stage grows with, on the quickest of our tasks: by
+    the figures of a preset, or of another one where it has none. None where no preset has any.
+    """
+    figures = shipped()
+    for known in dict.fromkeys((preset, *figures["seconds"])):
+        seconds = list(_figures(kind, axes, known))
+        if seconds:
+            return min(seconds) * float(figures["speed"]) / speed()
+    return None
+
+
+def _figures(kind: str, axes: Mapping[str, Any], preset: str) -> Iterator[float]:
+    figures = shipped()["seconds"].get(preset, {})
+    config = _config(kind, preset)
+    for task, info in TASKS.own.items():
+        amount = _amount(kind, config, info.env_steps // REPEAT)
+        for name in figures_like(kind, task, axes):
+            if name in figures:
+                yield figures[name] * units(kind, config) / amount
+                break
+
+
+@cache
+def _config(kind: str, preset: str) -> Mapping[str, Any]:
+    values = preset_values(preset) if preset in PRESETS else {}
+    section = dict(values.get(kind, {}))
+    if kind == "evaluate":
+        section["episodes"] = values.get("episodes", 30)
+    return stage_class(kind).config.model_validate(section).model_dump(mode="json")
