@@ -406,6 +406,13 @@ def test_a_limited_cell_is_not_the_whole_one_and_the_whole_one_goes_on_from_it(
     )
 
 
+def test_less_than_a_batch_of_a_cell_is_no_beginning(fakes, small_spec, layout):
+    carried_out(loaded_with(small_spec, 9), layout)
+    assert not planned(loaded_with(small_spec, None), layout).begun
+    carried_out(loaded_with(small_spec, 11), layout)
+    assert planned(loaded_with(small_spec, None), layout).begun
+
+
 @pytest.mark.parametrize(
     ("setting", "methods"),
     [

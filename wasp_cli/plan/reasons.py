@@ -127,13 +127,14 @@ class Reasons:
         return min(differences, key=lambda difference: difference[0])[1] if differences else None
 
     def beginning(self, node: Node) -> str | None:
-        """Return the key of the stored cell with which this one begins: it has fewer episodes,
-        and nothing else is different.
+        """Return the key of the stored cell with which this one begins: it has fewer episodes, at
+        least one whole batch of them, and nothing else is different.
         """
+        batch = node.settings["side_by_side"]
         fewer = [
             (facts.episodes, key)
             for key, facts in self._versions_of(node)
-            if 0 < facts.episodes < node.config["episodes"]
+            if batch <= facts.episodes < node.config["episodes"]
         ]
         return next(
             (key for _, key in sorted(fewer, reverse=True) if self._begins(node, key)), None
