@@ -14,6 +14,7 @@ import typer
 from wasp_cli import __version__
 from wasp_cli.cli import doctor, drive, inspect, report, run, spec  # noqa: F401 (each adds its commands)
 from wasp_cli.cli.options import app, flag
+from wasp_cli.tasks.foreign.closing import environments
 
 
 def _print_version(asked: bool) -> None:
@@ -44,9 +45,10 @@ def main() -> None:
         # an ASCII terminal shows ? where it has no character
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    app(
-        [
-            *(["--debug"] if "--debug" in sys.argv[1:] else []),
-            *(word for word in sys.argv[1:] if word != "--debug"),
-        ]
-    )
+    with environments(sys.__stderr__):  # whichever a command makes are closed at its end
+        app(
+            [
+                *(["--debug"] if "--debug" in sys.argv[1:] else []),
+                *(word for word in sys.argv[1:] if word != "--debug"),
+            ]
+        )

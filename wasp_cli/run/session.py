@@ -20,11 +20,12 @@ from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.run.job import SIGNALS, listening
+from wasp_cli.run.job import listening
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.show import board
+from wasp_cli.run.signals import SIGNALS
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import stages_of

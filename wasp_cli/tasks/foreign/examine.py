@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError, UnknownName, WaspError, described
 from wasp_cli.registry import import_here
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.foreign.closing import close
+from wasp_cli.tasks.foreign.started import mark
 from wasp_cli.tasks.foreign.views import Views, views_of
 
 GymEnv = gymnasium.Env[Any, Any]
@@ -256,14 +258,14 @@ def _examined(name: str) -> Facts:
                 views,
             )
     finally:
-        with contextlib.suppress(TaskError), calling("close"):  # nothing is asked of it any more
-            env.close()
+        close(name, env)
 
 
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     """Return the registration of an id; the module before the colon is imported first, and
     registers it.
     """
+    mark()  # what the module starts as it is imported, too
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
     if module:
