@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -41,13 +42,26 @@ def leave_to_parent() -> None:
 def _left(number: int, frame: object) -> None: ...
 
 
+_mask = threading.local()  # of a thread that forks, from before
+
+
+def _hold_back() -> None:
+    """Let a signal to a fork wait until the fork has the defaults: it would be lost."""
+    _mask.before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS if _handlers else ())
+
+
+def _let_come() -> None:
+    signal.pthread_sigmask(signal.SIG_SETMASK, _mask.before)
+
+
 def _default_in_fork() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) in _handlers:
             signal.signal(number, _DEFAULTS[number])
+    _let_come()
 
 
-os.register_at_fork(after_in_child=_default_in_fork)
+os.register_at_fork(before=_hold_back, after_in_parent=_let_come, after_in_child=_default_in_fork)
 
 
 @contextmanager

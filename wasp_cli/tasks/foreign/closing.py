@@ -143,10 +143,10 @@ def _ended_over(seconds: float) -> Iterator[None]:
 
 
 def _say(trouble: str) -> None:
-    if any(trouble in scope.troubles for scope in _scopes):
+    troubles = _scopes[-1].troubles if _scopes else []
+    if trouble in troubles:
         return
-    if _scopes:
-        _scopes[-1].troubles.append(trouble)
+    troubles.append(trouble)
     print(f"warning: {trouble}\n  {HINT}", file=sys.stderr)
 
 

@@ -68,7 +68,6 @@ class GymTask:
         # 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
-        self._closed = False
         self._envs: list[GymEnv] = opened(self, name)
         try:
             for _ in range(batch):
@@ -91,7 +90,6 @@ class GymTask:
         It need not be called: a task that nobody holds is closed when the next one is made, and
         every task at the end of the node, of the command, or of Python.
         """
-        self._closed = True
         close_owned(self)
 
     # -- episodes ----------------------------------------------------------------------------------
@@ -117,7 +115,7 @@ class GymTask:
         return totals.as_step(self._observation(), self._ended, self._terminated)
 
     def _require_open(self) -> None:
-        if self._closed:
+        if not self._envs:
             raise TaskError(f"environment '{self._name}' was closed", "make the task again")
 
     def _scaled(self, control: Floats) -> Floats:
