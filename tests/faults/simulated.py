@@ -85,11 +85,11 @@ class Home:
         assert "Traceback" not in errors
         return out + errors
 
-    def closed(self) -> int:
-        """How many environments were closed so far."""
+    def closed(self) -> list[str]:
+        """The process of every environment that was closed so far."""
         with suppress(FileNotFoundError):
-            return len((self.folder / "closed").read_text(encoding="utf-8").splitlines())
-        return 0
+            return (self.folder / "closed").read_text(encoding="utf-8").splitlines()
+        return []
 
     def left(self) -> list[psutil.Process]:
         """Processes of environments."""

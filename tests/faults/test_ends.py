@@ -2,13 +2,15 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
 from tests.faults.simulated import KINDS, NODES, Home
 from tests.faults.test_random_kills import children
 from tests.run import fake_stages
-from tests.run.harness import finished, wait_until
+from tests.run.harness import ROOT, finished, wait_until
 
 
 @pytest.fixture
@@ -27,7 +29,7 @@ def test_every_environment_is_closed_and_none_is_left(jobs, home):
     assert len(finished(home.results)) == NODES
     # one in each process that reads what it says, and two in every node
     processes = 1 if jobs == "0" else 2
-    assert home.closed() >= processes + 2 * NODES
+    assert len(home.closed()) >= processes + 2 * NODES
     assert not home.left()
     assert not home.notes()
 
@@ -35,12 +37,12 @@ def test_every_environment_is_closed_and_none_is_left(jobs, home):
 def test_environments_of_a_node_that_fails_or_takes_too_long_are_closed(home):
     home.set(behave={"expert": "raise"})
     assert "ZeroDivisionError" in home.run("Sim", "-j", "1", code=1)
-    assert home.closed() == 1 + 1 + 2
+    assert len(home.closed()) == 1 + 1 + 2
     home.require_none_left()
     home.set(behave={"expert": "sleep"})
     said = home.run("Sim", "-j", "1", "--timeout", "4s", code=1)
     assert "longer than the limit of 4.0 s" in said
-    assert home.closed() == 2 * (1 + 1 + 2)
+    assert len(home.closed()) == 2 * (1 + 1 + 2)
     home.require_none_left()
 
 
@@ -61,6 +63,8 @@ def test_an_environment_that_does_not_close_is_named_and_the_results_are_kept(
     assert f"environment 'simulators:{kind}-v0' {said} (after" in printed
     assert len(finished(home.results)) == NODES
     assert home.notes() == [f"environment 'simulators:{kind}-v0' {said}"]
+    if jobs == "1":
+        assert len(set(home.closed())) == 1 + NODES  # the run, and a worker for each node
     home.require_none_left()
 
 
@@ -130,3 +134,18 @@ def test_a_thread_that_nobody_ends_does_not_keep_a_run(home):
     home.run("Talking", "-j", "1")
     assert len(finished(home.results)) == NODES
     home.require_none_left()
+
+
+@pytest.mark.slow
+def test_random_kills_leave_no_simulator_and_lose_nothing():
+    """See `kill_simulators`. WASP_KILLS says how many kills, WASP_KILLS_SEED which."""
+    options = (
+        "--kills",
+        os.environ.get("WASP_KILLS", "30"),
+        "--seed",
+        os.environ.get("WASP_KILLS_SEED", "1"),
+    )
+    command = [sys.executable, "-m", "tests.faults.kill_simulators", *options]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("nothing was lost\n")
