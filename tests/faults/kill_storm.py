@@ -23,8 +23,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from tests.faults.kill_rounds import COMMANDS, Command, prepare
-from tests.faults.test_random_kills import children
-from tests.run.harness import group_is_gone, wait_until
+from tests.faults.test_random_kills import children, kill_all
+from tests.run.harness import LED_BY, group_is_gone, wait_until
 
 VICTIMS = ("the command", "a worker", "its group")
 IN_A_ROW = 4  # kills at most before the command may end
@@ -41,6 +41,7 @@ def forked(task: Callable[[], object], log: Path, folder: Path) -> int:
     code = 1
     try:
         os.setpgid(0, 0)
+        os.environ[LED_BY] = str(os.getpid())
         os.chdir(folder)
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         for stream in (1, 2):
@@ -128,8 +129,10 @@ class Storm:
         with suppress(ProcessLookupError):
             if victim == "a worker" and workers:
                 os.kill(self.chance.choice(workers), signal.SIGKILL)
+            elif victim == "its group":
+                kill_all(child, workers)
             else:
-                (os.killpg if victim == "its group" else os.kill)(child, signal.SIGKILL)
+                os.kill(child, signal.SIGKILL)
         code = ended(child)
         if victim == "a worker" and workers:  # the command lives on without it
             assert code == 0, (

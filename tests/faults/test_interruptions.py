@@ -120,12 +120,12 @@ def test_workers_begin_with_signals_held_back():
     """
     code = (
         "import signal; from joblib.externals.loky.backend import fork_exec as f; from "
-        "wasp_cli.run import pool\n"
+        "wasp_cli.run import pool, signals\n"
         "began, masks = f.fork_exec, []\n"
         "f.fork_exec = lambda *a, **k: "
         "(masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]\n"
-        "with pool.signals_wait(): workers = pool._new_workers(2); workers.submit(int)\n"
-        "workers.shutdown(kill_workers=True); print([set(pool.SIGNALS) <= mask for mask in "
+        "with signals.signals_wait(): workers = pool._new_workers(2); workers.submit(int)\n"
+        "workers.shutdown(kill_workers=True); print([set(signals.SIGNALS) <= mask for mask in "
         "masks[-2:]])"
     )
     done = subprocess.run(

@@ -52,6 +52,14 @@ def children(parent: int, of: bytes = b"") -> list[int]:
     return found
 
 
+def kill_all(group: int, workers: list[int]) -> None:
+    """Kill a command with its group, and its workers, which are not in it."""
+    for worker in workers:
+        with suppress(ProcessLookupError):
+            os.kill(worker, signal.SIGKILL)
+    os.killpg(group, signal.SIGKILL)
+
+
 def kill(victim: str, process: subprocess.Popen[str], chance: random.Random) -> bool:
     """Kill; whether the run itself is dead then."""
     with suppress(ProcessLookupError):
@@ -59,7 +67,10 @@ def kill(victim: str, process: subprocess.Popen[str], chance: random.Random) -> 
             if workers := children(process.pid, b"loky"):
                 os.kill(chance.choice(workers), signal.SIGKILL)
             return False
-        (os.killpg if victim == "everything" else os.kill)(process.pid, signal.SIGKILL)
+        if victim == "everything":
+            kill_all(process.pid, children(process.pid, b"loky"))
+        else:
+            process.kill()
     return True
 
 

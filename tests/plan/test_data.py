@@ -73,7 +73,7 @@ for files in json.load(sys.stdin):
         Path(name).write_bytes(base64.b64decode(content))
     for package in ("mapped", "own", "drawn"):
         forget(package)
-    examine._examined.cache_clear()
+    examine._known.clear()
     nodes = lay_out(load(Path("spec.yaml")).spec).nodes
     found.append({node.label: [node.key, node.recipe] for node in nodes})
 print(json.dumps(found))
@@ -123,6 +123,7 @@ import numpy as np
 
 PRICE = json.loads((HERE / "imported.json").read_text())["price"]
 TEXT = open("relative.txt").read()
+COMPUTED = open(HERE / ("comp" + "uted.txt")).read()
 
 def reads_in_c(path):
     ctypes.CDLL(None).access(str(path).encode(), 4)
@@ -152,6 +153,7 @@ def array(value: float) -> bytes:
 READ = {
     "imported.json": (b'{"price": 0}', b'{"price": 10}'),
     "relative.txt": (b"a", b"b"),
+    "computed.txt": (b"a", b"b"),
     "maps/made.npy": (array(0.0), array(10.0)),
     "database.db": (b"", b"SQLite format 3\0"),
     "in_c.dat": (b"a", b"b"),

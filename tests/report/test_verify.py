@@ -19,7 +19,7 @@ import pytest
 from tests.commands import run_here
 from tests.compare.two_runs import write_results
 from tests.report.golden_store import STORE
-from tests.run.harness import ROOT, group_is_gone, wait_until
+from tests.run.harness import LED_BY, ROOT, group_is_gone, wait_until
 from tests.view.conftest import brought
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import training_device
@@ -196,8 +196,9 @@ def test_what_differs_with_avx512_is_computed_once_more_with_avx2(
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_workers_end_with_it_and_what_it_made_goes_if_it_can(tmp_path: Path, number: int) -> None:
     code = f"""if True:
-        import pathlib, sys, time, wasp_cli.__main__
+        import os, pathlib, sys, time, wasp_cli.__main__
         from wasp_cli.run import verify
+        os.environ[{LED_BY!r}] = str(os.getpid())
         verify.draw = lambda *_, **__: verify.Drawn(("a", "b"), 2, 0, 0)
         verify.again = lambda _, key, within: ((within / key).touch(), time.sleep(600))
         sys.argv = ["wasp", "verify", {str(STORE)!r}, "-j", "2"]

@@ -4,6 +4,7 @@ and misbehaves on request.
 WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
 "bytes": size of a further file, "weights": whether to leave a safetensors file,
 "free": n (what runs after the first n waits to be interrupted),
+"worlds": n (environments of the node's task that are begun, and left as they are),
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit",
 "sleep", "hang" (in native code) or "eat"}}.
 """
@@ -25,6 +26,7 @@ from safetensors.numpy import save_file
 from wasp_cli.errors import TrainingError
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.tasks.make import make_task
 
 OPTIONS = "WASP_FAKE"
 
@@ -48,6 +50,8 @@ class Fake:
         print(f"fake {name}")
         job.progress(0.5, "halfway")
         (job.out_dir / "half.bin").write_bytes(b"half")
+        if "worlds" in options:
+            make_task(job.task, options["worlds"]).reset(range(options["worlds"]))
         time.sleep(options.get("seconds", 0.0))
         if "work" in options:
             hashlib.pbkdf2_hmac("sha256", b"", b"", options["work"])

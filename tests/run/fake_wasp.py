@@ -15,10 +15,12 @@ if __name__ == "__main__":
     import wasp_cli.cli
     import wasp_cli.cli.run
     from tests.run import fake_stages
+    from tests.run.harness import LED_BY
     from wasp_cli.console import out
     from wasp_cli.run.record import Recorded
 
     fake_stages.install()
+    os.environ[LED_BY] = str(os.getpid())
 
     def show_cells(
         layout: object, recorded: Recorded, *more: object, **options: object

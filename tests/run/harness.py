@@ -6,11 +6,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from tests.commands import ROOT
@@ -171,9 +172,17 @@ def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:
         time.sleep(0.02)
 
 
+LED_BY = "WASP_TEST_LED_BY"
+"""The environment variable of the workers of a command: its process, which leads a group."""
+
+
 def group_is_gone(group: int) -> bool:
-    try:
+    """Whether a command has gone, and its workers, which stand in groups of their own."""
+    with suppress(ProcessLookupError):
         os.killpg(group, 0)
-    except ProcessLookupError:
-        return True
-    return False
+        return False
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.environ().get(LED_BY) == str(group):
+                return False
+    return True

@@ -24,11 +24,12 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
-from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult, forget
-from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied, signals_wait
+from wasp_cli.run.job import NodeJob, NodeResult, forget
+from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.session import RunOptions, run_spec
+from wasp_cli.run.signals import SIGNALS, signals_wait
 from wasp_cli.run.worker import attempts, execute, execute_here
 from wasp_cli.spec.load import Loaded, limited, load
 from wasp_cli.store.artifact import exists, read_manifest

@@ -7,6 +7,8 @@ from __future__ import annotations
 import io
 import os
 import sys
+import threading
+import time
 from typing import Annotated
 
 import typer
@@ -14,6 +16,9 @@ import typer
 from wasp_cli import __version__
 from wasp_cli.cli import doctor, drive, inspect, report, run, spec  # noqa: F401 (each adds its commands)
 from wasp_cli.cli.options import app, flag
+from wasp_cli.tasks.foreign.closing import environments
+
+THREAD_SECONDS = 5.0  # that a thread may run on when a command has ended
 
 
 def _print_version(asked: bool) -> None:
@@ -47,9 +52,28 @@ def main() -> None:
         # an ASCII terminal shows ? where it has no character
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    app(
-        [
-            *(["--debug"] if "--debug" in sys.argv[1:] else []),
-            *(word for word in sys.argv[1:] if word != "--debug"),
-        ]
-    )
+    words = [
+        *(["--debug"] if "--debug" in sys.argv[1:] else []),
+        *(word for word in sys.argv[1:] if word != "--debug"),
+    ]
+    try:
+        with environments(sys.__stderr__):  # whichever a command makes are closed at its end
+            app(words)
+    except SystemExit as end:
+        _end_without_threads(end.code if isinstance(end.code, int) else int(end.code is not None))
+        raise
+
+
+def _end_without_threads(code: int) -> None:
+    """End this process soon also where an environment has left a thread behind, for which Python
+    would wait.
+    """
+
+    def end() -> None:
+        time.sleep(THREAD_SECONDS)
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        os._exit(code)
+
+    if any(not thread.daemon for thread in threading.enumerate()[1:]):
+        threading.Thread(target=end, daemon=True, name="end").start()

@@ -7,8 +7,6 @@ taken back, for each node.
 
 from __future__ import annotations
 
-import ctypes
-import faulthandler
 import os
 import platform
 import resource
@@ -24,7 +22,9 @@ from typing import Any, Literal
 
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, TimeLimitExceeded
+from wasp_cli.run.signals import SIGNALS, handle
 from wasp_cli.store.artifact import dumps, read_record, replace_file
+from wasp_cli.tasks.foreign.limit import LimitReached, left_after, process_ended_after
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,8 @@ class NodeResult:
     """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck),
     so that another attempt may succeed.
     """
+    unclosed: tuple[str, ...] = ()
+    """What went wrong in closing the environments of the node, which is no failure of its own."""
 
 
 SECONDS = 1.0
@@ -180,9 +182,6 @@ def boot_id() -> str | None:
     return None
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
 class Stop:
     """Whether a run was asked to stop. Workers learn it from a file, on other machines too."""
 
@@ -212,7 +211,7 @@ def listening(stop: Stop) -> Iterator[None]:
     taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
     try:
         for number in taken:
-            signal.signal(number, ask)
+            handle(number, ask)
         yield
     finally:
         for number in taken:
@@ -223,69 +222,32 @@ GRACE = 10.0  # seconds that a node has to react; one with a shorter limit gets 
 HINT = "allow more time with --timeout; the log shows where it was"
 
 
-class _Overdue(BaseException):
-    """Python raises a class in another thread, not an instance; what it means is said where it
-    arrives.
-    """
-
-
 @contextmanager
 def interruptible(limit: float | None, marker: Path, own_process: bool) -> Iterator[None]:
-    """Raise TimeLimitExceeded in the block after `limit` seconds.
+    """Raise TimeLimitExceeded in the block after `limit` seconds (see `left_after`).
 
-    In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's
-    process (a dask worker) hears of it between two Python instructions. Code that never comes back
-    to Python is ended with its process, where that is ours; `marker` then has text, so that whoever
-    finds it gone knows why.
+    Code that never comes back to Python is ended with its process, where that is ours; `marker`
+    then has text, so that whoever finds it gone knows why.
     """
     if limit is None:
         yield
         return
-    over, thread = threading.Event(), threading.get_ident()
-    main = threading.current_thread() is threading.main_thread()
-
-    def watch() -> None:
-        if over.wait(limit):
-            return
-        if main:
-            signal.pthread_kill(thread, signal.SIGUSR1)
-        else:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                ctypes.c_ulong(thread), ctypes.py_object(_Overdue)
-            )
-
-    def ring(number: int, frame: object) -> None:
-        if not over.is_set():
-            raise _Overdue
-
-    before = signal.signal(signal.SIGUSR1, ring) if main else None
-    watcher = threading.Thread(target=watch, daemon=True, name="node-watch")
-    watcher.start()
     try:
-        with _ended_over(limit, marker) if own_process else nullcontext():
+        with _ended_over(limit, marker) if own_process else nullcontext(), left_after(limit):
             yield
-    except _Overdue:
+    except LimitReached:
         raise TimeLimitExceeded(
             f"it took longer than the limit of {duration(limit)}", HINT
         ) from None
-    finally:
-        over.set()
-        watcher.join()
-        if main:
-            signal.signal(signal.SIGUSR1, before)
-        else:  # what came too late must not reach who called us
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
 
 
 @contextmanager
 def _ended_over(limit: float, marker: Path) -> Iterator[None]:
     with marker.open("w", encoding="utf-8") as file:
-        # A thread of C: it fires also while a library holds the interpreter's lock.
-        faulthandler.dump_traceback_later(limit + min(GRACE, limit), exit=True, file=file)
         try:
-            yield
+            with process_ended_after(limit + min(GRACE, limit), file):
+                yield
         finally:
-            faulthandler.cancel_dump_traceback_later()
             marker.unlink(missing_ok=True)
 
 

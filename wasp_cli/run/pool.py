@@ -17,9 +17,9 @@ import threading
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, InvalidStateError
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count
@@ -28,10 +28,12 @@ from typing import Any
 
 from wasp_cli.console import plain
 from wasp_cli.errors import UsageError, WaspError, described
-from wasp_cli.run.job import SIGNALS, NodeJob, NodeResult
+from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.shared_memory import refusal_of_semaphores, require_semaphores
+from wasp_cli.run.signals import leave_to_parent, signals_wait
 from wasp_cli.run.worker import execute, execute_here
 from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.foreign.started import lead_session
 
 PACKAGES = {"dask": "distributed", "ray": "ray", "slurm": "submitit"}
 LOCAL = "loky"
@@ -149,8 +151,8 @@ class LokyPool(Pool):
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._workers: Any = None
-        self._single: list[Any] = []  # executors of nodes alone
+        self._crew: _Crew | None = None
+        self._others: list[_Crew] = []  # of nodes alone, and those that were replaced
         # loky takes a loaded world model for a memory leak, replaces the worker and says so;
         # nothing is lost.
         warnings.filterwarnings(
@@ -158,40 +160,74 @@ class LokyPool(Pool):
         )
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        if self._workers is None:
-            self._workers = _new_workers(self.jobs)
+        self._replace()
+        if self._crew is None:
+            self._crew = _Crew(self.jobs)
         try:
-            return self._begun(self._workers, job)
+            return self._crew.begin(job)
         except BrokenExecutor as error:
-            self._workers = None
+            self._crew = None
             lost: Future[NodeResult] = Future()
             lost.set_exception(WorkersDied(str(error)))
             return lost
 
+    def _replace(self) -> None:
+        """Let nodes that begin now have other workers, where these have had their time; what they
+        still compute goes on.
+        """
+        if self._crew is not None and (self._crew.worn or self._crew.broken):
+            self._others.append(self._crew)
+            self._crew = None
+        for crew in self._others:
+            if crew.is_idle():
+                crew.end(wait=False, kill=True)
+        self._others = [crew for crew in self._others if not crew.is_idle()]
+
     def alone(self, job: NodeJob) -> Future[NodeResult]:
-        worker = _new_workers(1)
-        self._single.append(worker)
-        result = self._begun(worker, job)
-        result.add_done_callback(lambda _: worker.shutdown(wait=False, kill_workers=True))
+        crew = _Crew(1)
+        self._others.append(crew)
+        result = crew.begin(job)
+        result.add_done_callback(lambda _: crew.end(wait=False, kill=True))
         return result
 
-    def _begun(self, workers: Any, job: NodeJob) -> Future[NodeResult]:
+    def close(self, *, kill: bool = False) -> None:
+        for crew in (self._crew, *self._others):
+            if crew is not None:
+                crew.end(wait=not kill, kill=kill)
+        self._crew, self._others = None, []
+
+
+class _Crew:
+    """Workers of one executor, and what they compute."""
+
+    def __init__(self, count: int) -> None:
+        self._workers = _new_workers(count)
+        self._flying: list[Future[NodeResult]] = []
+        self.broken = False  # one was killed, and all are gone
+        self.worn = False  # code of others may still run in one that is to get no further node
+
+    def begin(self, job: NodeJob) -> Future[NodeResult]:
         def translated(error: BaseException) -> BaseException:
             if not isinstance(error, BrokenExecutor):
                 return error
-            if workers is self._workers:
-                self._workers = None  # the next node starts new ones
+            self.broken = True
             return WorkersDied(str(error))
 
+        def looked_at(ended: Future[NodeResult]) -> None:
+            if ended.exception() is None and ended.result().unclosed:
+                self.worn = True
+
         with signals_wait():
-            running: Future[NodeResult] = workers.submit(execute, job)
+            running: Future[NodeResult] = self._workers.submit(execute, job)
+        running.add_done_callback(looked_at)
+        self._flying = [running, *(other for other in self._flying if not other.done())]
         return _passed_on(running, translated)
 
-    def close(self, *, kill: bool = False) -> None:
-        for workers in (self._workers, *self._single):
-            if workers is not None:
-                workers.shutdown(wait=not kill, kill_workers=kill)
-        self._workers, self._single = None, []
+    def is_idle(self) -> bool:
+        return all(running.done() for running in self._flying)
+
+    def end(self, *, wait: bool, kill: bool) -> None:
+        self._workers.shutdown(wait=wait, kill_workers=kill)
 
 
 def _new_workers(count: int) -> Any:
@@ -201,40 +237,28 @@ def _new_workers(count: int) -> Any:
     return ProcessPoolExecutor(max_workers=count, initializer=start_worker, initargs=(os.getpid(),))
 
 
-@contextmanager
-def signals_wait() -> Iterator[None]:
-    """Hold back signals while processes start. They begin with this thread's mask; one that is
-    not ready would end with a traceback.
-    """
-    from multiprocessing import resource_tracker as of_python
-
-    from joblib.externals.loky.backend import resource_tracker
-
-    # a worker needs both, and each lifts the mask when it starts
-    for tracker in (resource_tracker, of_python):
-        tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def start_worker(parent: int) -> None:
     """Prepare a worker process: being stopped is the parent's business, and without a parent
     there is nobody to work for.
+
+    It leaves the terminal. Ctrl-C there would reach the processes of environments, which listen to
+    it as processes do, while their nodes are to be finished.
     """
-    for number in SIGNALS:  # a terminal and a service manager send theirs to the whole group
-        signal.signal(number, signal.SIG_IGN)
-    # children of this process begin with its mask
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    leave_to_parent()
+    lead_session()
     threading.Thread(target=_end_with, args=(parent,), daemon=True, name="parent-watch").start()
 
 
 def _end_with(parent: int) -> None:
+    """End this process with its parent, and soon after its own end: a thread that an environment
+    has left behind would keep it for ever.
+    """
     while os.getppid() == parent:
+        if not threading.main_thread().is_alive():
+            time.sleep(CLOSE_SECONDS)
+            os._exit(0)
         time.sleep(1.0)
-    os._exit(1)
+    os.killpg(0, signal.SIGKILL)  # with what it has started
 
 
 class DaskPool(Pool):

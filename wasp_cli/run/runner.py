@@ -18,12 +18,13 @@ from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_proce
 from wasp_cli.run.pool import Pool, WorkersDied
 from wasp_cli.run.record import Journal
 from wasp_cli.run.show import numbers
-from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
+from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unclosed_file, unseen
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.provenance import provenance
+from wasp_cli.tasks.foreign.closing import HINT as CLOSE_HINT
 
 UNEXPLAINED = 5  # deaths of idle workers that a run lives with
 DEATH_SECONDS = 2.0  # within which the whole pool learns that one of its workers was killed
@@ -97,6 +98,7 @@ class Runner:
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
         # lost with workers, not in the journal yet: whether it is a suspect, and why
         self._deaths: list[tuple[Flight, bool, str]] = []
+        self._told: set[str] = set()  # what was said of environments that did not close
         # by key of a cell the key of another one that has its first episodes
         self._begun: Mapping[str, str] = {}
         self._deserted = self._waits = False
@@ -257,6 +259,7 @@ class Runner:
         )
         if result is None or result.state == "skipped":
             return
+        self._tell_unclosed(node, result)
         if result.state == "unseen":
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
@@ -312,11 +315,13 @@ class Runner:
         with suppress(ArtifactError):  # killed while it wrote
             memory = (read_record(running) or {}).get("memory_mb")
         forget(running)
+        unclosed = self._unclosed(job)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
-            return NodeResult(
-                job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"]
-            )
+            seconds = float(manifest["provenance"]["seconds"])
+            return NodeResult(job.key, "done", seconds, manifest["summary"], unclosed=unclosed)
+        if unclosed:
+            return self._killed(flight, unclosed[0], CLOSE_HINT)
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
             return self._killed(
@@ -347,6 +352,18 @@ class Runner:
         self._deaths.append((replace(flight, memory=memory), suspected, "" if local else reason))
         return None
 
+    def _unclosed(self, job: NodeJob) -> tuple[str, ...]:
+        """The environment that did not come back to Python when it was closed, where the process of
+        a node was ended for that.
+        """
+        last_words = unclosed_file(self._layout, job)
+        ended = was_ended(last_words)
+        last_words.unlink(missing_ok=True)
+        message = (
+            f"environment '{job.task}' did not come back from close(), so its process was ended"
+        )
+        return (message,) if ended else ()
+
     def _killed(self, flight: Flight, message: str, hint: str | None) -> NodeResult:
         job, seconds = flight.job, time.monotonic() - flight.since
         log = self._layout.log(job.run_id, job.label, job.key)
@@ -365,6 +382,15 @@ class Runner:
             self.summary.done += result.state == "done"
             self.summary.shared += result.state == "shared"
             self._journal.write(result.state, **facts, numbers=numbers(result.summary))
+
+    def _tell_unclosed(self, node: Node, result: NodeResult) -> None:
+        """Say what did not close, once: it will be the same after every node of its task."""
+        for message in result.unclosed:
+            if message not in self._told:
+                self._told.add(message)
+                self._journal.write(
+                    "unclosed", key=node.key, label=node.label, message=message, hint=CLOSE_HINT
+                )
 
     def _block(self, lost: Iterable[Node], cause: Node) -> None:
         for node in lost:

@@ -95,6 +95,8 @@ class Lines:
             )
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
+        elif kind == "unclosed":
+            self._note(f"{event['message']} (after {name}; results are kept); {event['hint']}")
         elif kind == "worker killed":
             labels = [
                 self._names.get(suspect, label)

@@ -146,8 +146,9 @@ def _answers(
     """
     from joblib.externals.loky import ProcessPoolExecutor
 
-    from wasp_cli.run.pool import signals_wait, start_worker
+    from wasp_cli.run.pool import start_worker
     from wasp_cli.run.shared_memory import require_semaphores
+    from wasp_cli.run.signals import signals_wait
 
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         if jobs == 1 and not environment:

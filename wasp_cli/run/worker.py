@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -42,6 +43,7 @@ from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 from wasp_cli.store.tables import cell_file
+from wasp_cli.tasks.foreign.closing import environments
 
 DEATHS = 2
 KILLED = "its process was killed twice (out of memory, or by a signal)"
@@ -130,6 +132,15 @@ class Envelope:
                 return self._result("busy")
 
     def _computed(self, progress: Progress) -> NodeResult:
+        """Compute the node, and then end what environments have begun. By then it is stored: they
+        cannot take its result along.
+        """
+        last_words = unclosed_file(self.layout, self.job) if self.own_process else None
+        with environments(last_words) as scope:
+            result = self._stored(progress)
+        return replace(result, unclosed=tuple(scope.troubles))
+
+    def _stored(self, progress: Progress) -> NodeResult:
         job, layout = self.job, self.layout
         staging = artifact.staging_folder(layout, job.key)
         started_at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -195,6 +206,13 @@ class Envelope:
         result = self._result("failed", message=message, hint=hint, by_chance=by_chance)
         record_failure(self.layout, self.job, result)
         return result
+
+
+def unclosed_file(layout: Layout, job: NodeJob) -> Path:
+    """Return the file that has text when a node's process was ended because an environment did
+    not come back from its `close()`.
+    """
+    return layout.overdue(job.run_id, job.key).with_suffix(".unclosed")
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:

@@ -25,6 +25,7 @@ from starlette.routing import BaseRoute
 
 from wasp_cli.console import plain, say
 from wasp_cli.errors import UsageError
+from wasp_cli.tasks.foreign.started import unmarked
 
 HOST = "127.0.0.1"
 NAMES = ("127.0.0.1", "localhost", "[::1]")
@@ -83,7 +84,7 @@ class LocalServer:
         way = f"ssh -L {self.port}:{HOST}:{self.port} THIS-MACHINE"
         plain(f"from another machine: {way}, then open the same address there{more}")
         if opened:
-            with suppress(webbrowser.Error):
+            with suppress(webbrowser.Error), unmarked():  # it may stay open
                 webbrowser.open(address)
 
     def start(self) -> None:

@@ -4,7 +4,6 @@ becomes one `TaskError` that names the environment.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import traceback
 from collections.abc import Iterator, Mapping
@@ -80,12 +79,6 @@ def calling(part: str, hint: str | None = None) -> Iterator[None]:
         if hint is not None and frames[-1].filename == __file__:
             place = f"write it as {hint}"
         raise TaskError(f"its {part} failed: {described(error)}", place) from error
-
-
-def close_env(env: GymEnv) -> None:
-    """Close an environment of which nothing is asked any more; what its `close` raises is lost."""
-    with contextlib.suppress(TaskError), calling("close"):
-        env.close()
 
 
 def reset(env: GymEnv, seed: int) -> Any:

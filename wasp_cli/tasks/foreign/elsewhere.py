@@ -11,8 +11,8 @@ import subprocess
 import sys
 
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.foreign.calls import GymEnv, close_env
-from wasp_cli.tasks.foreign.examine import make_env
+from wasp_cli.tasks.foreign.calls import GymEnv
+from wasp_cli.tasks.foreign.examine import made
 from wasp_cli.tasks.foreign.worlds import Episode, random_actions
 
 REMEDY = (
@@ -74,8 +74,5 @@ def _digest_elsewhere(name: str, steps: int, hash_seed: str) -> str:
 
 def print_digest(name: str, steps: int) -> None:
     """Print the digest of an episode, for `require_same_elsewhere` in another process."""
-    env = make_env(name)
-    try:
+    with made(name) as env:
         print(Episode(env, 0).through(random_actions(env, steps, seed=1)).digest())
-    finally:
-        close_env(env)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import sys
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -18,9 +19,11 @@ from wasp_cli.errors import TaskError, UnknownName, WaspError, described, did_yo
 from wasp_cli.registry import import_here, remedy
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
-from wasp_cli.tasks.foreign.calls import GymEnv, close_env, of_environment
+from wasp_cli.tasks.foreign.calls import GymEnv, of_environment
+from wasp_cli.tasks.foreign.closing import close
 from wasp_cli.tasks.foreign.layers import as_whole, attribute, env_seconds, env_steps, from_metadata
 from wasp_cli.tasks.foreign.registration import registration_text
+from wasp_cli.tasks.foreign.started import mark
 from wasp_cli.tasks.foreign.views import Views, views_of
 from wasp_cli.tasks.foreign.worlds import (
     AGAIN,
@@ -65,22 +68,32 @@ def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
     # What modules and environments print as they start must not get between the lines of a plan
     # that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
-        find_spec(name, tasks)
-        return _examined(name)
+        if name not in _known:
+            _known[name] = _examined(name, tasks)
+        return _known[name]
 
 
-@cache
-def _examined(name: str) -> Facts:
-    with watched() as watch:
-        spec = find_spec(name)
+_known: dict[str, Facts] = {}
+"""What was found of the environments that were examined in this process."""
+
+
+def _examined(name: str, tasks: Iterable[str]) -> Facts:
+    with watched() as watch:  # its module may read files when it is imported, here
+        spec = find_spec(name, tasks)
         with of_environment(name):
             registration_text(spec)  # refused now, if it cannot be told apart from another one
-        env = make_env(name)
-        try:
-            with of_environment(name):
-                return _facts_of(name, spec, env, watch)
-        finally:
-            close_env(env)
+        with made(name) as env, of_environment(name):
+            return _facts_of(name, spec, env, watch)
+
+
+@contextmanager
+def made(name: str) -> Iterator[GymEnv]:
+    """Make an environment for the block, and close it at the end."""
+    env = make_env(name)
+    try:
+        yield env
+    finally:
+        close(name, env)
 
 
 def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
@@ -118,20 +131,20 @@ def require_two(name: str) -> None:
     Raises:
         TaskError: an episode depends on other episodes, or on another instance.
     """
-    with contextlib.redirect_stdout(sys.stderr):
-        one, other = make_env(name), make_env(name)
-        try:
-            with of_environment(name):
-                require_independent(one, other, FIRST_STEPS)
-        finally:
-            close_env(one)
-            close_env(other)
+    with (
+        contextlib.redirect_stdout(sys.stderr),
+        made(name) as one,
+        made(name) as other,
+        of_environment(name),
+    ):
+        require_independent(one, other, FIRST_STEPS)
 
 
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     """Return the registration of an id; the module before the colon is imported first, and
     registers it.
     """
+    mark()  # what the module starts as it is imported, too
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
     if module:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.foreign.calls import SUCCESS, GymEnv, close_env, of_environment, reset, step
+from wasp_cli.tasks.foreign.calls import SUCCESS, GymEnv, of_environment, reset, step
 from wasp_cli.tasks.foreign.elsewhere import require_same_elsewhere
-from wasp_cli.tasks.foreign.examine import Facts, examine, make_env
+from wasp_cli.tasks.foreign.examine import Facts, examine, made
 from wasp_cli.tasks.foreign.worlds import (
     Episode,
     difference,
@@ -75,19 +75,14 @@ def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
         TaskError: a call into the environment failed, or its worlds do not follow their seeds.
     """
     facts = examine(name)
-    one, other = make_env(name), make_env(name)
-    try:
-        with of_environment(name):
-            restored = require_restored(one, COMPARED)
-            require_same_elsewhere(name, one, COMPARED)
-            worlds = _first_observations(one)
-            indifferent = _ignores_commands(one, other)
-            drivers = _drivers(one, steps)
-            driven = [_driven(label, one, steps, drivers[label], facts) for label in drivers]
-            info = _told(one)
-    finally:
-        close_env(one)
-        close_env(other)
+    with made(name) as one, made(name) as other, of_environment(name):
+        restored = require_restored(one, COMPARED)
+        require_same_elsewhere(name, one, COMPARED)
+        worlds = _first_observations(one)
+        indifferent = _ignores_commands(one, other)
+        drivers = _drivers(one, steps)
+        driven = [_driven(label, one, steps, drivers[label], facts) for label in drivers]
+        info = _told(one)
     problems = list(_problems(driven, indifferent, action_repeat))
     notes = list(_notes(driven, facts, info, worlds, restored, action_repeat))
     return Findings(problems, notes, _summary(driven))

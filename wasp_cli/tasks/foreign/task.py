@@ -26,6 +26,7 @@ from wasp_cli.tasks.batch import (
 from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
 from wasp_cli.tasks.foreign.calls import reset as reset_env
 from wasp_cli.tasks.foreign.calls import step as step_env
+from wasp_cli.tasks.foreign.closing import close_owned, opened
 from wasp_cli.tasks.foreign.examine import examine, make_env
 
 Ints = NDArray[np.int64]
@@ -61,7 +62,13 @@ class GymTask:
         # 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
-        self._envs: list[GymEnv] = [make_env(name) for _ in range(batch)]
+        self._envs: list[GymEnv] = opened(self, name)
+        try:
+            for _ in range(batch):
+                self._envs.append(make_env(name))
+        except TaskError:
+            self.close()
+            raise
         self._env_steps = np.zeros(batch, np.int64)
         self._goals = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
@@ -71,9 +78,18 @@ class GymTask:
         self._state = np.zeros((batch, self.state_size))
         self._privileged = np.zeros((batch, self.privileged_size), np.float32)
 
+    def close(self) -> None:
+        """Close the environments; whoever holds the task cannot use it any more.
+
+        It need not be called: a task that nobody holds is closed when the next one is made, and
+        every task at the end of the node, of the command, or of Python.
+        """
+        close_owned(self)
+
     # -- episodes ----------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        self._require_open()
         for row, seed in chosen_rows(self.batch, seeds, rows):
             with of_environment(self._name):
                 seen = reset_env(self._envs[row], seed)
@@ -84,12 +100,17 @@ class GymTask:
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
+        self._require_open()
         control = self._scaled(checked_action(action, self.batch, self.action_size))
         totals = Totals.zeros(self.batch, self.cost_sources)
         for row in running_rows(self._ended).tolist():
             with of_environment(self._name):
                 self._advance(row, control[row], totals)
         return totals.as_step(self._observation(), self._ended, self._terminated)
+
+    def _require_open(self) -> None:
+        if not self._envs:
+            raise TaskError(f"environment '{self._name}' was closed", "make the task again")
 
     def _scaled(self, control: Floats) -> Floats:
         """Commands [B, A] in [-1, 1] within the environment's own bounds."""
@@ -172,6 +193,7 @@ class GymTask:
         """Return what `VectorTask` says; the environment's own part are the arrays of its
         `snapshot()`.
         """
+        self._require_open()
         check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
@@ -184,6 +206,7 @@ class GymTask:
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
         """Return to a snapshot; see `VectorTask`."""
+        self._require_open()
         for name, array in self._arrays().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 raise TaskError(
