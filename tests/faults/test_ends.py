@@ -37,12 +37,13 @@ def test_every_environment_is_closed_and_none_is_left(jobs, home):
 def test_environments_of_a_node_that_fails_or_takes_too_long_are_closed(home):
     home.set(behave={"expert": "raise"})
     assert "ZeroDivisionError" in home.run("Sim", "-j", "1", code=1)
-    assert len(home.closed()) == 1 + 1 + 2
+    # three where the spec is read, one where the worker asks again, and two of the node
+    assert len(home.closed()) == 3 + 1 + 2
     home.require_none_left()
     home.set(behave={"expert": "sleep"})
     said = home.run("Sim", "-j", "1", "--timeout", "4s", code=1)
     assert "longer than the limit of 4.0 s" in said
-    assert len(home.closed()) == 2 * (1 + 1 + 2)
+    assert len(home.closed()) == 2 * (3 + 1 + 2)
     home.require_none_left()
 
 
