@@ -24,6 +24,8 @@ DRIVES = ("expert", "dataset", "residual")
 """Stages whose time grows with their decisions alone: they show how long one takes."""
 BY_LENGTH = ("evaluate", "heldout")
 """Stages whose time grows with the decisions of an episode too."""
+GROWS_WITH = {**SIZES, "diagnostics": "starts"}
+"""By stage the setting that its time grows with; that of the others grows with their updates."""
 REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the shipped figures
 
 
@@ -135,7 +137,7 @@ def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:
     """What the time of a stage grows with."""
     if kind in BY_LENGTH:
         return float(config["episodes"]) * length
-    return float(config.get("updates", 1)) if kind not in SIZES else units(kind, config)
+    return float(config.get(GROWS_WITH.get(kind, "updates"), 1))
 
 
 def _unit(kind: str, axes: Mapping[str, Any], preset: str) -> float | None:
