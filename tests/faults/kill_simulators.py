@@ -26,10 +26,13 @@ IN_A_ROW = 3  # kills at most before the run may end
 JOBS = ("-j", "2")
 
 
-def strike(victim: str, process: subprocess.Popen[str], chance: random.Random) -> None:
+def strike(victim: str, process: subprocess.Popen[str], chance: random.Random) -> bool:
+    """Whether there was something to strike."""
     workers = children(process.pid, b"loky")
+    if process.poll() is not None or (victim == "a worker" and not workers):
+        return False
     with suppress(ProcessLookupError):
-        if victim == "a worker" and workers:
+        if victim == "a worker":
             os.kill(chance.choice(workers), signal.SIGKILL)
         if victim == "both":
             for worker in workers:
@@ -43,6 +46,7 @@ def strike(victim: str, process: subprocess.Popen[str], chance: random.Random) -
         if victim == "Ctrl-C twice":
             time.sleep(chance.uniform(0.0, 1.0))
             os.killpg(process.pid, signal.SIGINT)
+    return True
 
 
 class Storm:
@@ -51,8 +55,8 @@ class Storm:
     def __init__(self, root: Path, seed: int, real: bool) -> None:
         self.root, self.chance, self.real = root, random.Random(seed), real
         self.kills: Counter[str] = Counter()
-        self.late = 0  # strikes that came when the run had ended by itself
-        self.longest = 0.0  # seconds until nothing was left
+        self.missed = 0  # strikes when there was nothing to strike: too early, or too late
+        self.longest = 0.0  # seconds from the end of a run until nothing was left
         self.seconds: dict[str, float] = {}
         self.rounds = 0
 
@@ -80,15 +84,15 @@ class Storm:
             process = home.start(kind, *JOBS)
             time.sleep(self.chance.uniform(0.0, self.seconds[kind]))
             victim = self.chance.choice(VICTIMS)
-            if process.poll() is None:
-                strike(victim, process, self.chance)
+            if strike(victim, process, self.chance):
                 self.kills[victim] += 1
             else:
-                self.late += 1
-            process.communicate(timeout=600)
+                self.missed += 1
+            process.wait(600)
             began = time.monotonic()
             wait_until(lambda: not home.left(), 60.0)
             self.longest = max(self.longest, time.monotonic() - began)
+            process.communicate(timeout=600)
             require_whole(home.results)
             now = {key: path.stat().st_mtime_ns for key, path in artifacts(home.results).items()}
             assert kept.items() <= now.items(), "a finished artifact went, or was computed again"
@@ -120,5 +124,5 @@ if __name__ == "__main__":
         storm = Storm(Path(place), asked.seed, asked.real)
         storm.all(asked.kills)
     print(", ".join(f"{victim} {count}" for victim, count in sorted(storm.kills.items())))
-    print(f"{storm.rounds} rounds, {storm.late} strikes came too late")
+    print(f"{storm.rounds} rounds, {storm.missed} strikes missed")
     print(f"nothing was left after {storm.longest:.1f} s at most, and nothing was lost")
