@@ -152,5 +152,5 @@ def test_a_fork_of_a_program_leaves_the_environments_of_the_program(tmp_path):
 
 def test_what_a_program_of_ones_own_starts_besides_is_not_marked(tmp_path):
     """Outside of commands and nodes nothing is ended but by closing."""
-    end = "import os\nprint(sorted(name for name in os.environ if name.startswith('WASP')))"
+    end = "import os\nprint(sorted(name for name in os.environ if name.startswith('WASP_ENV')))"
     assert python(tmp_path, "-c", PROGRAM.format(end)).stdout == "[]\n"
