@@ -18,7 +18,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from tests.faults.simulated import KINDS, Home
-from tests.faults.test_random_kills import artifacts, children, payload, require_whole
+from tests.faults.test_random_kills import (
+    artifacts,
+    children,
+    kill_workers,
+    payload,
+    require_whole,
+)
 from tests.run.harness import wait_until
 
 VICTIMS = ("a worker", "the run", "both", "SIGTERM", "Ctrl-C", "Ctrl-C twice")
@@ -35,8 +41,7 @@ def strike(victim: str, process: subprocess.Popen[str], chance: random.Random) -
         if victim == "a worker":
             os.kill(chance.choice(workers), signal.SIGKILL)
         if victim == "both":
-            for worker in workers:
-                os.kill(worker, signal.SIGKILL)
+            kill_workers(workers)
         if victim in ("the run", "both"):
             process.kill()
         if victim == "SIGTERM":

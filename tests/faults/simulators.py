@@ -7,6 +7,7 @@ a line for every environment that was closed.
 
 import ctypes
 import itertools
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -101,8 +102,8 @@ class Raising(Sim):
 
 
 class Native(Sim):
-    """Closing hangs in native code that holds the interpreter's lock; not the first one of each
-    process, which is asked what it is.
+    """Closing hangs in native code that holds the interpreter's lock: in workers, and there not
+    the first one, which is asked what it is.
     """
 
     numbers = itertools.count()
@@ -112,7 +113,8 @@ class Native(Sim):
         return super().begun()
 
     def end(self):
-        if self.number:
+        in_worker = "Loky" in multiprocessing.current_process().name
+        if in_worker and self.number:
             ctypes.PyDLL(None).sleep(1000)
         super().end()
 

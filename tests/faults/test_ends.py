@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tests.faults.simulated import KINDS, NODES, Home
-from tests.faults.test_random_kills import children
+from tests.faults.test_random_kills import children, kill_workers
 from tests.run import fake_stages
 from tests.run.harness import ROOT, finished, wait_until
 
@@ -105,8 +105,7 @@ def test_nothing_is_left_however_a_run_ends(how, kind, home):
     if how == "sigterm":
         process.terminate()
     if how in ("worker", "both"):
-        for worker in workers:
-            os.kill(worker, signal.SIGKILL)
+        kill_workers(workers)
     if how in ("run", "both"):
         process.kill()
     _, errors = process.communicate(timeout=600)

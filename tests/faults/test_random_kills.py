@@ -52,11 +52,16 @@ def children(parent: int, of: bytes = b"") -> list[int]:
     return found
 
 
-def kill_all(group: int, workers: list[int]) -> None:
-    """Kill a command with its group, and its workers, which are not in it."""
+def kill_workers(workers: list[int]) -> None:
+    """Kill each; the first one may take the others along."""
     for worker in workers:
         with suppress(ProcessLookupError):
             os.kill(worker, signal.SIGKILL)
+
+
+def kill_all(group: int, workers: list[int]) -> None:
+    """Kill a command with its group, and its workers, which are not in it."""
+    kill_workers(workers)
     os.killpg(group, signal.SIGKILL)
 
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 Handler = Callable[[int, Any], Any]
 
 _DEFAULTS: dict[signal.Signals, Handler | signal.Handlers] = {
@@ -28,13 +29,13 @@ def handle(number: signal.Signals, handler: Handler) -> None:
     """
     _handlers.add(handler)
     signal.signal(number, handler)
-    signal.siginterrupt(number, False)  # what waits in native code need not know of it
 
 
 def leave_to_parent() -> None:
     """Let this process live through signals that are the business of the one that started it."""
     for number in SIGNALS:
         handle(number, _left)
+        signal.siginterrupt(number, False)  # what waits in native code need not know of it
     # this process began with them held back (see `signals_wait`), and so would its children
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 

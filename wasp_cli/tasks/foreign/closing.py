@@ -136,10 +136,20 @@ def _ended_over(seconds: float) -> Iterator[None]:
     with ExitStack() as stack:
         if isinstance(last_words, Path):
             stack.callback(last_words.unlink, missing_ok=True)
-            last_words = stack.enter_context(last_words.open("w", encoding="utf-8"))
+            last_words = stack.enter_context(_written(last_words))
         if last_words is not None:
             stack.enter_context(process_ended_after(seconds, last_words))
         yield
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[TextIO | None]:
+    """A file to write; None where the disk is full, which must not keep what closes from that."""
+    with ExitStack() as stack:
+        file = None
+        with contextlib.suppress(OSError):
+            file = stack.enter_context(path.open("w", encoding="utf-8"))
+        yield file
 
 
 def _say(trouble: str) -> None:
