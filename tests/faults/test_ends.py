@@ -149,3 +149,32 @@ def test_random_kills_leave_no_simulator_and_lose_nothing():
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.endswith("nothing was lost\n")
+
+
+MAKES = """
+import time
+from wasp_cli.tasks.foreign.closing import environments
+from wasp_cli.tasks.foreign.examine import make_env
+
+with environments():
+    env = make_env("simulators:{}-v0")
+    print("made", flush=True)
+    time.sleep(1000)
+"""
+
+
+@pytest.mark.parametrize("kind", ["Sim", "Bare", "Daemon"])
+def test_a_command_that_is_killed_while_it_asks_an_environment_leaves_nothing(kind, home):
+    process = subprocess.Popen(
+        [sys.executable, "-c", MAKES.format(kind)],
+        cwd=home.folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout.readline() == "made\n"
+    assert home.left()
+    process.kill()
+    process.communicate(timeout=60)
+    home.require_none_left()

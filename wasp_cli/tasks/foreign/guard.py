@@ -1,9 +1,12 @@
-"""A program of its own: python guard.py PID NAME=VALUE SESSION. It waits until the process PID is
-gone, however it went, and then ends what the environments of that process have started and left.
+"""A program of its own: python guard.py PID NAME=VALUE SESSION GROUP. It waits until the process
+PID is gone, however it went, and then ends what the environments of that process have started and
+left.
 
-These are the processes with the environment variable NAME=VALUE, and those of the session SESSION
-where that is not 0. The guard goes on in a fork that is nobody's child, so that who ends PID with
-its children does not end it too.
+These are the processes with the environment variable NAME=VALUE; those of the session SESSION,
+where that is not 0; and those of the process group GROUP, where that is not 0, that began after
+this guard: a shell may have put others into the group before (`wasp run spec.yaml | tee log`). The
+guard goes on in a fork that is nobody's child, so that who ends PID with its children does not end
+it too.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 
 import psutil
 
@@ -46,22 +50,39 @@ def wait_for_end(pid: int) -> None:
             time.sleep(pause)
 
 
-def left_behind(mark: str, session: int) -> Iterator[psutil.Process]:
-    """Yield the processes that are to be ended."""
-    name, _, value = mark.partition("=")
-    for process in psutil.process_iter():
-        with suppress(psutil.Error, OSError):
-            if process.pid == os.getpid() or not is_alive(process):
-                continue
-            of_session = session != 0 and os.getsid(process.pid) == session
-            if of_session or process.environ().get(name) == value:
-                yield process
+@dataclass(frozen=True)
+class Left:
+    """How the processes are known that a process has started and left."""
+
+    variable: str  # NAME=VALUE
+    session: int  # 0: none
+    group: int  # 0: none
+    began: float  # when the guard began, in seconds since 1970
+
+    def has(self, process: psutil.Process) -> bool:
+        """Return whether a process is one of them. Raises psutil.Error or OSError where it has
+        ended meanwhile, or is another user's.
+        """
+        if self.session and os.getsid(process.pid) == self.session:
+            return True
+        is_later = process.create_time() >= self.began
+        if self.group and is_later and os.getpgid(process.pid) == self.group:
+            return True
+        name, _, value = self.variable.partition("=")
+        return bool(process.environ().get(name) == value)
+
+    def find(self) -> Iterator[psutil.Process]:
+        """Yield those that are alive."""
+        for process in psutil.process_iter():
+            with suppress(psutil.Error, OSError):
+                if process.pid != os.getpid() and is_alive(process) and self.has(process):
+                    yield process
 
 
-def end_all(mark: str, session: int) -> None:
+def end_all(left: Left) -> None:
     """End them: first they are asked to, then killed."""
     for _ in range(ROUNDS):
-        found = list(left_behind(mark, session))
+        found = list(left.find())
         if not found:
             return
         for process in found:
@@ -75,11 +96,13 @@ def end_all(mark: str, session: int) -> None:
 
 
 def main() -> None:
-    pid, mark, session = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    """Guard the process that the arguments name."""
+    pid, variable, session, group = sys.argv[1:]
+    left = Left(variable, int(session), int(group), psutil.Process().create_time())
     if os.fork():
         os._exit(0)
-    wait_for_end(pid)
-    end_all(mark, session)
+    wait_for_end(int(pid))
+    end_all(left)
 
 
 if __name__ == "__main__":

@@ -95,7 +95,9 @@ def _guard() -> _Guarded:
 
 def _started_guard(pid: int, made: str) -> IO[bytes] | None:
     # -P: it must not import what lies beside it, or in the working directory
-    command = [sys.executable, "-P", str(_GUARD), str(pid), f"{MARK}={made}", str(_session)]
+    group = pid if os.getpgrp() == pid else 0
+    place = [str(_session), str(group)]
+    command = [sys.executable, "-P", str(_GUARD), str(pid), f"{MARK}={made}", *place]
     # the mark of whoever started this process is not for its guard
     variables = {name: value for name, value in os.environ.items() if name != MARK}
     try:
