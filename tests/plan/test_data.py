@@ -321,4 +321,5 @@ def test_files_are_found_by_their_names_in_the_source_and_docstrings_name_none(t
 
 @given(st.text())
 def test_any_text_of_a_source_is_no_obstacle(text):
-    texts_of(ast.parse(f"x = {text!r}\ny = f'{{x}}' {text!r}\n"))
+    found = texts_of(ast.parse(f"x = {text!r}\ny = f'{{x}}' {text!r}\n"))
+    assert found.whole <= {text}

@@ -126,7 +126,7 @@ class SharedModule(Walk):
 @pytest.mark.parametrize("env", [Walk, OwnBuffer])
 def test_honest_environments_pass(env):
     name = registered(env)
-    examine(name)
+    assert examine(name).cost_sources == ("cost",)
     require_two(name)
 
 
