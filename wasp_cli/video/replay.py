@@ -98,12 +98,8 @@ def default_name(stored: Episode, ending: str) -> Path:
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
-    return Path(
-        slug(
-            f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_s{row['seed']}_e{row['episode']}"
-        )
-        + ending
-    )
+    who = f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}"
+    return Path(slug(f"{who}_s{row['seed']}_e{row['episode']}") + ending)
 
 
 def source_of(layout: Layout, stored: Episode) -> Source:
