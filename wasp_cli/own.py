@@ -45,7 +45,8 @@ def of_python(module: str) -> tuple[str, str] | None:
     top = module.partition(".")[0]
     if not _is_pythons(top):
         return None
-    there, message = _beside(top), f"'{top}' is a module of Python itself"
+    there = _beside(top)
+    message = f"'{top}' is a module of Python itself"
     if there is None:
         return message, f"name a module of your own: a file such as {_renamed(top, top)}.py"
     return f"{message}, and hides '{there}'", _renaming(module, there)
@@ -65,7 +66,8 @@ def hidden(module: str) -> str | None:
     current folder; None where no file is hidden.
     """
     top = module.partition(".")[0]
-    there, origin = _beside(top), getattr(sys.modules.get(top), "__file__", None)
+    there = _beside(top)
+    origin = getattr(sys.modules.get(top), "__file__", None)
     if there is None or origin is None:
         return None
     if Path(origin).resolve().is_relative_to(Path(there).resolve()):

@@ -174,7 +174,9 @@ def test_a_command_that_is_killed_while_it_asks_an_environment_leaves_nothing(ki
         start_new_session=True,
     )
     assert process.stdout.readline() == "made\n"
-    wait_until(lambda: bool(home.left()))
-    process.kill()
-    process.communicate(timeout=60)
+    try:
+        wait_until(lambda: bool(home.left()))
+    finally:
+        process.kill()
+        process.communicate(timeout=60)
     home.require_none_left()

@@ -75,7 +75,8 @@ def _round_places(figure: Figure) -> None:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure: whole, or not at all where the process is killed meanwhile."""
-    drawing, dated = BytesIO(), ("Software",) if path.suffix == ".png" else ("Date", "Creator")
+    drawing = BytesIO()
+    dated = ("Software",) if path.suffix == ".png" else ("Date", "Creator")
     with _settings(LOOK):
         figure.savefig(drawing, format=path.suffix[1:], metadata=dict.fromkeys(dated))
     replace_file(path, drawing.getvalue())

@@ -207,6 +207,8 @@ class _Crew:
         self.worn = False  # code of others may still run in one that is to get no further node
 
     def begin(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node. Its future ends with WorkersDied where a worker was killed."""
+
         def translated(error: BaseException) -> BaseException:
             if not isinstance(error, BrokenExecutor):
                 return error
@@ -224,9 +226,11 @@ class _Crew:
         return _passed_on(running, translated)
 
     def is_idle(self) -> bool:
+        """Return whether all nodes that were begun here have ended."""
         return all(running.done() for running in self._flying)
 
     def end(self, *, wait: bool, kill: bool) -> None:
+        """End the workers: with `wait` after what they compute, with `kill` at once."""
         self._workers.shutdown(wait=wait, kill_workers=kill)
 
 

@@ -137,7 +137,7 @@ def test_what_a_notebook_has_set_changes_nothing_and_is_there_afterwards(tmp_pat
 
 def test_pyplot_is_left_alone(tmp_path: Path) -> None:
     code = f"{DRAW}\nassert 'matplotlib.pyplot' not in sys.modules"
-    python(tmp_path, "-c", code, str(tmp_path), "title", code=0)
+    assert python(tmp_path, "-c", code, str(tmp_path), "title").returncode == 0
 
 
 SPEC = """
@@ -159,7 +159,8 @@ def test_a_task_that_draws_with_matplotlib_can_be_used_in_a_notebook(
     (tmp_path / "puddle.py").write_text(module, encoding="utf-8")
     (tmp_path / "drawn.yaml").write_text(SPEC, encoding="utf-8")
     monkeypatch.setenv("MPLBACKEND", INLINE)
-    python(tmp_path, "-m", "wasp_cli", "check", "drawn.yaml", code=0)
+    done = python(tmp_path, "-m", "wasp_cli", "check", "drawn.yaml")
+    assert done.returncode == 0, done.stderr
 
 
 def files(folder: Path) -> dict[str, str]:

@@ -88,7 +88,8 @@ def _guard() -> _Guarded:
     """The guard of this process, started when it is first asked for."""
     global _guarded
     if _guarded is None or _guarded.pid != os.getpid():
-        pid, made = os.getpid(), f"{os.getpid()}-{secrets.token_hex(8)}"
+        pid = os.getpid()
+        made = f"{pid}-{secrets.token_hex(8)}"
         _guarded = _Guarded(pid, made, _started_guard(pid, made))
     return _guarded
 

@@ -38,7 +38,9 @@ def random_actions(env: GymEnv, count: int, seed: int = 0) -> list[NDArray[Any]]
     space = env.action_space
     assert space.shape is not None
     draws = np.random.default_rng(seed)
-    low, high = space.low, space.high  # type: ignore[attr-defined]  # a Box: `examine` has seen it
+    # It is a Box: `examine` has seen it.
+    low = space.low  # type: ignore[attr-defined]
+    high = space.high  # type: ignore[attr-defined]
     return [draws.uniform(low, high).astype(space.dtype) for _ in range(count)]
 
 
