@@ -198,6 +198,14 @@ class WASPConfig(Config):
         gt=0.0,
         lt=1.0,
     )
+    error_lasts: float = assumed(
+        0.0,
+        "share of the operator's error (the command minus the expert's action) that is left a "
+        "decision later, in a further future in which the operator goes on; 0: the safety gate "
+        "imagines the command once, then the expert",
+        ge=0.0,
+        le=1.0,
+    )
     tau_r: float | Literal["calibrated"] = assumed(
         "calibrated",
         "return that a correction must gain; `calibrated`: what putting right a uniformly "
@@ -282,6 +290,7 @@ class PlannerConfig(WASPConfig):
     """The planner alone: the settings of WASP's search, with tighter bounds than gates have."""
 
     variant: Literal["full"] = "full"
+    error_lasts: float = assumed(0.0, "nobody commands, so no error can go on", ge=0.0, le=0.0)
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
         0.1,
         "costly decision steps that a plan may be expected to have within H; who maximises "

@@ -51,7 +51,8 @@ class Planner(WASP):
         # Where WASP's search begins with what its gates saw, the command and a correction, this one
         # has the expert alone.
         twice = alone.take(torch.zeros(len(here), 2, dtype=torch.long, device=action.device))
-        found = self._search(start, Look(start.a_h, twice, draws), streams)
+        look = Look(start.a_h, twice, twice.cost[:, 0], draws)
+        found = self._search(start, look, streams)
         self.plan = torch.zeros_like(self.plan)
         self.plan[here] = found.residuals
         action = (action + self.plan[:, 0]).clamp(-1, 1)

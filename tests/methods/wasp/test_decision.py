@@ -68,15 +68,17 @@ def ready(motors: Motors = UNKNOWN, rows: int = 1, **changes: Any) -> WASP:
     return assistant
 
 
-def future(x: float, first: float, noise: Tensor) -> tuple[float, float]:
-    """(G^(r), G^(c)) of one action, then the expert: means over the rollouts of `noise` [H, M,
-    Z].
+def future(
+    x: float, first: float, noise: Tensor, error: float = 0.0, rho: float = 0.0
+) -> tuple[float, float]:
+    """(G^(r), G^(c)) of one action, then the expert with an error of which the share rho lasts:
+    means over the rollouts of `noise` [H, M, Z].
     """
     total = np.zeros(2)
     for m in range(noise.shape[1]):
         place, rewards, costs, values = x, [], [], []
         for k in range(H):
-            action = first if k == 0 else expert(place)
+            action = first if k == 0 else min(1.0, max(-1.0, expert(place) + rho**k * error))
             place = place + 0.1 * action + JITTER * float(noise[k, m, 0])
             rewards.append(0.1 * action)
             costs.append(1.0 if LOW < place < HIGH else 0.0)
@@ -114,18 +116,33 @@ CASES = [
 
 
 @pytest.mark.parametrize(("tau_c", "tau_r"), [(0.3, 0.05), (0.05, 0.05), (1.0, 0.15), (0.3, 9.0)])
-@pytest.mark.parametrize("variant", ["full", "safety-only", "task-only"])
+@pytest.mark.parametrize(
+    ("variant", "rho"),
+    [
+        ("full", 0.0),
+        ("full", 0.6),
+        ("full", 1.0),
+        ("safety-only", 0.6),
+        ("task-only", 1.0),
+    ],
+)
 @pytest.mark.parametrize(("x", "a_h"), CASES)
-def test_the_gates_compare_two_futures(x, a_h, variant, tau_c, tau_r):
+def test_the_gates_compare_three_futures(x, a_h, variant, rho, tau_c, tau_r):
     noise = drawn(SEED)
-    (g_r, g_c), (better, safer) = future(x, a_h, noise), future(x, expert(x), noise)
-    decision = decided(ready(tau_c=tau_c, tau_r=tau_r, variant=variant), x, a_h)
+    g_r, once = future(x, a_h, noise)
+    better, safer = future(x, expert(x), noise)
+    g_c = once
+    if variant != "task-only" and rho:
+        g_c = max(once, future(x, a_h, noise, a_h - expert(x), rho)[1])
+    decision = decided(ready(tau_c=tau_c, tau_r=tau_r, variant=variant, error_lasts=rho), x, a_h)
     record = decision.record
     assert float(record.g_cost) == pytest.approx(g_c, abs=1e-5)
     assert float(record.g_return) == pytest.approx(g_r, abs=1e-5)
     assert float(record.delta_g) == pytest.approx(better - g_r, abs=1e-5)
+
     gate = GATE_NONE
-    if g_c > tau_c and variant != "task-only":
+    harms = g_c > tau_c and (once > tau_c or safer < g_c)
+    if harms and variant != "task-only":
         gate = GATE_SAFETY
     elif better - g_r > tau_r and safer <= tau_c and variant != "safety-only":
         gate = GATE_TASK
@@ -136,6 +153,17 @@ def test_the_gates_compare_two_futures(x, a_h, variant, tau_c, tau_r):
         assert float(decision.action) == pytest.approx(expert(x), abs=1e-6)
     searched = gate == GATE_SAFETY and safer > tau_c
     assert (decision.planned.safe[0] >= 0).all() == searched
+
+
+def test_an_error_that_lasts_is_seen_before_a_single_command_does_harm():
+    """At x = .05 the expert can still stop after one decision of full throttle. With the same
+    error at every decision it comes to rest at the edge of the hazard.
+    """
+    gates = [
+        int(decided(ready(tau_c=0.3, tau_r=9.0, error_lasts=rho), 0.05, 1.0).record.gate)
+        for rho in (0.0, 1.0)
+    ]
+    assert gates == [GATE_NONE, GATE_SAFETY]
 
 
 def test_the_cases_above_hold_every_outcome():

@@ -1,9 +1,10 @@
-"""WASP: does this command do harm that the expert could not put right one decision later?
+"""WASP: what happens if you keep doing this, and what if it is corrected now?
 
-Both gates compare two futures on common draws: the command, then the expert; the best correction
-now, then the expert. Nothing of the operator's rule is imagined. The correction is the least one of
-its force. B decisions side by side, M rollouts of H steps, N candidates, L residual steps, A
-actions, K held-out decisions.
+The gates compare three futures on common draws: the command, then the expert; the best correction
+now, then the expert; and, with `error_lasts`, the command, then the expert with the operator's
+error, which is the command minus the expert's action. Nothing else of the operator is imagined. The
+correction is the least one of its force. B decisions side by side, M rollouts of H steps, N
+candidates, L residual steps, A actions, K held-out decisions.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from wasp_cli.tasks.motors import Motors
 GATES, SEARCH, FINALISTS = range(3)  # what a decision draws for, each from a stream of its own
 TAU_C, TAU_R = 0.5, 0.1  # thresholds that are to be calibrated, where no calibration exists yet
 MISTAKES = 4  # random commands for each held-out decision, from which tau_r comes
+LOOKING_ON = ("full", "safety-only", "no-case2")  # variants in which an error is imagined to last
 CHUNK = 64  # held-out decisions that are looked at together
 
 
@@ -54,11 +56,19 @@ def wasp(config: Config, parts: Parts) -> WASP:
 
 
 class Look(NamedTuple):
-    """The two futures of B decisions: N = 2."""
+    """The futures of B decisions that the gates compare."""
 
     target: Tensor  # [B, A] the least action of the expert's force
-    futures: Scored  # the command, then the expert; the correction, then the expert
+    futures: Scored  # N = 2: the command, then the expert; the correction, then the expert
+    lasting: Tensor  # [B] cost of the command, then the expert with the operator's error
     draws: Draws  # of these rollouts
+
+    @property
+    def cost(self) -> Tensor:
+        """Return what the command costs, [B] (Eq. 9): the more of the two futures that begin with
+        it.
+        """
+        return torch.maximum(self.futures.cost[:, 0], self.lasting)
 
     @property
     def gain(self) -> Tensor:
@@ -69,6 +79,15 @@ class Look(NamedTuple):
     def effective(self) -> Tensor:
         """Return where the correction has another force than the command: bool [B]."""
         return (self.futures.residuals[:, 1] != 0).any(-1).any(-1)
+
+    def rows(self, index: Tensor) -> Look:
+        """Select some of the decisions (indices [R])."""
+        return Look(
+            self.target[index],
+            self.futures.rows(index),
+            self.lasting[index],
+            self.draws.rows(index),
+        )
 
 
 class WASP:
@@ -84,18 +103,26 @@ class WASP:
         motors: Motors,
         device: torch.device = CPU,
     ) -> None:
-        self.config, self.imagination, self.motors = config, imagination, motors
+        self.config = config
+        self.imagination = imagination
+        self.motors = motors
+        self.device = device
+        self.noise = DecisionNoise(device)
+
         # one imagined step, and both critics behind it
         self.single = config.variant == "no-rollout"
-        self.horizon, self.steps = (
-            (1, 1) if self.single else (config.horizon, config.residual_steps)
-        )
-        fixed = config.tau_c if isinstance(config.tau_c, float | int) and not self.single else None
-        self.tau_c = thresholds.get("tau_c", TAU_C) if fixed is None else float(fixed)
-        self.tau_r = (
-            thresholds.get("tau_r", TAU_R) if config.tau_r == "calibrated" else float(config.tau_r)
-        )
-        self.noise, self.device = DecisionNoise(device), device
+        self.horizon = 1 if self.single else config.horizon
+        self.steps = 1 if self.single else config.residual_steps
+        # Behind a single step no error can go on, and without a safety gate nobody asks.
+        self.looks_on = config.error_lasts != 0.0 and config.variant in LOOKING_ON
+
+        given = isinstance(config.tau_c, float | int) and not self.single
+        self.tau_c = float(config.tau_c) if given else thresholds.get("tau_c", TAU_C)
+        if config.tau_r == "calibrated":
+            self.tau_r = thresholds.get("tau_r", TAU_R)
+        else:
+            self.tau_r = float(config.tau_r)
+
         # [B, L, A] what the search chose at the last decision; zeros where it was not asked
         self.plan = torch.zeros(0)
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
@@ -104,12 +131,11 @@ class WASP:
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
-        size = (len(rows), self.steps, self.imagination.model.action_size)
-        if self.plan.shape != size:
-            self.plan, self.resting = (
-                torch.zeros(size, device=self.device),
-                torch.zeros(len(rows), dtype=torch.bool, device=self.device),
-            )
+        batch = len(rows)
+        action_size = self.imagination.model.action_size
+        if self.plan.shape != (batch, self.steps, action_size):
+            self.plan = torch.zeros((batch, self.steps, action_size), device=self.device)
+            self.resting = torch.zeros(batch, dtype=torch.bool, device=self.device)
         rows = rows.to(self.device)
         # a plan never crosses the boundary of an episode
         self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)
@@ -129,46 +155,41 @@ class WASP:
             a_h: [B, A] commands within the bounds.
             operator: of B rows; it has just issued them, and plays no part.
         """
-        config, streams = self.config, self.noise.streams()
+        config = self.config
+        streams = self.noise.streams()
         here = chosen(~self.resting)
         start = self._situation(latent, a_h, here)
         outcome = Outcome(a_h, self.motors, config.iterations, self.steps)
 
-        # Imagine the command, then the expert; and the correction, then the expert (Eq. 9-10, 13).
-        look = self._look(start, streams)
-        cost, nothing = (
-            look.futures.cost,
-            torch.zeros(len(here), dtype=torch.bool, device=a_h.device),
-        )
-        outcome.saw(here, cost[:, 0], look.futures.reward[:, 0], look.gain)
+        # Imagine what the command and its correction lead to (Eq. 9-10, 13).
+        look = self._look(start, streams, looks_on=self.looks_on)
+        once, corrected_cost = look.futures.cost.unbind(1)
+        outcome.saw(here, look.cost, look.futures.reward[:, 0], look.gain)
 
-        # Safety gate: the command costs more than tau_c (Eq. 9). Task gate: it does not, and a safe
-        # correction gains tau_r (Eq. 11-12).
-        fired = nothing if config.variant == "task-only" else cost[:, 0] > self.tau_c
-        safe = cost[:, 1] <= self.tau_c
-        worth = (
-            nothing
-            if config.variant == "safety-only"
-            else ~fired & safe & look.effective & (look.gain > self.tau_r)
-        )
+        # Safety gate: the command costs more than tau_c (Eq. 9). Where it does so only if the
+        # operator's error goes on, the correction has to cost less.
+        fired = (look.cost > self.tau_c) & ((once > self.tau_c) | (corrected_cost < look.lasting))
+        if config.variant == "task-only":
+            fired = torch.zeros_like(fired)
+
+        # Task gate: the safety gate is silent, and a safe correction gains tau_r (Eq. 11-12).
+        safe = corrected_cost <= self.tau_c
+        worth = ~fired & safe & look.effective & (look.gain > self.tau_r)
+        if config.variant == "safety-only":
+            worth = torch.zeros_like(worth)
         gate = torch.where(fired, GATE_SAFETY, GATE_TASK).to(torch.int8)
         outcome.carry_out(
             here, (fired & safe) | worth, gate, Plan.unsearched(look.futures, config.iterations)
         )
 
         # Where the expert's action is not safe either, search (Eq. 13-17).
-        rows = chosen(fired & ~safe)
+        sought = fired & ~safe
+        rows = chosen(sought)
         plan = torch.zeros_like(self.plan)
         if len(rows):
-            made = self._search(
-                start.select(rows),
-                Look(look.target[rows], look.futures.rows(rows), look.draws.rows(rows)),
-                streams,
-            )
-            outcome.carry_out(here[rows], (fired & ~safe)[rows], gate[rows], made)
-            plan[here[rows]] = torch.where(
-                (fired & ~safe)[rows].view(-1, 1, 1), made.residuals, 0.0
-            )
+            made = self._search(start.select(rows), look.rows(rows), streams)
+            outcome.carry_out(here[rows], sought[rows], gate[rows], made)
+            plan[here[rows]] = torch.where(sought[rows].view(-1, 1, 1), made.residuals, 0.0)
         self.plan = plan
         return outcome.decision()
 
@@ -179,14 +200,27 @@ class WASP:
         start = Situation(latent, a_h, expert, torch.arange(len(a_h), device=a_h.device))
         return start if len(here) == len(a_h) else start.select(here)
 
-    def _look(self, start: Situation, streams: Streams) -> Look:
+    def _look(self, start: Situation, streams: Streams, *, looks_on: bool) -> Look:
+        """Imagine the futures of B decisions; with `looks_on` also that of an error that lasts."""
         draws = self._draws(streams, GATES, start)
-        target = self.motors.least(
-            start.a_h, self.imagination.expert(start.latent.features).clamp(-1, 1)
-        )
-        residuals = start.a_h.new_zeros(len(target), 2, self.steps, target.shape[1])
+        expert = self.imagination.expert(start.latent.features).clamp(-1, 1)
+        target = self.motors.least(start.a_h, expert)
+        steps = self.horizon if looks_on else self.steps
+        residuals = start.a_h.new_zeros(len(target), 3 if looks_on else 2, steps, target.shape[1])
         residuals[:, 1, 0] = target - start.a_h
-        return Look(target, self._scored(start, residuals, draws), draws)
+        if looks_on:
+            residuals[:, 2, 1:] = self._goes_on(start.a_h - expert)
+        scored = self._scored(start, residuals, draws)
+        futures = Scored(residuals[:, :2, : self.steps], scored.reward[:, :2], scored.cost[:, :2])
+        return Look(target, futures, scored.cost[:, -1 if looks_on else 0], draws)
+
+    def _goes_on(self, error: Tensor) -> Tensor:
+        """Return what is left of errors e [B, A] at the decisions behind this one: rho^k e,
+        [B, H - 1, A].
+        """
+        steps = torch.arange(1, self.horizon, device=error.device)
+        left = self.config.error_lasts**steps
+        return left.view(1, -1, 1) * error.unsqueeze(1)
 
     def _scored(
         self, start: Situation, residuals: Tensor, draws: Draws, *, both_critics: bool = False
@@ -286,6 +320,12 @@ class WASP:
         streams = self.noise.streams()
         everyone = torch.arange(len(a_h), device=a_h.device)
         start = self._situation(heldout.latent, a_h, everyone)
-        looks = [self._look(start.select(chunk), streams) for chunk in everyone.split(CHUNK)]
-        target, futures, draws = zip(*looks, strict=True)
-        return Look(torch.cat(target), Scored.joined(futures, along=0), draws[0])
+        # Single decisions have no history of errors, and the expert's own commands have none.
+        looks = [
+            self._look(start.select(chunk), streams, looks_on=False)
+            for chunk in everyone.split(CHUNK)
+        ]
+        target, futures, lasting, draws = zip(*looks, strict=True)
+        return Look(
+            torch.cat(target), Scored.joined(futures, along=0), torch.cat(lasting), draws[0]
+        )

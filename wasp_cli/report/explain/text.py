@@ -513,6 +513,17 @@ def _case(episode: Episode, case2: bool) -> str:
     )
 
 
+def _fired_on_an_error_that_goes_on(facts: Decision, plan: Planned, limit: float | None) -> bool:
+    """Return whether the command alone was predicted safe, but not with the operator's error at
+    the decisions behind it.
+    """
+    if facts.gate != "safety" or facts.safety is None:
+        return False
+    if plan.searched or plan.alone_cost is None:
+        return False
+    return exceeds(facts.safety.value, limit) and not exceeds(plan.alone_cost, limit)
+
+
 def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
     limit = episode.thresholds.tau_c
     sequences = [
@@ -539,11 +550,14 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
     # the futures that they compared.
     again = facts.gate == "safety" and plan.searched and episode.method != "printed"
     drawn = table(["predicted", "cost (G^c)", f"within τ_c {short(limit)}", "return (G^r)"], rows)
-    return [
-        "",
-        drawn,
-        *notes("the gate used other rollouts, so its G^c may differ" if again else ""),
-    ]
+    remarks = []
+    if again:
+        remarks.append("the gate used other rollouts, so its G^c may differ")
+    if _fired_on_an_error_that_goes_on(facts, plan, limit):
+        assert facts.safety is not None
+        ahead = short(facts.safety.value)
+        remarks.append(f"if the operator's error goes on, the command costs {ahead}")
+    return ["", drawn, *notes(*remarks)]
 
 
 def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
