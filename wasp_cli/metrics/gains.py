@@ -37,6 +37,7 @@ CLUSTERS = 6
 0 in one case of 32, and the bootstrap of five positive numbers is above 0 as well.
 """
 RESAMPLES = 1000
+BLOCK = 256  # predicted gains that are looked at together: all of them may need too much memory
 
 
 class Interval(NamedTuple):
@@ -123,7 +124,7 @@ def gain_bins(
 def mean_interval(values: Floats, cluster: NDArray[Any], *, resamples: int = RESAMPLES) -> Interval:
     """Return the interval of the mean of `values` [N] over resampled clusters [N]."""
     place, drawn = cluster_draws(cluster, resamples)
-    if not len(drawn):
+    if not len(drawn):  # a single cluster
         return Interval(math.nan, math.nan)
     totals, sizes = np.bincount(place, values), np.bincount(place)
     return Interval(*percentiles((drawn @ totals) / (drawn @ sizes)))
@@ -187,24 +188,38 @@ def holds_from(
         realised: [N].
         cluster: [N] the world of each.
         clusters: fewest in which these interventions have to be.
-        resamples: of these clusters.
+        resamples: of all clusters; those without any of these interventions are left out.
 
     Returns:
         One of the predicted gains; None where predictions hold from none of them.
     """
     order = np.argsort(predicted, kind="stable")
-    predicted, realised, cluster = predicted[order], realised[order], cluster[order]
-    for start in _first_of_each(predicted):
-        here = cluster[start:]
-        if len(np.unique(here)) < clusters:
-            return None
-        low = mean_interval(realised[start:], here, resamples=resamples).low
-        # the last bits of a sum differ between machines
-        if round(low, 12) > 0.0:
-            return float(predicted[start])
+    predicted, realised = predicted[order], realised[order]
+    place, drawn = cluster_draws(cluster[order], resamples)
+    rows = np.arange(len(predicted))
+
+    # What each cluster has from a row on: its gains, and how many interventions [N, K].
+    gains, sizes = np.zeros((2, len(rows), drawn.shape[1]))
+    gains[rows, place] = realised
+    sizes[rows, place] = 1.0
+    gains, sizes = (np.cumsum(each[::-1], 0)[::-1] for each in (gains, sizes))
+    enough = (sizes > 0).sum(1) >= clusters
+
+    # From the smallest predicted gain on, a block at a time.
+    candidates = np.flatnonzero((np.diff(predicted, prepend=-np.inf) > 0) & enough)
+    for block in np.split(candidates, range(BLOCK, len(candidates), BLOCK)):
+        for start, means in zip(block, _means(drawn, gains[block], sizes[block]), strict=True):
+            low, _ = percentiles(means[~np.isnan(means)])
+            # the last bits of a sum differ between machines
+            if round(low, 12) > 0.0:
+                return float(predicted[start])
     return None
 
 
-def _first_of_each(ascending: Floats) -> NDArray[np.intp]:
-    """The places where a value of an ascending list stands for the first time."""
-    return np.flatnonzero(np.diff(ascending, prepend=-np.inf) > 0)
+def _means(drawn: NDArray[np.int64], totals: Floats, sizes: Floats) -> Floats:
+    """[C, R] the means of C sets of interventions when their clusters count so often [R, K]; NaN
+    where none of them is drawn. `totals` and `sizes` are [C, K].
+    """
+    total, size = totals @ drawn.T, sizes @ drawn.T
+    means: Floats = np.divide(total, size, out=np.full(total.shape, np.nan), where=size > 0)
+    return means

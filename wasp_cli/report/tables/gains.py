@@ -125,7 +125,7 @@ def _notes(foresight: Foresight, trusted: Sequence[Trust]) -> Iterator[str]:
     if any(trust.interval is not None for trust in trusted):
         yield (
             f"[low, high]: the middle 95 % of {RESAMPLES} resamples of the worlds; they cover "
-            "other layouts, not retraining."
+            "other layouts, not retraining. Of two or three worlds they are their range."
         )
     for wrong in foresight.unread:
         yield f"Left out, since it does not read: {wrong}."
