@@ -35,6 +35,8 @@ from wasp_cli.report.figures import (
     severity_figure,
 )
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
+from wasp_cli.report.gains import Foresight, foresight_of
+from wasp_cli.report.gains_figure import gains_figure
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.render import (
     RENDERERS,
@@ -50,6 +52,7 @@ from wasp_cli.report.render import (
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
+from wasp_cli.report.tables.gains import gains_table
 from wasp_cli.report.tables.main import FURTHER, ablation_table, in_words, main_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
 from wasp_cli.report.trained import (
@@ -78,6 +81,7 @@ TABLES = (
     "training",
     "world_model",
     "statistics",
+    "gains",
     "operators",
     "severity",
     "autonomy",
@@ -119,6 +123,7 @@ class Report:
     # what else a reader of the tables has to know; `facts` has it too
     remarks: tuple[str, ...] = ()
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
+    branches: Mapping[CellIdentity, str] = field(default_factory=dict)  # keys of their branches
     # what somebody noted about the cells; `facts` says what is left out for it
     notes: tuple[Note, ...] = ()
     # of the paper's claims; None where nothing was evaluated
@@ -131,9 +136,18 @@ class Report:
         return None if self.judging is None else self.judging()
 
     @cached_property
+    def foresight(self) -> Foresight:
+        return foresight_of(self.layout, self.frame, self.keys, self.branches)
+
+    @cached_property
     def further(self) -> tuple[Table, ...]:
         paper = None if self.verdict is None else numbers_table(self.verdict)
-        made = (paper, comparison_table(self.frame), *(of(self.frame) for of in FURTHER))
+        made = (
+            paper,
+            comparison_table(self.frame),
+            gains_table(self.frame, self.foresight),
+            *(of(self.frame) for of in FURTHER),
+        )
         return tuple(table for table in made if table is not None and table.rows and table.columns)
 
     @property
@@ -185,7 +199,7 @@ class Report:
         # else what is there already is a person's
         ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
         figures = [] if redraw else self._kept(folder)
-        figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
+        figures = figures or self._drawn(folder)
         films = (
             ()
             if draw is None
@@ -214,6 +228,9 @@ class Report:
                 anew=ours,
             ),
         ]
+
+    def _drawn(self, folder: Path) -> list[Path]:
+        return draw_figures(self.layout, self.frame, self.trained, folder, self.foresight)
 
     def _kept(self, folder: Path) -> list[Path]:
         figures = [
@@ -317,10 +334,16 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(
-    layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path
+    layout: Layout,
+    frame: Frame,
+    trained: Sequence[Trained],
+    folder: Path,
+    foresight: Foresight | None = None,
 ) -> list[Path]:
     of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
     files = [path for draw in of_cells for path in draw(frame, folder)]
+    if foresight is not None:
+        files += gains_figure(frame, foresight, folder)
     for name, figure in (
         ("learning", draw_learning(layout, trained)),
         ("reliability", draw_reliability(layout, trained)),
@@ -421,6 +444,7 @@ def report_run(
         remarks=remarks,
         judging=partial(judge, frame, paper, spec) if paper is not None and judged else None,
         keys=keys,
+        branches={identity_of(cell): key for cell, key in branched},
         notes=tuple(notes),
     )
 
