@@ -49,7 +49,13 @@ class Moment(NamedTuple):
 def assistant(world: Fork) -> WASP:
     """Build WASP over a world that it knows, with the expert who steers around the hazard."""
     config = WASPConfig.model_validate(
-        {"horizon": HORIZON, "rollouts": 1, "tau_c": TAU_C, "tau_r": TAU_R}
+        {
+            "horizon": HORIZON,
+            "rollouts": 1,
+            "tau_c": TAU_C,
+            "tau_r": TAU_R,
+            "error_lasts": 1.0,
+        }
     )
     imagination = Imagination(world, NoCritics(), around(world), GAMMA_R, GAMMA_C, LAM)
     made = WASP(config, imagination, {}, UNKNOWN)
