@@ -36,6 +36,13 @@ from wasp_cli.report.figures import (
 )
 from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
+from wasp_cli.report.operating import (
+    Operating,
+    operating_figure,
+    operating_table,
+    read_operating,
+    silences,
+)
 from wasp_cli.report.render import (
     RENDERERS,
     cell_address,
@@ -84,6 +91,7 @@ TABLES = (
     "details",
     "latency",
     "thresholds",
+    "operating_points",
     "people",
     "questionnaires",
     "order",
@@ -121,6 +129,8 @@ class Report:
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
     # what somebody noted about the cells; `facts` says what is left out for it
     notes: tuple[Note, ...] = ()
+    # which settings of assistants were chosen on held-out worlds
+    operating: tuple[Operating, ...] = ()
     # of the paper's claims; None where nothing was evaluated
     judging: Callable[[], VerdictReport] | None = None
 
@@ -133,7 +143,12 @@ class Report:
     @cached_property
     def further(self) -> tuple[Table, ...]:
         paper = None if self.verdict is None else numbers_table(self.verdict)
-        made = (paper, comparison_table(self.frame), *(of(self.frame) for of in FURTHER))
+        made = (
+            paper,
+            comparison_table(self.frame),
+            operating_table(self.operating),
+            *(of(self.frame) for of in FURTHER),
+        )
         return tuple(table for table in made if table is not None and table.rows and table.columns)
 
     @property
@@ -185,7 +200,10 @@ class Report:
         # else what is there already is a person's
         ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
         figures = [] if redraw else self._kept(folder)
-        figures = figures or draw_figures(self.layout, self.frame, self.trained, folder)
+        figures = figures or [
+            *draw_figures(self.layout, self.frame, self.trained, folder),
+            *operating_figure(self.operating, folder),
+        ]
         films = (
             ()
             if draw is None
@@ -392,6 +410,10 @@ def report_run(
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
+    operating = _operating(layout, spec, keys)
+    silent = silences(operating)
+    if front and silent:
+        front[0] = replace(front[0], notes=(*front[0].notes, *silent))
     front += people_tables(sittings)
     front += [
         table for table in (ablation_table(frame), necessity_table(frame)) if table is not None
@@ -403,6 +425,7 @@ def report_run(
     facts = (
         *([people_fact(sittings)] if sittings else ()),
         *_facts(spec, frame),
+        *silent,
         *published,
         *remarks,
         *unknown,
@@ -422,7 +445,14 @@ def report_run(
         judging=partial(judge, frame, paper, spec) if paper is not None and judged else None,
         keys=keys,
         notes=tuple(notes),
+        operating=tuple(operating),
     )
+
+
+def _operating(layout: Layout, spec: Spec, keys: Mapping[CellIdentity, str]) -> list[Operating]:
+    """The operating points behind the cells of a spec; those of other specs have none."""
+    chosen = [key for cell, key in keys.items() if spec.chooses_point(cell.task, cell.method)]
+    return read_operating(layout, chosen)
 
 
 def wanted_cells(
