@@ -16,7 +16,7 @@ from wasp_cli.store.artifact import write_record
 
 WASP, IDA = "a" * 16, "b" * 16
 SENTENCE = (
-    "WASP is silent on SafetyPointGoal1: on held-out worlds no setting of it helped (operators "
+    "WASP is silent on Goal1: on held-out worlds no setting of it helped (operators "
     "alone: return 11.2, cost 5.1; the best setting: 7.3, 4.0)."
 )
 
@@ -108,7 +108,7 @@ def test_the_report_says_who_is_silent_and_has_table_and_figure(run, layout):
         assert f"operating_points.{ending}" in files
     for page in ("report.md", "report.html", "table1.tex"):
         text = (layout.root / "out" / page).read_text(encoding="utf-8")
-        assert "WASP is silent on SafetyPointGoal1" in text
+        assert "WASP is silent on Goal1" in text
         assert "IDA is silent" not in text
     table = (layout.root / "out" / "operating_points.csv").read_text()
     assert "silent, chosen" in table
