@@ -87,7 +87,7 @@ def test_its_costs_and_episodes_are_its_own(home):
 
 @pytest.mark.slow
 def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home):
-    assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
+    assert "0 computed, 16 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
     text = module.read_text(encoding="utf-8")
     module.write_text(
@@ -97,5 +97,5 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
         planned = wasp(home, "plan", "puddle.yaml", *SMALL)
     finally:
         module.write_text(text, encoding="utf-8")
-    assert re.search(r"total +14 +0 +0 +14", planned.stdout), planned.stdout
-    assert "puddle:Puddle-v0 s0 expert and 13 more: code changed: puddle\n" in planned.stdout
+    assert re.search(r"total +16 +0 +0 +16", planned.stdout), planned.stdout
+    assert "puddle:Puddle-v0 s0 expert and 15 more: code changed: puddle\n" in planned.stdout

@@ -33,10 +33,11 @@ from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import OPERATING, Grid, select
 from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.operating import read_point, silence
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -261,6 +262,11 @@ class Session:
             inputs, self.loaded.spec.returns, training_device(), motors=TASKS[cell.task].motors
         )
         block = Block(cell, method_config, self.loaded.spec.action_repeat, self.how, parts, desk)
+        operating = node.needs.get(OPERATING)
+        if operating is not None and cell.method != ALONE:
+            point = read_point(self.layout, operating.key)
+            if point is not None and point.silent:
+                plain(silence(point))  # here, and not on the page: a study is blind
         desk.world(block.hello())
         return block
 

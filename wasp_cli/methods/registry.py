@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from wasp_cli.config import Config
 from wasp_cli.errors import WaspError, did_you_mean
@@ -29,6 +29,31 @@ class Signal:
     """What a value must exceed for an intervention: a threshold of the rows (`tau_c`, `tau_r`,
     `tau_q`), or a field of the configuration whose value is a number; empty where there is no such
     limit."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """The one number that decides how often a method acts, and the values that the stage
+    `operating` tries.
+    """
+
+    symbol: str  # how people call it: `ratio`, `tau_r, times`
+    turns: Literal["setting", "threshold", "margin", "correction"]
+    """What a value is: `setting` the field `name` of the configuration, `threshold` a multiple of
+    the calibrated threshold `name`, `margin` the threshold `name` as a multiple of the calibrated
+    `margin_p95`, `correction` a multiple of every correction.
+    """
+    name: str  # of the field or of the threshold; empty for `correction`
+    values: tuple[float, ...]
+    written: tuple[str, ...] = ()
+    """Fields of the configuration that set the same by hand: where a spec writes one of them, the
+    method keeps it.
+    """
+
+    def __post_init__(self) -> None:
+        """Refuse a knob that cannot be turned."""
+        if not self.values or len(set(self.values)) < len(self.values):
+            raise ValueError(f"the knob '{self.symbol}' needs values, and each of them once")
 
 
 @dataclass(frozen=True)
@@ -69,6 +94,8 @@ class MethodInfo:
     # how it decides, in a sentence or two; `wasp explain`, the schema and the report print it
     rule: str = ""
     signal: Signal = Signal()  # what it decides by, where its records hold a signal
+    # how often it acts; None: it has one setting, which helps or does not
+    knob: Knob | None = None
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
@@ -163,6 +190,11 @@ _VOTE = Signal(
     "than τ_Q) to 1 (all do)",
     "vote",
 )
+_TIMES_MARGIN = Knob("tau_Q, times", "margin", "tau_q", (0.0, 0.5, 1.0, 2.0, 4.0), ("quantile",))
+_TIMES_COST = Knob(
+    "tau_c, times", "threshold", "tau_c", (0.25, 0.5, 1.0, 2.0, 4.0), ("tau_c", "quantile")
+)
+_TIMES_GAIN = (0.0, 0.25, 0.5, 1.0, 2.0)  # of tau_r
 _ABLATIONS: Mapping[str, str] = {
     "full": "full",
     "safety-only": "safety gate only",
@@ -196,6 +228,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "spec says otherwise) where an ensemble of Q "
             "functions votes for it.",
             signal=_VOTE,
+            knob=_TIMES_MARGIN,
         ),
         MethodInfo(
             "diffusion",
@@ -205,6 +238,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("denoiser",),
             rule="Diffusion has no gate: every command is blurred with noise and denoised "
             "towards what an expert would do.",
+            knob=Knob("ratio", "setting", "ratio", (0.1, 0.2, 0.4, 0.6, 0.8), ("ratio",)),
         ),
         MethodInfo(
             "saferl",
@@ -213,6 +247,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:SafeRLConfig",
             ("residual",),
             rule="SafeRL-Res has no gate: a trained policy adds its correction to every command.",
+            knob=Knob("correction, times", "correction", "", (0.25, 0.5, 0.75, 1.0, 1.5)),
         ),
         MethodInfo(
             "wasp",
@@ -226,6 +261,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             rule="WASP corrects the command if the command, followed by the expert, is "
             "predicted to cost more than τ_c, or else if a safe "
             "correction is predicted to gain more return than τ_r.",
+            knob=Knob("tau_r, times", "threshold", "tau_r", _TIMES_GAIN, ("tau_r", "tau_r_share")),
         ),
         MethodInfo(
             "printed",
@@ -240,6 +276,14 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             rule="WASP as printed imagines the operator's own rule: it plans a residual where "
             "the imagined cost exceeds τ_c, or else where "
             "the best of random plans gains more return than τ_r.",
+            knob=Knob(
+                # not tau_c: what a safety gate lets pass is no price for a return
+                "tau_r, times",
+                "threshold",
+                "tau_r",
+                _TIMES_GAIN,
+                ("tau_r", "tau_r_quantile"),
+            ),
         ),
         MethodInfo(
             "ida-guarded",
@@ -252,6 +296,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "predicted to cost more than τ_c, WASP's safety "
             "gate corrects it.",
             signal=_VOTE,
+            knob=_TIMES_MARGIN,
         ),
         MethodInfo(
             "ida-least",
@@ -263,6 +308,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             rule="IDA, but of all actions with the force of its copilot's the one closest to "
             "the command is executed.",
             signal=_VOTE,
+            knob=_TIMES_MARGIN,
         ),
         MethodInfo(
             "expert",
@@ -286,6 +332,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             signal=Signal(
                 "Q_c", "costly decisions to be expected of the command, discounted", "tau_c"
             ),
+            knob=_TIMES_COST,
         ),
         MethodInfo(
             "mpmi",
@@ -299,6 +346,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             signal=Signal(
                 "G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"
             ),
+            knob=_TIMES_COST,
         ),
         MethodInfo(
             "planner",
@@ -330,6 +378,13 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
                 "how far the safety value of the command falls short of γ times the safest "
                 "action's; above 0 it intervenes",
             ),
+            knob=Knob(
+                "gamma, times",
+                "threshold",
+                "gamma",
+                (0.25, 0.5, 0.75, 0.9, 1.0),
+                ("gamma", "quantile"),
+            ),
         ),
         MethodInfo(
             "csa",
@@ -339,6 +394,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("consistency",),
             rule="CSA has no gate: every command is taken for a noisy expert action and "
             "denoised in one step, without a draw.",
+            knob=Knob("ratio", "setting", "ratio", (0.1, 0.2, 0.4, 0.55, 0.69), ("ratio",)),
         ),
     ),
 )

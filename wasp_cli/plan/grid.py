@@ -42,6 +42,11 @@ CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another
 unit (`MethodInfo.own_thresholds`).
 """
+OPERATING = "operating"  # the stage that chooses an operating point before a cell is evaluated
+SILENT, ALONE = "human", "alone"
+"""The method that executes the commands as they are, and the name under which the operating points
+of all others read its held-out episodes.
+"""
 COUNTERFACTUAL = "counterfactual"  # the stage that runs for every cell whose method may intervene
 CLONE, FITTING = "clone", "wasp_cli.learning.clone"
 """The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which
@@ -181,6 +186,7 @@ class _Builder:
         self.settings = cache(self._settings)
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
+        self.operating = cache(self._operating)
         self.clone = cache(self._clone)
         self.assistant = cache(self._assistant)
 
@@ -224,14 +230,40 @@ class _Builder:
     def _assistant(self, task: str, chain: int, method: str, variant: str) -> Mapping[str, Node]:
         info = METHODS[method]
         needs = self._inputs("evaluate", task, chain, method, variant)
+        # Ablations share the operating point of what they ablate as they share its thresholds.
+        shared = variant if variant in info.own_thresholds else CALIBRATED_VARIANT
         if info.calibrated:
-            needs["calibration"] = self.calibration(
-                task,
-                chain,
-                method,
-                variant if variant in info.own_thresholds else CALIBRATED_VARIANT,
-            )
+            needs["calibration"] = self.calibration(task, chain, method, shared)
+        if self.spec.chooses_point(task, method):
+            needs[OPERATING] = self.operating(task, chain, method, shared)
         return needs
+
+    def _operating(self, task: str, seed: int, method: str, variant: str) -> Node:
+        info = METHODS[method]
+        drivers = self.config(OPERATING, task).values["operators"]
+        code = {method: info.target} | _operators(drivers)
+        axes = {
+            "method": method,
+            "method_config": self.method(method, variant, task).values,
+            **_plugins(code),
+        }
+        needs = self._inputs(OPERATING, task, seed, method, variant)
+        if method == SILENT:
+            label = f"{OPERATING} operators alone"
+            return self.node(OPERATING, task, seed, axes, needs, code, label, variant)
+        knob = self.spec.knob(task, method)
+        if knob is not None:
+            axes["knob"] = {
+                "symbol": knob.symbol,
+                "turns": knob.turns,
+                "name": knob.name,
+                "values": list(knob.values),
+            }
+        if info.calibrated:
+            needs["calibration"] = self.calibration(task, seed, method, variant)
+        needs[ALONE] = self.operating(task, seed, SILENT, CALIBRATED_VARIANT)
+        label = f"{OPERATING} {method if variant == CALIBRATED_VARIANT else f'{method}/{variant}'}"
+        return self.node(OPERATING, task, seed, axes, needs, code, label, variant)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         code = {method: METHODS[method].target}

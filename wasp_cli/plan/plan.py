@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from operator import itemgetter
@@ -16,13 +17,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 from wasp_cli.console import count_table, duration
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON, UNIMPAIRED
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import OPERATING, Grid
 from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.plan.unmeasured import guessed
-from wasp_cli.store.artifact import read_record
+from wasp_cli.store.artifact import read_manifest, read_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import printable
 from wasp_cli.store.slim import WITHOUT_STEPS
 
 if TYPE_CHECKING:
@@ -63,6 +65,8 @@ class Plan:
     borrowed: frozenset[str] = frozenset()
     """The sorts whose time is an estimate from other tasks or presets: nothing alike was measured.
     """
+    operating_points: Mapping[str, str] = field(default_factory=dict)
+    """By key of a node that has chosen one before, the operating point in words."""
     unmeasured: Mapping[str, int] = field(default_factory=dict)
     """By sort the decisions in an environment that nobody has measured: their time is in no
     estimate.
@@ -256,7 +260,18 @@ def plan_against(
         guessed=frozenset(alike),
         borrowed=frozenset(others.seconds),
         unmeasured=others.decisions,
+        operating_points=dict(_operating_points(plan, layout)),
     )
+
+
+def _operating_points(plan: Plan, layout: Layout) -> Iterator[tuple[str, str]]:
+    """What earlier runs have chosen, by key of the node that did."""
+    for step in plan.steps:
+        if step.node.kind != OPERATING or step.runs:
+            continue
+        with suppress(ArtifactError, LookupError, TypeError):
+            point = read_manifest(layout, OPERATING, step.node.key)["summary"]["operating_point"]
+            yield step.node.key, printable(str(point))
 
 
 def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
@@ -319,9 +334,16 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
     for line in (
         *plan.grid.notes,
         *(_every(plan) if every else _reasons(plan)),
+        *_chosen(plan),
         *_time(plan, workers),
     ):
         console.print(line, markup=False, soft_wrap=True)
+
+
+def _chosen(plan: Plan) -> list[str]:
+    """A line for each operating point that is known."""
+    labels = {step.node.key: step.node.label for step in plan.steps}
+    return [f"{labels[key]}: {point}" for key, point in plan.operating_points.items()]
 
 
 def _reasons(plan: Plan) -> list[str]:

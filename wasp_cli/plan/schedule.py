@@ -126,6 +126,7 @@ SIZES = {
     "world_model": "updates",
     "residual": "interactions",
     "evaluate": "episodes",
+    "operating": "episodes",
 }
 """By stage the setting that its time grows with."""
 SLOWEST = "wasp"
@@ -135,6 +136,8 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
     """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that
     stand for it, nearest first.
     """
+    if kind == "operating":  # its episodes take as long as those of an evaluation
+        kind = "evaluate"
     method, config = axes.get("method"), axes.get("method_config")
     if not method:
         return [f"{kind} {task}"]

@@ -22,7 +22,7 @@ from wasp_cli.tasks.registry import TASKS
 
 DRIVES = ("expert", "dataset", "residual")
 """Stages whose time grows with their decisions alone: they show how long one takes."""
-BY_LENGTH = ("evaluate", "heldout")
+BY_LENGTH = ("evaluate", "operating", "heldout")
 """Stages whose time grows with the decisions of an episode too."""
 GROWS_WITH = {**SIZES, "diagnostics": "starts"}
 """By stage the setting that its time grows with; that of the others grows with their updates."""

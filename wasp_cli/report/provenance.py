@@ -239,6 +239,8 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
     for method in spec.methods:
         info, config = METHODS[method], spec.method(method).model_dump(mode="json")
         needed += ["evaluate", *info.needs_of(config), *["calibration"] * info.calibrated]
+        if any(spec.chooses_point(task, method) for task in spec.tasks):
+            needed.append("operating")
     kinds: set[str] = set()
     while needed:
         if (kind := needed.pop()) not in kinds:

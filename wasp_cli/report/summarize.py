@@ -38,6 +38,13 @@ from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.gains import Foresight, foresight_of
 from wasp_cli.report.gains_figure import gains_figure
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
+from wasp_cli.report.operating import (
+    Operating,
+    operating_figure,
+    operating_table,
+    read_operating,
+    silences,
+)
 from wasp_cli.report.render import (
     RENDERERS,
     cell_address,
@@ -88,6 +95,7 @@ TABLES = (
     "details",
     "latency",
     "thresholds",
+    "operating_points",
     "people",
     "questionnaires",
     "order",
@@ -126,6 +134,8 @@ class Report:
     branches: Mapping[CellIdentity, str] = field(default_factory=dict)  # keys of their branches
     # what somebody noted about the cells; `facts` says what is left out for it
     notes: tuple[Note, ...] = ()
+    # which settings of assistants were chosen on held-out worlds
+    operating: tuple[Operating, ...] = ()
     # of the paper's claims; None where nothing was evaluated
     judging: Callable[[], VerdictReport] | None = None
 
@@ -146,6 +156,7 @@ class Report:
             paper,
             comparison_table(self.frame),
             gains_table(self.frame, self.foresight),
+            operating_table(self.operating),
             *(of(self.frame) for of in FURTHER),
         )
         return tuple(table for table in made if table is not None and table.rows and table.columns)
@@ -230,7 +241,10 @@ class Report:
         ]
 
     def _drawn(self, folder: Path) -> list[Path]:
-        return draw_figures(self.layout, self.frame, self.trained, folder, self.foresight)
+        return [
+            *draw_figures(self.layout, self.frame, self.trained, folder, self.foresight),
+            *operating_figure(self.operating, folder),
+        ]
 
     def _kept(self, folder: Path) -> list[Path]:
         figures = [
@@ -415,6 +429,10 @@ def report_run(
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):
         front[0] = replace(front[0], notes=(*front[0].notes, *late))
+    operating = _operating(layout, spec, keys)
+    silent = silences(operating)
+    if front and silent:
+        front[0] = replace(front[0], notes=(*front[0].notes, *silent))
     front += people_tables(sittings)
     front += [
         table for table in (ablation_table(frame), necessity_table(frame)) if table is not None
@@ -426,6 +444,7 @@ def report_run(
     facts = (
         *([people_fact(sittings)] if sittings else ()),
         *_facts(spec, frame),
+        *silent,
         *published,
         *remarks,
         *unknown,
@@ -446,7 +465,14 @@ def report_run(
         keys=keys,
         branches={identity_of(cell): key for cell, key in branched},
         notes=tuple(notes),
+        operating=tuple(operating),
     )
+
+
+def _operating(layout: Layout, spec: Spec, keys: Mapping[CellIdentity, str]) -> list[Operating]:
+    """The operating points behind the cells of a spec; those of other specs have none."""
+    chosen = [key for cell, key in keys.items() if spec.chooses_point(cell.task, cell.method)]
+    return read_operating(layout, chosen)
 
 
 def wanted_cells(

@@ -34,6 +34,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
+OPERATING_POINT = "operating_point"  # what the stage `operating` says in words
 POLL_SECONDS = 0.25
 NOTES = {
     "workers back": "workers are back; the run goes on",
@@ -181,10 +182,14 @@ def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> 
 
 def numbers(summary: Mapping[str, Any]) -> str:
     values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
-    return ", ".join(
+    told = [
         f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}"
         for name, value in values[:6]
-    )
+    ]
+    point = summary.get(OPERATING_POINT)
+    if isinstance(point, str):
+        told.insert(0, printable(point))
+    return ", ".join(told)
 
 
 BAR = 40

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from typing import Annotated, Any, Literal, get_args
@@ -26,13 +27,14 @@ from pydantic_core.core_schema import ErrorType
 from wasp_cli.config import Config, assumed
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs.shared import ReturnsConfig
-from wasp_cli.methods.registry import METHODS
+from wasp_cli.methods.registry import METHODS, Knob
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
+from wasp_cli.tasks.registry import TASKS
 
 Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
 Questionnaire = Literal["tlx", "assistance"]
@@ -212,6 +214,17 @@ class Spec(Config):
         description="settings that one task has of its own, over those of the sections, as task: "
         "{section: {field: value}}",
     )
+    operating_points: Literal["auto", "chosen", "given"] = Field(
+        default="auto",
+        description="chosen: each assistant is evaluated at the value of its knob that was best on "
+        "held-out worlds, or is silent where none helped; given: at the values of its section; "
+        "auto: chosen on tasks of one's own, given on those of this package",
+    )
+    by_hand: dict[names.TaskName, tuple[names.MethodName, ...]] | None = Field(
+        default=None,
+        description="by task, the assistants that keep the values of their sections although "
+        "operating points are chosen; null: those whose knob the spec writes",
+    )
     study: StudyConfig | None = Field(
         default=None,
         description="of people who drive the cells with `wasp drive SPEC`; not part of any key",
@@ -248,6 +261,26 @@ class Spec(Config):
             else tuple(variant for variant in self.variants if variant in known)
         )
 
+    def chooses_point(self, task: str, method: str) -> bool:
+        """Tell whether the operating point of a method on a task is chosen on held-out worlds: it
+        has to assist somebody, and the spec must not have set its knob.
+        """
+        if not METHODS[method].intervenes or method in (self.by_hand or {}).get(task, ()):
+            return False
+        if self.operating_points == "auto":
+            return task not in TASKS.own
+        return self.operating_points == "chosen"
+
+    def knob(self, task: str, method: str) -> Knob | None:
+        """Return the knob of a method with the values that are tried on a task; None where it has
+        none.
+        """
+        knob = METHODS[method].knob
+        if knob is None:
+            return None
+        asked: Mapping[str, tuple[float, ...]] = getattr(self.stage("operating", task), "values")  # noqa: B009  (a field of the section)
+        return replace(knob, values=asked.get(method, knob.values))
+
     def chain_seed(self, seed: int) -> int:
         return seed if self.training_seed is None else self.training_seed
 
@@ -256,6 +289,7 @@ class Spec(Config):
         refuse(
             _list_problems(self, recorded=bool((info.context or {}).get(RECORDED)))
             + _skill_problems(self)
+            + _knob_problems(self)
         )
         _check_tasks(self)
         _check_variants(self)
@@ -403,6 +437,24 @@ def _skill_problems(spec: Spec) -> list[Problem]:
     return problems
 
 
+def _knob_problems(spec: Spec) -> list[Problem]:
+    """Values may be given for assistants that have a knob, each value once."""
+    asked: Mapping[str, tuple[float, ...]] = getattr(spec, "operating").values  # noqa: B009  (a field of the built subclass)
+    turned = [name for name, info in METHODS.items() if info.knob is not None]
+    problems: list[Problem] = []
+    for method, values in asked.items():
+        place = ("operating", "values", method)
+        if method not in turned:
+            problems.append(
+                ((*place, "[key]"), unknown("assistant with a knob", method, turned), method)
+            )
+        for index, value in enumerate(values):
+            if value in values[:index]:
+                what = PydanticCustomError("repeated", "the value is listed twice", {})
+                problems.append(((*place, index), what, value))
+    return problems
+
+
 def method_sections() -> list[str]:
     return [name for name in METHODS if name not in STAGES]
 
@@ -481,7 +533,32 @@ def validate(document: Mapping[str, Any]) -> Spec:
         merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     )
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
-    return spec_type().model_validate_json(json.dumps(resolved), strict=True)
+    spec = spec_type().model_validate_json(json.dumps(resolved), strict=True)
+    if spec.by_hand is None:  # a record of the spec has every field, written or not
+        spec = spec.model_copy(update={"by_hand": _written_knobs(spec, document)})
+    return spec
+
+
+def _written_knobs(spec: Spec, document: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return by task the methods whose knob a document writes; what a preset says does not
+    count.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for task in spec.tasks:
+        sections = document, spec.by_task.get(task, {})
+        written = [name for name in METHODS if any(_writes_knob(part, name) for part in sections)]
+        if written:
+            found[task] = tuple(written)
+    return found
+
+
+def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:
+    knob, section = METHODS[method].knob, sections.get(method)
+    return (
+        knob is not None
+        and isinstance(section, Mapping)
+        and not set(knob.written).isdisjoint(section)
+    )
 
 
 def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:

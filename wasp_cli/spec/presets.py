@@ -79,6 +79,7 @@ _SMOKE: Document = {
     "reachability": {"updates": 10, "batch": 16, "hidden": 32},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
+    "operating": {"episodes": 2},
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},
     "ida-least": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
@@ -139,6 +140,7 @@ _QUICK: Document = {
     "reachability": {"updates": 800},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
+    "operating": {"episodes": 10},
     "counterfactual": {"most": 30},
     **dict.fromkeys(PLANNERS, _QUICK_SEARCH),
     "printed": {**_QUICK_SEARCH, "probe": 32, "rollouts": 1},

@@ -29,7 +29,7 @@ class EvaluateStage:
         import numpy as np
 
         from wasp_cli import seeds
-        from wasp_cli.learning.assistants import build_assistant, load_parts
+        from wasp_cli.learning.assistants import build_assistant, load_parts, operating_words
         from wasp_cli.learning.closed_loop import batches, run_episodes
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.evaluation import trajectories
@@ -127,10 +127,18 @@ class EvaluateStage:
             name: round(float(np.mean(numbers[column])), digits)
             for name, (column, digits) in shown.items()
         }
+        words = operating_words(method, parts)
+        point = {} if words is None else {"operating_point": words}
         # No column of a row: of episodes that were there already nothing is known.
-        return means | {
-            name: round(float(np.mean(counts)), 2) for name, counts in tallied.items() if not begin
-        }
+        return (
+            means
+            | point
+            | {
+                name: round(float(np.mean(counts)), 2)
+                for name, counts in tallied.items()
+                if not begin
+            }
+        )
 
 
 def thresholds_of(assistant: object) -> Any:

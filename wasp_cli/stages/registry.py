@@ -79,6 +79,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo(
             "calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3
         ),
+        StageInfo("operating", "wasp_cli.stages.operating:OperatingStage", "method", weight=2),
         StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
         StageInfo(
             "counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2

@@ -51,6 +51,7 @@ from wasp_cli.report.explain.layout import (
     table,
 )
 from wasp_cli.report.tables import who_title
+from wasp_cli.store.plain import printable
 from wasp_cli.tasks.registry import TASKS
 
 MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
@@ -113,8 +114,17 @@ def _cell(episode: Episode) -> list[tuple[str, str]]:
         ),
         ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
         ("method", rule or f"not described: see the documentation of '{method}'"),
+        *_operating_point(episode),
         ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
     ]
+
+
+def _operating_point(episode: Episode) -> Iterator[tuple[str, str]]:
+    """What was chosen for the assistant on held-out worlds, where anything was."""
+    point = episode.cell.setting("summary", "operating_point")
+    if isinstance(point, str):
+        why = ": no setting helped on held-out worlds, so that every command stands"
+        yield "operating point", printable(point) + (why if point == "silent" else "")
 
 
 def _cost_meaning(constants: Constants) -> str:

@@ -1,0 +1,27 @@
+"""An assistant of whose corrections a share, or a multiple, is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from wasp_cli.methods.base import Assistant, Decision
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import Operator
+
+
+class Scaled:
+    """a = clip(a^H + share (a' - a^H)), where a' is the action of the assistant."""
+
+    def __init__(self, assistant: Assistant, share: float) -> None:
+        self.assistant = assistant
+        self.share = share
+
+    def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
+        self.assistant.reset(rows, seeds)
+
+    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        decision = self.assistant.decide(latent, a_h, operator)
+        action = (a_h + self.share * (decision.action - a_h)).clamp(-1, 1)
+        return decision._replace(action=action)
