@@ -140,6 +140,7 @@ MISTAKES = {
     "operating: {values: {wasp: []}}": (8, "should not be empty"),
     "operating: {values: {human: [1]}}": (8, "unknown assistant with a knob 'human'"),
     "operating: {values: {wasp: [1, 1]}}": (8, "listed twice"),
+    "by_task: {goal1: {operating: {values: {human: [1]}}}}": (8, "assistant with a knob 'human'"),
     "operating: {operators: {noisy: [7]}}": (8, "should lie between"),
 }
 

@@ -6,13 +6,16 @@ import json
 import pytest
 from rich.console import Console
 
+from tests.report.explained import KEY, Invented, episode_text
 from tests.report.invented import invent, write_rows
 from wasp_cli.plan.grid import cells_of
+from wasp_cli.report.explain import read_episode
 from wasp_cli.report.operating import operating_figure, operating_table, read_operating, silences
 from wasp_cli.report.summarize import identity_of, report_run
 from wasp_cli.run.show import numbers
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import write_record
+from wasp_cli.store.find import FoundCell
 
 WASP, IDA = "a" * 16, "b" * 16
 SENTENCE = (
@@ -141,3 +144,12 @@ def test_nothing_is_drawn_of_nothing(tmp_path):
 def test_the_line_at_the_end_of_a_node_says_what_was_chosen():
     assert numbers({"operating_point": "silent", "return": 7.25}) == "silent, return 7.25"
     assert numbers({"return": 7.25}) == "return 7.25"
+
+
+@pytest.mark.parametrize("said", ["silent", "tau_r, times 0.5"])
+def test_explain_names_the_operating_point_of_a_cell(said, tmp_path):
+    made = Invented()
+    manifest = {**made.manifest(), "summary": {"operating_point": said}}
+    text = episode_text(read_episode(FoundCell(made.write(tmp_path), KEY, manifest), 0))
+    assert f"operating point {said}" in " ".join(text.split())
+    assert "operating point" not in episode_text(made.read(tmp_path))

@@ -439,19 +439,25 @@ def _skill_problems(spec: Spec) -> list[Problem]:
 
 def _knob_problems(spec: Spec) -> list[Problem]:
     """Values may be given for assistants that have a knob, each value once."""
-    asked: Mapping[str, tuple[float, ...]] = getattr(spec, "operating").values  # noqa: B009  (a field of the built subclass)
+    section = "operating"
+    asked: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [
+        ((section, "values"), getattr(spec, section).values)
+    ]
+    for task, sections in spec.by_task.items():
+        own = sections.get(section, {}).get("values")
+        if isinstance(own, Mapping):  # what has another form is reported elsewhere
+            asked.append((("by_task", task, section, "values"), own))
     turned = [name for name, info in METHODS.items() if info.knob is not None]
     problems: list[Problem] = []
-    for method, values in asked.items():
-        place = ("operating", "values", method)
-        if method not in turned:
-            problems.append(
-                ((*place, "[key]"), unknown("assistant with a knob", method, turned), method)
-            )
-        for index, value in enumerate(values):
-            if value in values[:index]:
-                what = PydanticCustomError("repeated", "the value is listed twice", {})
-                problems.append(((*place, index), what, value))
+    for place, by_method in asked:
+        for method, values in by_method.items():
+            if method not in turned:
+                what = unknown("assistant with a knob", method, turned)
+                problems.append(((*place, method, "[key]"), what, method))
+            for index, value in enumerate(values if isinstance(values, list | tuple) else ()):
+                if value in values[:index]:
+                    what = PydanticCustomError("repeated", "the value is listed twice", {})
+                    problems.append(((*place, method, index), what, value))
     return problems
 
 
