@@ -10,6 +10,7 @@ from wasp_cli.models.consistency import Consistency
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
+from wasp_cli.models.fallback import SafetyActor
 from wasp_cli.models.policy import (
     PrivilegedPolicy,
     Skills,
@@ -47,6 +48,7 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
         "denoiser",
         "consistency",
         "reachability",
+        "fallback",
         "residual",
         "calibration",
     )
@@ -97,6 +99,9 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(
         ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual
     )
+    save_weights(SafetyValue(**safety), folders["fallback"] / "safety.safetensors", **safety)
+    actor = {"features": model.feature_size, "action": 2, "hidden": [8]}
+    save_weights(SafetyActor(**actor), folders["fallback"] / "actor.safetensors", **actor)
     (folders["calibration"] / "calibration.json").write_text(
         json.dumps({"tau_r": 0.1, "tau_q": 0.0})
     )

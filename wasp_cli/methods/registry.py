@@ -332,6 +332,22 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ),
         ),
         MethodInfo(
+            "qcbf",
+            "Q-CBF filter",
+            "wasp_cli.methods.qcbf:QCBFFilter",
+            "wasp_cli.methods.configs:QCBFConfig",
+            ("fallback",),
+            calibrated=True,
+            rule="The Q-CBF filter keeps the command where its learned safety value Q is at least "
+            "γ times V, that of a learned fallback policy; else it executes the nearest "
+            "action of which that holds, or else the fallback's.",
+            signal=Signal(
+                "γ V - Q",
+                "how far the safety value of the command falls short of γ times the fallback's; "
+                "above 0 it intervenes",
+            ),
+        ),
+        MethodInfo(
             "csa",
             "CSA",
             "wasp_cli.methods.csa:CSA",

@@ -77,6 +77,7 @@ _SMOKE: Document = {
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "consistency": {"teacher_updates": 50, "updates": 50, "batch": 64, "width": 32, "depth": 2},
     "reachability": {"updates": 10, "batch": 16, "hidden": 32},
+    "fallback": {"updates": 10, "batch": 16, "hidden": 32},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
     "counterfactual": {"window": 4, "most": 3},
@@ -84,6 +85,7 @@ _SMOKE: Document = {
     "ida-least": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "reach": {"candidates": 8, "segment": 8, "quantile": 0.5},
+    "qcbf": {"steps": 4, "segment": 8, "quantile": 0.5},
     **dict.fromkeys(("wasp", "planner"), _SMOKE_SEARCH),
     "ida-guarded": {**_SMOKE_SEARCH, "vote": 0.0, "quantile": 0.5},
     "mpmi": {"candidates": 8, "rollouts": 1, "quantile": 0.5},
@@ -137,6 +139,7 @@ _QUICK: Document = {
     "denoiser": {"updates": 3000, "batch": 256},
     "consistency": {"teacher_updates": 1500, "updates": 2000, "batch": 256},
     "reachability": {"updates": 800},
+    "fallback": {"updates": 1500},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},
