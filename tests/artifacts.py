@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from wasp_cli.models.adversary import Adversary
 from wasp_cli.models.base import Latent
 from wasp_cli.models.consistency import Consistency
 from wasp_cli.models.critics import LatentCritics
@@ -49,6 +50,7 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
         "consistency",
         "reachability",
         "fallback",
+        "adversary",
         "residual",
         "calibration",
     )
@@ -102,6 +104,17 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(SafetyValue(**safety), folders["fallback"] / "safety.safetensors", **safety)
     actor = {"features": model.feature_size, "action": 2, "hidden": [8]}
     save_weights(SafetyActor(**actor), folders["fallback"] / "actor.safetensors", **actor)
+    disturbing = {
+        "deter": SIZES.deter,
+        "variables": SIZES.variables,
+        "classes": SIZES.classes,
+        "hidden": [8],
+    }
+    adversary = Adversary(**disturbing)
+    torch.nn.init.normal_(adversary.net[-1].weight)
+    adversary.radius.fill_(0.5)
+    adversary.threshold.fill_(100.0)
+    save_weights(adversary, folders["adversary"] / "adversary.safetensors", **disturbing)
     (folders["calibration"] / "calibration.json").write_text(
         json.dumps({"tau_r": 0.1, "tau_q": 0.0})
     )

@@ -275,6 +275,7 @@ SECTIONS = {
     "consistency": "consistency",
     "reachability": "reachability",
     "fallback": "fallback",
+    "adversary": "adversary",
     "judged": "heldout calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""

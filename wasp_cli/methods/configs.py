@@ -254,6 +254,12 @@ class WASPConfig(Config):
     initial_std: float = assumed(
         0.5, "standard deviation of the first residual distribution", gt=0.0
     )
+    adversary: Literal["none", "lucid"] = assumed(
+        "none",
+        "who disturbs the imagined transitions behind every cost that a gate reads; `lucid`: a "
+        "network of the stage `adversary`, within a calibrated budget",
+    )
+    adversary_budget: float = assumed(1.0, "share of that budget", ge=0.0)
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> WASPConfig:
@@ -313,12 +319,14 @@ class GuardedIDAConfig(IDAConfig, WASPConfig):
         "costly decision steps expected within H, discounted by gamma_c, above which the "
         "safety gate fires; nothing calibrates it",
     )
+    adversary: Literal["none"] = "none"
 
 
 class PlannerConfig(WASPConfig):
     """The planner alone: the settings of WASP's search, with tighter bounds than gates have."""
 
     variant: Literal["full"] = "full"
+    adversary: Literal["none"] = "none"
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
         0.1,
         "costly decision steps that a plan may be expected to have within H; who maximises "

@@ -220,6 +220,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
+            needs_with=(("adversary", "lucid", "adversary"),),
             calibrated=True,
             variants=_ABLATIONS,
             own_thresholds=("no-rollout",),

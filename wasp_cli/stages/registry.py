@@ -71,6 +71,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
         StageInfo("reachability", "wasp_cli.stages.reachability:ReachabilityStage", weight=7),
         StageInfo("fallback", "wasp_cli.stages.fallback:FallbackStage", weight=8),
+        StageInfo("adversary", "wasp_cli.stages.adversary:AdversaryStage", weight=8),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
