@@ -23,10 +23,11 @@ from wasp_cli.learning.configs.reachability import ReachabilityConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.learning.fallback import fallback_quality, train_fallback
+from wasp_cli.learning.foresight import foresight
 from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.nominal import heldout_rows
-from wasp_cli.learning.reachability import foresight, train_safety_value
+from wasp_cli.learning.reachability import train_safety_value
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Decision

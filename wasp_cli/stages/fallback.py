@@ -25,9 +25,9 @@ class FallbackStage:
         import torch
 
         from wasp_cli.learning.fallback import fallback_quality, train_fallback
+        from wasp_cli.learning.foresight import safety_quality
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.reachability import safety_quality
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills

@@ -11,7 +11,9 @@ class FallbackConfig(Config):
     """A safety critic and the actor that it judges, trained together as SAC trains them."""
 
     hidden: int = assumed(
-        128, "width of the two hidden layers, of critic and actor (the original has three of 256)"
+        128,
+        "width of the two hidden layers, of critic and actor (the original has three of 256)",
+        ge=1,
     )
     updates: int = assumed(3000, "gradient steps (the original has 12.8 million env steps)", ge=1)
     batch: int = assumed(
