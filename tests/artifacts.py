@@ -5,11 +5,13 @@ from pathlib import Path
 
 import torch
 
+from wasp_cli.models.adversary import Adversary
 from wasp_cli.models.base import Latent
 from wasp_cli.models.consistency import Consistency
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
+from wasp_cli.models.fallback import SafetyActor
 from wasp_cli.models.policy import (
     PrivilegedPolicy,
     Skills,
@@ -47,6 +49,8 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
         "denoiser",
         "consistency",
         "reachability",
+        "fallback",
+        "adversary",
         "residual",
         "calibration",
     )
@@ -97,6 +101,20 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(
         ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual
     )
+    save_weights(SafetyValue(**safety), folders["fallback"] / "safety.safetensors", **safety)
+    actor = {"features": model.feature_size, "action": 2, "hidden": [8]}
+    save_weights(SafetyActor(**actor), folders["fallback"] / "actor.safetensors", **actor)
+    disturbing = {
+        "deter": SIZES.deter,
+        "variables": SIZES.variables,
+        "classes": SIZES.classes,
+        "hidden": [8],
+    }
+    adversary = Adversary(**disturbing)
+    torch.nn.init.normal_(adversary.net[-1].weight)
+    adversary.radius.fill_(0.5)
+    adversary.threshold.fill_(100.0)
+    save_weights(adversary, folders["adversary"] / "adversary.safetensors", **disturbing)
     (folders["calibration"] / "calibration.json").write_text(
         json.dumps({"tau_r": 0.1, "tau_q": 0.0})
     )

@@ -34,6 +34,7 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
     "ida": [{"copilot": "diffusion"}],
     "diffusion": [{"last_noise": True}],
     "filter": [{"tau_c": 0.01}],
+    "wasp": [{"adversary": "lucid"}],
 }
 """Settings under which a method decides by other code."""
 CASES = [(name, variant, {}) for name in METHODS for variant in METHODS[name].variants]

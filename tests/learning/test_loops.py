@@ -18,13 +18,16 @@ from tests.learning.recordings import recording
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ResidualConfig
+from wasp_cli.learning.configs.fallback import FallbackConfig
 from wasp_cli.learning.configs.reachability import ReachabilityConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
+from wasp_cli.learning.fallback import fallback_quality, train_fallback
+from wasp_cli.learning.foresight import foresight
 from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.nominal import heldout_rows
-from wasp_cli.learning.reachability import foresight, train_safety_value
+from wasp_cli.learning.reachability import train_safety_value
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Decision
@@ -414,6 +417,33 @@ def test_training_finds_from_where_braking_comes_too_late():
     # Near the edge the fallback brakes.
     edge = features[(wanted == 0) & (features[:, 1].numpy() > 0.2) & (features[:, 0].numpy() > 0.2)]
     assert (value.fallback(edge)[0][:, 0] < 0).float().mean() > 0.8
+
+
+def test_actor_and_critic_find_together_from_where_braking_comes_too_late():
+    latents, action, cost = driven()
+    told = recording(LENGTHS)._replace(action=action, cost=cost)
+    torch.manual_seed(0)
+    config = FallbackConfig(
+        hidden=32, updates=700, batch=64, gamma=GAMMA, slow=0.1, learning_rate=3e-3
+    )
+    value, actor, curve = train_fallback(
+        Brakes(), Skills([1.0], 4, [4], 2), told, latents, config, 1, no_progress
+    )
+    assert curve[-1]["loss"] < 0.7 * curve[0]["loss"]
+    grid = [(x, v) for x in np.linspace(-0.5, 0.9, 12) for v in np.linspace(-0.2, 0.4, 8)]
+    features = torch.tensor([(x, v, 1.0, 0.0) for x, v in grid], dtype=torch.float32)
+    wanted = np.array([braked(x, v) for x, v in grid])
+    chosen = actor(features)
+    found = (1 - value(features, chosen.unsqueeze(1)).squeeze(1).numpy()) / 2
+    lost, saved = found[wanted > 0.8], found[wanted == 0]
+    assert np.mean(lost > 0.5) > 0.8
+    assert np.mean(saved < 0.5) > 0.9
+    assert np.abs(found - wanted).mean() < 0.15
+    # Near the edge the actor brakes, and is worth about what the safest extreme action is.
+    edge = (wanted == 0) & (features[:, 1].numpy() > 0.2) & (features[:, 0].numpy() > 0.2)
+    assert (chosen[edge][:, 0] < -0.5).float().mean() > 0.8
+    judged = fallback_quality(value, actor, features)
+    assert judged["actor"] == pytest.approx(judged["extreme"], abs=0.1)
 
 
 def test_the_figures_of_a_value_that_knows_and_of_one_that_does_not():

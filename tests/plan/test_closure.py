@@ -274,6 +274,8 @@ SECTIONS = {
     "baselines": "ida_q denoiser residual",
     "consistency": "consistency",
     "reachability": "reachability",
+    "fallback": "fallback",
+    "adversary": "adversary",
     "judged": "heldout calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""

@@ -164,6 +164,43 @@ class ReachConfig(Config):
     )
 
 
+class QCBFConfig(Config):
+    """Q-CBF filter: the action nearest to the command with Q >= gamma V, Q and the fallback policy
+    of the stage `fallback`.
+    """
+
+    gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
+        "calibrated",
+        "share of V that an action must keep (0.7 in the paper); `calibrated`: a quantile of "
+        "Q / V under the expert",
+    )
+    quantile: float = assumed(
+        0.95,
+        "share of the held-out decisions of the unimpaired expert after which nothing cost "
+        "within W whose command is to stand",
+        gt=0.0,
+        lt=1.0,
+    )
+    steps: int = assumed(
+        20,
+        "normalised gradient steps from the command (10 in the laboratory's code, for actions "
+        "that are never far)",
+        ge=0,
+    )
+    step: float = assumed(0.1, "length of such a step (.05 in that code)", gt=0.0)
+    segment: int = assumed(
+        32,
+        "points on the way to the fallback's action, and to where the steps led (2000 in the "
+        "paper, without what follows)",
+        ge=1,
+    )
+    halvings: int = assumed(
+        8,
+        "bisections between the first point that will do and the one before (10 in the code)",
+        ge=0,
+    )
+
+
 class SafeRLConfig(Config):
     """SafeRL-Res: the deterministic mean of the residual policy."""
 
@@ -225,6 +262,12 @@ class WASPConfig(Config):
     initial_std: float = assumed(
         0.5, "standard deviation of the first residual distribution", gt=0.0
     )
+    adversary: Literal["none", "lucid"] = assumed(
+        "none",
+        "who disturbs the imagined transitions behind every cost that a gate reads; `lucid`: a "
+        "network of the stage `adversary`, within a calibrated budget",
+    )
+    adversary_budget: float = assumed(1.0, "share of that budget", ge=0.0)
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> WASPConfig:
@@ -284,6 +327,7 @@ class GuardedIDAConfig(IDAConfig, WASPConfig):
         "costly decision steps expected within H, discounted by gamma_c, above which the "
         "safety gate fires; nothing calibrates it",
     )
+    adversary: Literal["none"] = "none"
 
 
 class PlannerConfig(WASPConfig):
@@ -291,6 +335,7 @@ class PlannerConfig(WASPConfig):
 
     variant: Literal["full"] = "full"
     error_lasts: float = assumed(0.0, "nobody commands, so no error can go on", ge=0.0, le=0.0)
+    adversary: Literal["none"] = "none"
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
         0.1,
         "costly decision steps that a plan may be expected to have within H; who maximises "

@@ -194,6 +194,9 @@ _TIMES_MARGIN = Knob("tau_Q, times", "margin", "tau_q", (0.0, 0.5, 1.0, 2.0, 4.0
 _TIMES_COST = Knob(
     "tau_c, times", "threshold", "tau_c", (0.25, 0.5, 1.0, 2.0, 4.0), ("tau_c", "quantile")
 )
+_TIMES_GAMMA = Knob(
+    "gamma, times", "threshold", "gamma", (0.25, 0.5, 0.75, 0.9, 1.0), ("gamma", "quantile")
+)
 _TIMES_GAIN = (0.0, 0.25, 0.5, 1.0, 2.0)  # of tau_r
 _ABLATIONS: Mapping[str, str] = {
     "full": "full",
@@ -255,6 +258,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
+            needs_with=(("adversary", "lucid", "adversary"),),
             calibrated=True,
             variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
@@ -378,13 +382,24 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
                 "how far the safety value of the command falls short of γ times the safest "
                 "action's; above 0 it intervenes",
             ),
-            knob=Knob(
-                "gamma, times",
-                "threshold",
-                "gamma",
-                (0.25, 0.5, 0.75, 0.9, 1.0),
-                ("gamma", "quantile"),
+            knob=_TIMES_GAMMA,
+        ),
+        MethodInfo(
+            "qcbf",
+            "Q-CBF filter",
+            "wasp_cli.methods.qcbf:QCBFFilter",
+            "wasp_cli.methods.configs:QCBFConfig",
+            ("fallback",),
+            calibrated=True,
+            rule="The Q-CBF filter keeps the command where its learned safety value Q is at least "
+            "γ times V, that of a learned fallback policy; else it executes the nearest "
+            "action of which that holds, or else the fallback's.",
+            signal=Signal(
+                "γ V - Q",
+                "how far the safety value of the command falls short of γ times the fallback's; "
+                "above 0 it intervenes",
             ),
+            knob=_TIMES_GAMMA,
         ),
         MethodInfo(
             "csa",

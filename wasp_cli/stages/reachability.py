@@ -24,9 +24,10 @@ class ReachabilityStage:
         """Train, then compare the values of what was executed with the costs that followed."""
         import torch
 
+        from wasp_cli.learning.foresight import safety_quality
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.reachability import safety_quality, train_safety_value
+        from wasp_cli.learning.reachability import train_safety_value
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills

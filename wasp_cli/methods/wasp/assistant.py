@@ -21,9 +21,11 @@ from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
+from wasp_cli.methods.wasp.adversary import Adversity, adversity_of
 from wasp_cli.methods.wasp.imagine import (
     Draws,
     Imagination,
+    Imagined,
     Scored,
     Situation,
     corrected,
@@ -46,12 +48,12 @@ CHUNK = 64  # held-out decisions that are looked at together
 
 def wasp(config: Config, parts: Parts) -> WASP:
     """Build WASP over the trained world model and critics."""
+    settings, imagination = cast(WASPConfig, config), imagination_of(parts)
+    adversity = None
+    if settings.adversary == "lucid":
+        adversity = adversity_of(parts, imagination, settings.adversary_budget)
     return WASP(
-        cast(WASPConfig, config),
-        imagination_of(parts),
-        parts.thresholds,
-        parts.motors,
-        parts.device,
+        settings, imagination, parts.thresholds, parts.motors, parts.device, adversity=adversity
     )
 
 
@@ -102,9 +104,12 @@ class WASP:
         thresholds: Mapping[str, float],
         motors: Motors,
         device: torch.device = CPU,
+        *,
+        adversity: Adversity | None = None,
     ) -> None:
         self.config = config
         self.imagination = imagination
+        self.adversity = adversity
         self.motors = motors
         self.device = device
         self.noise = DecisionNoise(device)
@@ -223,21 +228,29 @@ class WASP:
         return left.view(1, -1, 1) * error.unsqueeze(1)
 
     def _scored(
-        self, start: Situation, residuals: Tensor, draws: Draws, *, both_critics: bool = False
+        self, start: Situation, residuals: Tensor, draws: Draws, *, opposed: bool = True
     ) -> Scored:
         """Imagine candidates [B, N, L, A] and summarise them (Eq. 7-8): rewards with V_r behind
-        the horizon, costs within it.
+        the horizon, costs within it; these also under the adversary, where there is one and
+        `opposed` asks for it.
         """
-        imagined = self.imagination.roll(
-            start, residuals.shape[1], corrected(residuals, draws), draws
-        )
+        compose = corrected(residuals, draws)
+        imagined = self.imagination.roll(start, residuals.shape[1], compose, draws)
         models, keep = self.imagination, imagined.continues()
         reward = td_lambda(imagined.reward(), imagined.value_r(), models.gamma_r, models.lam, keep)
+        cost = self._cost_of(imagined)
+        if self.adversity is not None and opposed:
+            cost = self.adversity.raised(cost, start, compose, draws, self._cost_of)
+        return Scored(residuals, reward.mean(-1), cost)
+
+    def _cost_of(self, imagined: Imagined) -> Tensor:
+        """Return G^(c) [B, N] of imagined candidates: means over their rollouts."""
+        models, keep = self.imagination, imagined.continues()
         if self.single:
             cost = td_lambda(imagined.cost(), imagined.value_c(), models.gamma_c, models.lam, keep)
         else:
             cost = discounted_sum(imagined.cost(), models.gamma_c, keep)
-        return Scored(residuals, reward.mean(-1), cost.mean(-1))
+        return cost.mean(-1)
 
     def _search(self, start: Situation, look: Look, streams: Streams) -> Plan:
         config = self.config
@@ -248,7 +261,7 @@ class WASP:
         last = self.plan[start.rows]
         shifted = torch.cat([last[:, 1:], torch.zeros_like(last[:, :1])], 1)
         return search(
-            lambda residuals: self._scored(start, residuals, few),
+            lambda residuals: self._scored(start, residuals, few, opposed=False),
             lambda residuals: self._scored(start, residuals, fresh),
             torch.stack([look.futures.residuals[:, 1], shifted], 1),
             normals,
@@ -290,6 +303,7 @@ class WASP:
                 {},
                 self.motors,
                 self.device,
+                adversity=self.adversity,
             )
             rate = whole.calibrate(heldout, cost_ahead, operator, seed)["safety_rate"]
             self.tau_c = quantile(cost, 1.0 - rate)

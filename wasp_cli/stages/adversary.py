@@ -1,0 +1,84 @@
+"""The adversary of WASP's imagined rollouts, and its calibrated budget. Artifact:
+`adversary.safetensors` (+ .json), `curve.json`, `quality.json`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, cast
+
+from wasp_cli.learning.configs.adversary import AdversaryConfig
+from wasp_cli.stages.base import Job
+
+
+class AdversaryStage:
+    """See the module."""
+
+    kind = "adversary"
+    config = AdversaryConfig
+    settings: tuple[str, ...] = ("returns",)
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Calibrate the budget on the held-out episodes of the dataset, train within it, and
+        measure what it does to the imagined cost of the expert's held-out decisions.
+        """
+        import torch
+
+        from wasp_cli.learning.adversary import DENSITY_ROWS, calibrate, effect, train_adversary
+        from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.rounding import rounded
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.models.adversary import Adversary
+        from wasp_cli.models.policy import load_skills
+        from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
+        from wasp_cli.seeds import derive
+
+        config = cast(AdversaryConfig, job.config)
+        gamma_c = job.settings["returns"].gamma_c
+        model = load_world_model(job.inputs["world_model"])
+        latents = load_latents(job.inputs["latents"])
+        skills = load_skills(job.inputs["policies"])
+        recording = read_shards(job.inputs["dataset"], ["action", "first", "episode"])
+        held_out = recording.held_out(HELD_OUT)
+        sizes: dict[str, Any] = {
+            "deter": model.sizes.deter,
+            "variables": model.sizes.variables,
+            "classes": model.sizes.classes,
+            "hidden": [config.hidden, config.hidden],
+            "largest": config.largest,
+            "mass": config.mass,
+        }
+        torch.manual_seed(derive("adversary-weights", job.task, job.seed))
+        adversary = Adversary(**sizes)
+
+        # The budget, with the density as it is stored.
+        rows = torch.from_numpy(~held_out).nonzero().squeeze(1)
+        spread = rows[torch.linspace(0, len(rows) - 1, min(DENSITY_ROWS, len(rows))).long()]
+        adversary.learn_data(latents.at(spread).features)
+        adversary.whiten.copy_(adversary.whiten.half())
+        adversary.centre.copy_(adversary.centre.half())
+        seen = read_shards(job.inputs["dataset"], ["pixels", "first", "episode"], held_out)
+        kept = latents.rows(torch.from_numpy(held_out))
+        budget = calibrate(adversary, model, kept, seen, config.alpha)
+        del seen
+
+        stream = derive("adversary", job.task, job.seed)
+        curve = train_adversary(
+            adversary, model, skills, recording, latents, config, gamma_c, stream, job.progress
+        )
+        save_weights(rounded(adversary), job.out_dir / "adversary.safetensors", **sizes)
+        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+        heldout = load_heldout(job.inputs["heldout"])
+        stream = derive("adversary-effect", job.task, job.seed)
+        raised = effect(
+            adversary, model, skills, heldout.latent, heldout.a_h, config.horizon, gamma_c, stream
+        )
+        quality = {"budget": budget, "expert": raised}
+        (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
+        told = {**budget, **raised}
+        names = ("radius", "threshold", "covered", "cost_at_0", "cost_at_1")
+        return {name: round(told[name], 4) for name in names}
