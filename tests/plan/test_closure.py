@@ -277,6 +277,7 @@ SECTIONS = {
     "fallback": "fallback",
     "adversary": "adversary",
     "judged": "heldout calibration evaluate counterfactual",
+    "operating": "operating",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
 
@@ -294,6 +295,7 @@ def closures() -> dict[str, frozenset[str]]:
         "seeds": [0],
         "stages": training_stages(),
         "operators": {name: {"some": 0.25} for name in OPERATORS},
+        "operating_points": "chosen",
     }
     found: dict[str, frozenset[str]] = {}
     for node in lay_out(validate(document)).nodes:

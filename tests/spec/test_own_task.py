@@ -118,7 +118,8 @@ def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path)
     )
     (tmp_path / "my_env" / "tools.py").write_text("X = 1\n", encoding="utf-8")
     (tmp_path / "spec.yaml").write_text(
-        SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8"
+        SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]\noperating_points: chosen"),
+        encoding="utf-8",
     )
     asked = [{"puddle.py": each} for each in (text, "# a comment\n" + text, *changes)]
     done = subprocess.run(
