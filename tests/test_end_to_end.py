@@ -30,11 +30,11 @@ SPEC = """
 name: chain
 preset: smoke
 tasks: [goal1]
-methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter, reach, mpmi, planner]
+methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter, reach, qcbf, mpmi, planner]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
-stages: [diagnostics, counterfactual]
+stages: [diagnostics, adversary, counterfactual]
 action_repeat: 20                    # a fifth of the decisions of usual episodes, which are whole all the same
 dataset: {steps: 300}
 expert: {interactions: 500, evaluation_episodes: 1}
@@ -101,6 +101,7 @@ def test_methods_act_and_human_only_does_not(results):
         "saferl",
         "filter",
         "reach",
+        "qcbf",
         "wasp",
         "printed",
         "ida-guarded",
