@@ -119,7 +119,9 @@ def train_adversary(
     curve: list[dict[str, float]] = []
     recent: list[Tensor] = []
     # A disturbance of exactly none has no slope where the network's last layer is zero.
-    torch.nn.init.normal_(adversary.net[-1].weight, std=0.01, generator=source)
+    last = adversary.net[-1]
+    assert isinstance(last, torch.nn.Linear)
+    torch.nn.init.normal_(last.weight, std=0.01, generator=source)
     for update in range(config.updates):
         row = starts[torch.randint(len(starts), (config.batch,), generator=source)]
         now = latents.at(row)

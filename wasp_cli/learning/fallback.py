@@ -136,7 +136,8 @@ def _value_of(
     """Return Q [B] of actions that the actor draws."""
     normal = torch.randn(len(features), critic.extremes.shape[1], generator=source)
     drawn, _ = actor.sample(features, normal)
-    return critic(features, drawn.unsqueeze(1)).squeeze(1)
+    q: Tensor = critic(features, drawn.unsqueeze(1)).squeeze(1)
+    return q
 
 
 def _tried(

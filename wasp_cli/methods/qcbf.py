@@ -155,5 +155,6 @@ class QCBFFilter:
 
     def _good(self, features: Tensor, points: Tensor, wanted: Tensor) -> Tensor:
         """Return which of the points [B, 2, S, A] have Q >= what is wanted [B]: bool [B, 2, S]."""
-        q = self.value(features, points.flatten(1, 2)).unflatten(1, points.shape[1:3])
-        return q >= wanted.view(-1, 1, 1)
+        q = self.value(features, points.flatten(1, 2))
+        good: Tensor = q.unflatten(1, points.shape[1:3]) >= wanted.view(-1, 1, 1)
+        return good

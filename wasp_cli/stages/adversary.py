@@ -44,7 +44,7 @@ class AdversaryStage:
         skills = load_skills(job.inputs["policies"])
         recording = read_shards(job.inputs["dataset"], ["action", "first", "episode"])
         held_out = recording.held_out(HELD_OUT)
-        sizes = {
+        sizes: dict[str, Any] = {
             "deter": model.sizes.deter,
             "variables": model.sizes.variables,
             "classes": model.sizes.classes,
