@@ -102,6 +102,7 @@ def test_methods_act_and_human_only_does_not(results):
         "saferl",
         "filter",
         "reach",
+        "qcbf",
         "wasp",
         "printed",
         "ida-guarded",

@@ -134,13 +134,12 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(
 ) -> None:
     methods = (
         "methods: [human, ida, ida-least, ida-guarded, diffusion, csa, saferl, filter, reach, "
-        "mpmi, wasp, printed, planner, expert]"
+        "qcbf, mpmi, wasp, printed, planner, expert]"
     )
     spec, results = spec_with(tmp_path, methods, "methods: []"), tmp_path / "out"
-    spec.write_text(
-        spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"),
-        encoding="utf-8",
-    )
+    stages = "[diagnostics, adversary, counterfactual]"
+    text = spec.read_text(encoding="utf-8").replace(stages, "[critics]")
+    spec.write_text(text, encoding="utf-8")
     assert here("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in here("plan", spec, "--results", results).stdout
     done = here("run", spec, "--results", results, "-j", "0", code=0)
