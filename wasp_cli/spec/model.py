@@ -278,8 +278,8 @@ class Spec(Config):
         knob = METHODS[method].knob
         if knob is None:
             return None
-        asked: Mapping[str, tuple[float, ...]] = getattr(self.stage("operating", task), "values")  # noqa: B009  (a field of the section)
-        return replace(knob, values=asked.get(method, knob.values))
+        asked: Mapping[str, list[float]] = self.stage("operating", task).model_dump()["values"]
+        return replace(knob, values=tuple(asked.get(method, knob.values)))
 
     def chain_seed(self, seed: int) -> int:
         return seed if self.training_seed is None else self.training_seed
