@@ -153,7 +153,8 @@ def imagined_cost(
     """Return the discounted cost [R] of a command [R, A] and the expert afterwards, for Gumbel
     draws [H, R, Z].
     """
-    latent, action = start, command
+    latent = start
+    action = command
     weight = torch.ones(len(command))
     total = torch.zeros(len(command))
     for draws in noise:

@@ -22,7 +22,8 @@ from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
-OPERATING, POINT_FILE = "operating", "operating_point.json"  # the stage, and what it leaves
+OPERATING = "operating"  # the stage
+POINT_FILE = "operating_point.json"  # what it leaves
 
 
 def load_parts(
@@ -105,7 +106,8 @@ def build_turned(
     Args:
         knob: what it `turns` and the `name` of that, as in `methods.registry.Knob`.
     """
-    turns, name = knob["turns"], knob["name"]
+    turns = knob["turns"]
+    name = knob["name"]
     known = dict(parts.thresholds)
     if turns == "setting":
         return _built(method, {**resolved, name: value}, parts)

@@ -63,13 +63,16 @@ def train_fallback(
     source = generator(seed)
     windows = recording.window_starts(2)
     starts = torch.from_numpy(windows[~recording.held_out(HELD_OUT)[windows]])
-    action, cost = torch.from_numpy(recording.action), torch.from_numpy(recording.cost)
+    action = torch.from_numpy(recording.action)
+    cost = torch.from_numpy(recording.cost)
     keep = 1 - torch.from_numpy(recording.terminal)
     curve: list[dict[str, float]] = []
     recent: list[Tensor] = []
     for update in range(config.updates):
         row = starts[torch.randint(len(starts), (config.batch,), generator=source)]
-        now, then, did = latents.at(row), latents.at(row + 1), action[row + 1]
+        now = latents.at(row)
+        then = latents.at(row + 1)
+        did = action[row + 1]
         features = now.features
         for optimizer in optimizers:
             for group in optimizer.param_groups:

@@ -58,7 +58,8 @@ def foresight(
     """
     ahead = sums_ahead(cost, episode, AHEAD)
     known = ~np.isnan(ahead)
-    event, danger = ahead[known] > 0, -q[known]
+    event = ahead[known] > 0
+    danger = -q[known]
     found: dict[str, float | None] = {
         "decisions": float(len(event)),
         "costly": float(event.mean()) if len(event) else None,
@@ -67,7 +68,8 @@ def foresight(
         return found | {"auc": None, "ap": None}
     _, place, counts = np.unique(danger, return_inverse=True, return_counts=True)
     rank = (np.cumsum(counts) - (counts - 1) / 2)[place]  # ties share the mean of their ranks
-    positives, negatives = int(event.sum()), int((~event).sum())
+    positives = int(event.sum())
+    negatives = int((~event).sum())
     auc = (rank[event].sum() - positives * (positives + 1) / 2) / (positives * negatives)
     alarm = -q > np.quantile(danger[~event], 0.95)
     onsets = [

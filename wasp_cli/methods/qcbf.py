@@ -54,12 +54,16 @@ class QCBFFilter:
         """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the commands a_h [B, A], filtered where they do not keep gamma V; the signal is
+        gamma V - Q [B].
+        """
         features = latent.features
         fallback, value, now = self._values(features, a_h)
         lacking = self.gamma * value - now
         over = lacking > 0
         rows = chosen(over)
-        action, record = a_h.clone(), blank_record(len(a_h), device=a_h.device)
+        action = a_h.clone()
+        record = blank_record(len(a_h), device=a_h.device)
         if len(rows):
             nearest = self._nearest(features[rows], a_h[rows], fallback[rows], value[rows])
             action[rows] = torch.where(over[rows].unsqueeze(-1), nearest, a_h[rows])
@@ -112,10 +116,12 @@ class QCBFFilter:
         shares = torch.arange(1, count + 1, device=a_h.device) / count
         points = self._towards(a_h, ends, shares.expand(len(a_h), 2, count))  # [B, 2, S, A]
         good = self._good(features, points, wanted)
-        some, first = good.any(-1), good.to(torch.int8).argmax(-1)  # [B, 2]
+        some = good.any(-1)  # [B, 2]
+        first = good.to(torch.int8).argmax(-1)  # [B, 2]
 
         # Between it and the point before it: bisection.
-        high, low = (first + 1) / count, first / count
+        high = (first + 1) / count
+        low = first / count
         for _ in range(self.config.halvings):
             middle = (low + high) / 2
             met = self._good(features, self._towards(a_h, ends, middle.unsqueeze(-1)), wanted)
