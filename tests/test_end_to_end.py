@@ -148,7 +148,7 @@ def test_no_two_methods_have_the_same_rows(results):
         if variant == "full" and name not in ("expert", "ida-least", "ida-guarded")
     }
     actions = {name: str(read_steps(path)["a"].to_pylist()) for name, path in compared.items()}
-    assert len(set(actions.values())) == len(actions) == 11
+    assert len(set(actions.values())) == len(actions) == 12
 
 
 def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results):
