@@ -58,9 +58,9 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "return at least x, and that cost at "
     "most x; every operator and seed "
     "weighs the same.",
-    "operating_points": "Return and cost against the effective intervention rate on held-out "
-    "worlds: a mark for each value of an assistant's knob. The ring is the value that was chosen; "
-    "at a rate of 0 the assistant is silent.",
+    "operating_points": "What assistants change on held-out worlds, against how often they act: "
+    "return and cost beside those of the operators alone in the same worlds, a mark for each value "
+    "of a knob. The ring is what was chosen; at a rate of 0 the assistant is silent.",
     "learning": "Learning curves: what learns in the task, and "
     "the losses of the world model (means of "
     "neighbouring points).",

@@ -192,8 +192,10 @@ def _row(labels: tuple[str, ...], numbers: Sequence[float]) -> Row:
 
 
 def operating_figure(points: Sequence[Operating], folder: Path) -> list[Path]:
-    """Draw return and cost against the effective intervention rate, a column for each task and
-    training.
+    """Draw return and cost, beside those of the operators alone in the same worlds, against the
+    effective intervention rate: a column for each task and training.
+
+    As differences, since values that left the race early drove fewer worlds.
     """
     places = list(dict.fromkeys((point.task, point.seed) for point in points))
     if not places:
@@ -208,25 +210,24 @@ def operating_figure(points: Sequence[Operating], folder: Path) -> list[Path]:
             _curves(column[0], mine, "return_", "alone_return")
             _curves(column[1], mine, "cost", "alone_cost")
             column[1].set_xlabel("effective intervention rate")
-        panels[0, 0].set_ylabel("return (better: up)")
-        panels[1, 0].set_ylabel("cost (better: down)")
+        panels[0, 0].set_ylabel("return gained (better: up)")
+        panels[1, 0].set_ylabel("cost added (better: down)")
         legend(figure, panels[0], loc="outside right upper")
         return figure_files(figure, folder, NAME)
 
 
 def _curves(panel: Axes, points: Sequence[Operating], name: str, alone: str) -> None:
+    panel.axhline(0.0, color="#999999", linewidth=1, label="operators alone")
     for point in points:
         colour, marker = style_of(point.method)
         trials = sorted(point.trials, key=lambda trial: trial.effective)
         x = [trial.effective for trial in trials]
-        y = [getattr(trial, name) for trial in trials]
+        y = [getattr(trial, name) - getattr(trial, alone) for trial in trials]
         panel.plot(x, y, "-", marker=marker, markersize=4, color=colour, label=point.title)
-        ring: dict[str, Any] = {"markersize": 11, "markerfacecolor": "none", "color": colour}
-        if point.silent:
-            panel.plot(0.0, getattr(point.best, alone), "o", **ring)
-        for trial in trials:
+        ringed = [(0.0, 0.0)] if point.silent else []
+        for trial, place in zip(trials, zip(x, y, strict=True), strict=True):
             if not point.silent and trial.value == point.value:
-                panel.plot(trial.effective, getattr(trial, name), "o", **ring)
-    longest = max((each for point in points for each in point.trials), key=lambda t: t.episodes)
-    panel.axhline(getattr(longest, alone), color="#999999", linewidth=1, label="operators alone")
+                ringed.append(place)
+        for place in ringed:
+            panel.plot(*place, "o", markersize=11, markerfacecolor="none", color=colour)
     ruled(panel)
