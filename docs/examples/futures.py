@@ -5,7 +5,7 @@ compares at a decision, in a world with a known answer.
 
 A driver passes a round hazard too close: his command errs to the right of the expert's, and has
 done so since the start. One such command does no harm, since an expert would steer clear after it.
-If the error goes on, he drives through the hazard.
+If the error goes on, he grazes the hazard.
 """
 
 from __future__ import annotations

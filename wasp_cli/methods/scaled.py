@@ -19,9 +19,11 @@ class Scaled:
         self.share = share
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
+        """Begin new episodes in `rows` [B] (bool)."""
         self.assistant.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the decision of the assistant with its correction scaled, [B, A]."""
         decision = self.assistant.decide(latent, a_h, operator)
         action = (a_h + self.share * (decision.action - a_h)).clamp(-1, 1)
         return decision._replace(action=action)

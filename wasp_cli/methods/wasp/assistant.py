@@ -48,7 +48,8 @@ CHUNK = 64  # held-out decisions that are looked at together
 
 def wasp(config: Config, parts: Parts) -> WASP:
     """Build WASP over the trained world model and critics."""
-    settings, imagination = cast(WASPConfig, config), imagination_of(parts)
+    settings = cast(WASPConfig, config)
+    imagination = imagination_of(parts)
     adversity = None
     if settings.adversary == "lucid":
         adversity = adversity_of(parts, imagination, settings.adversary_budget)
