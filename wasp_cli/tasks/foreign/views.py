@@ -8,7 +8,7 @@ camera), or with 6 channels (front, then rear). It is the whole observation, or 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
@@ -56,7 +56,7 @@ class _Camera:
 
 @dataclass(frozen=True)
 class Views:
-    front: _Camera
+    front: _Camera | None  # None: nothing is drawn, and assistants see the vector `state`
     rear: _Camera | None
     # entry of the privileged vector; None: a coarse image and its change stand in for it
     privileged: str | None
@@ -66,12 +66,16 @@ class Views:
 
     @property
     def cameras(self) -> int:
-        """1 or 2."""
+        """0, 1 or 2."""
+        if self.front is None:
+            return 0
         return 2 if self.rear is not None or self.front.channels == 6 else 1
 
     def pixels(self, observation: Any) -> Pixels:
         """Return uint8 [6, 64, 64]: front, then rear, which is black where there is one camera."""
         out = np.zeros((6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
+        if self.front is None:
+            return out
         out[: self.front.channels] = self.front.images(observation)
         if self.rear is not None:
             out[3:] = self.rear.images(observation)
@@ -118,31 +122,30 @@ def views_of(space: gymnasium.Space[Any]) -> Views:
         space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
     )
     front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
-    if front is None:
+    if front is None and not any(_vector_size(spaces, entry) for entry in (PRIVILEGED, STATE)):
         raise TaskError(
             f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}"
         )
-    if front.channels == 6:
+    if front is None or front.channels == 6:
         rear = None
     elif rear is not None and rear.channels != 3:
         raise TaskError(f"its second image '{rear.entry}' has {rear.channels} channels, not 3")
-    sizes = {
-        entry: size
-        for entry in (PRIVILEGED, STATE)
-        if isinstance(box := spaces.get(entry), gymnasium.spaces.Box)
-        and (size := int(np.prod(box.shape)))
-    }
+    sizes = {entry: size for entry in (PRIVILEGED, STATE) if (size := _vector_size(spaces, entry))}
     privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
     state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
-    coarse = 2 * 3 * (2 if rear is not None or front.channels == 6 else 1) * COARSE * COARSE
-    return Views(
-        front,
-        rear,
-        privileged,
-        state,
-        sizes.get(privileged or "", coarse),
-        sizes.get(state or "", coarse),
+    views = Views(front, rear, privileged, state, 0, 0)
+    coarse = 2 * 3 * views.cameras * COARSE * COARSE
+    return replace(
+        views,
+        privileged_size=sizes.get(privileged or "", coarse),
+        state_size=sizes.get(state or "", coarse),
     )
+
+
+def _vector_size(spaces: Mapping[Any, gymnasium.Space[Any]], entry: str) -> int:
+    """The number of values of an entry that is a vector, or any array; 0 where it is not."""
+    space = spaces.get(entry)
+    return int(np.prod(space.shape)) if isinstance(space, gymnasium.spaces.Box) else 0
 
 
 def _entry(observation: Any, entry: str) -> Any:
