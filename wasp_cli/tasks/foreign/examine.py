@@ -18,6 +18,7 @@ from gymnasium.envs.registration import EnvSpec
 from wasp_cli.errors import TaskError, UnknownName, WaspError, described, did_you_mean
 from wasp_cli.registry import import_here, remedy
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.declared import declaration_of, text_of
 from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
 from wasp_cli.tasks.foreign.calls import GymEnv, of_environment
 from wasp_cli.tasks.foreign.closing import close
@@ -68,13 +69,15 @@ def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
     # What modules and environments print as they start must not get between the lines of a plan
     # that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
-        if name not in _known:
-            _known[name] = _examined(name, tasks)
-        return _known[name]
+        meant = (name, text_of(declaration_of(name)))
+        if meant not in _known:
+            _known[meant] = _examined(name, tasks)
+        return _known[meant]
 
 
-_known: dict[str, Facts] = {}
-"""What was found of the environments that were examined in this process."""
+_known: dict[tuple[str, str], Facts] = {}
+"""What was found of the environments that were examined in this process, by name and
+declaration."""
 
 
 def _examined(name: str, tasks: Iterable[str]) -> Facts:
@@ -102,7 +105,7 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
     views = views_of(env.observation_space)
     sources = _try_steps(env, views)
     points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
-    named = [name.rpartition(":")[0], *map(_entry_module, points)]
+    named = [registered_as(name).rpartition(":")[0], *map(_entry_module, points)]
     modules = list(dict.fromkeys(filter(None, named)))
     files, others = own_files(watch, modules)
     assets = attribute(env, "assets")
@@ -124,13 +127,17 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
     )
 
 
-@cache
 def require_two(name: str) -> None:
     """Refuse an environment whose instances are not independent: two are stepped side by side.
 
     Raises:
         TaskError: an episode depends on other episodes, or on another instance.
     """
+    _require_two(name, text_of(declaration_of(name)))
+
+
+@cache
+def _require_two(name: str, declared: str) -> None:
     with (
         contextlib.redirect_stdout(sys.stderr),
         made(name) as one,
@@ -140,12 +147,18 @@ def require_two(name: str) -> None:
         require_independent(one, other, FIRST_STEPS)
 
 
+def registered_as(name: str) -> str:
+    """Return the gymnasium id of a task, with its module: its own name, or what is declared."""
+    declaration = declaration_of(name)
+    return name if declaration is None else declaration.id
+
+
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     """Return the registration of an id; the module before the colon is imported first, and
     registers it.
     """
     mark()  # what the module starts as it is imported, too
-    module, _, gym_id = name.rpartition(":")
+    module, _, gym_id = registered_as(name).rpartition(":")
     before = set(gymnasium.registry)
     if module:
         try:
@@ -198,6 +211,9 @@ def make_env(name: str) -> GymEnv:
     replaces.
     """
     spec = copy.copy(find_spec(name))
+    declaration = declaration_of(name)
+    if declaration is not None:
+        spec.kwargs = {**spec.kwargs, **declaration.make}
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
         env: GymEnv = gymnasium.make(spec)
