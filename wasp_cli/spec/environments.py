@@ -6,6 +6,7 @@ is reported where the file has it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args
@@ -17,6 +18,7 @@ from pydantic_core.core_schema import ErrorType
 from wasp_cli.tasks.declared import Declaration, declare
 from wasp_cli.tasks.registry import TASKS, is_foreign
 
+KEY = "[key]"  # how pydantic ends the place of a key
 TASKS_KEY, FIELD = "tasks", "environments"
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 
@@ -37,7 +39,7 @@ def drawn_apart(document: Mapping[str, Any]) -> Apart:
         what = PydanticCustomError(
             "extra_forbidden", "a file has no '{key}'", {"key": FIELD, "hint": "write it in tasks"}
         )
-        problems.append(((FIELD, "[key]"), what, FIELD))
+        problems.append(((FIELD, KEY), what, FIELD))
     tasks = document.get(TASKS_KEY)
     if not isinstance(tasks, list):
         return Apart(dict(document), {}, tuple(problems))
@@ -61,8 +63,17 @@ def drawn_apart(document: Mapping[str, Any]) -> Apart:
         entries.setdefault(name, number)
     for name in names:
         if isinstance(name, str):
-            declare(name, None)  # what another spec has said of it counts no more
+            # what another spec has said of it counts no more
+            declare(name, _read(declared[name]) if name in declared else None)
     return Apart({**document, TASKS_KEY: names, FIELD: declared}, entries, tuple(problems))
+
+
+def _read(entry: Mapping[str, Any]) -> Declaration | None:
+    """Return an entry as a declaration; None where something is wrong, which the spec reports."""
+    try:
+        return Declaration.model_validate_json(json.dumps(entry), strict=True)
+    except ValidationError:
+        return None
 
 
 def _name(entry: Mapping[str, Any], number: int) -> str:
@@ -86,6 +97,8 @@ def placed(error: ValidationError, apart: Apart) -> ValidationError:
             loc = (TASKS_KEY, apart.entries[str(loc[1])], *loc[2:])
         elif loc[:1] == (TASKS_KEY,) and len(loc) > 1 and each["input"] in wrong:
             continue  # it cannot be found as long as its entry is wrong
+        elif loc[0] == "by_task" and KEY in loc and str(each["input"]) in apart.entries:
+            continue  # the same, and it is said at the entry
         elif each["type"] == "repeated" and loc == (TASKS_KEY,) and apart.problems:
             continue  # that is said at the entry
         moved.append(_again(each, loc))
