@@ -238,7 +238,7 @@ def _registering(module: str, gym_id: str, own: Sequence[str]) -> str:
     return hint.replace(" '", f" '{module}:") if own else hint
 
 
-def make_env(name: str, renders: bool = False) -> GymEnv:
+def make_env(name: str, renders: bool = False, draws: bool = False) -> GymEnv:
     """Make one environment without gymnasium's own time limit and checks, which the task
     replaces. Its info tells cost and success as `calls.step` reads them, and it has `snapshot` and
     `restore`.
@@ -246,6 +246,7 @@ def make_env(name: str, renders: bool = False) -> GymEnv:
     Args:
         name: of the task.
         renders: whether its image is looked at; where that is drawn, drawing costs time.
+        draws: whether `render()` is called, whatever assistants see.
 
     Raises:
         TaskError: it cannot be made.
@@ -256,8 +257,9 @@ def make_env(name: str, renders: bool = False) -> GymEnv:
     arguments: dict[str, Any] = {}
     if declaration is not None:
         arguments = dict(declaration.make)
-        if renders and declaration.image == RENDER:
-            arguments.setdefault("render_mode", "rgb_array")
+        draws |= renders and declaration.image == RENDER
+    if draws:
+        arguments.setdefault("render_mode", "rgb_array")
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
         with warnings.catch_warnings():
