@@ -59,7 +59,7 @@ class GymTask:
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
-        # 1, or 2; the image of a rear camera that is not there is black
+        # 0: assistants see the state; 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
         self._envs: list[GymEnv] = opened(self, name)
@@ -171,7 +171,7 @@ class GymTask:
 
     def _observation(self) -> Observation:
         return Observation(
-            self._pixels.copy() if "pixels" in self.observe else None,
+            self._pixels.copy() if "pixels" in self.observe and self.cameras else None,
             self._state.copy() if "state" in self.observe else None,
             self._privileged.copy() if "privileged" in self.observe else None,
         )
