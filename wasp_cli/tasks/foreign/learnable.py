@@ -51,7 +51,7 @@ class Driven:
     lengths: list[int] = field(default_factory=list)  # env steps
     returns: list[float] = field(default_factory=list)
     rewards: set[float] = field(default_factory=set)  # of single steps; at most a few are kept
-    seen: set[int] = field(default_factory=set)  # hashes of what was seen; at most a few
+    images: set[int] = field(default_factory=set)  # hashes of what was seen; at most a few
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
         drivers = _drivers(one, steps)
         driven = [_driven(label, one, steps, drivers[label], facts) for label in drivers]
         info = _told(one)
-    problems = list(_problems(driven, indifferent, action_repeat, facts.views.cameras))
+    problems = list(_problems(driven, indifferent, action_repeat))
     notes = list(_notes(driven, facts, info, worlds, restored, action_repeat))
     return Findings(problems, notes, _summary(driven))
 
@@ -134,8 +134,8 @@ def _episode(
         met.costly += done.cost > 0
         if len(met.rewards) < 3:
             met.rewards.add(done.reward)
-        if len(met.seen) < 3:
-            met.seen.add(hash(facts.views.shown(done.seen).tobytes()))
+        if len(met.images) < 3:
+            met.images.add(hash(facts.views.pixels(done.seen).tobytes()))
         if done.terminated or done.truncated or length == facts.env_steps:
             met.lengths.append(length)
             met.returns.append(total)
@@ -167,13 +167,11 @@ def _told(env: GymEnv) -> frozenset[str]:
     return frozenset(map(str, info))
 
 
-def _problems(
-    driven: list[Driven], indifferent: bool, action_repeat: int, cameras: int
-) -> list[tuple[str, str]]:
+def _problems(driven: list[Driven], indifferent: bool, action_repeat: int) -> list[tuple[str, str]]:
     steps = sum(each.steps for each in driven)
     costly = sum(each.costly for each in driven)
     lengths = [length for each in driven for length in each.lengths]
-    seen = set().union(*(each.seen for each in driven))
+    images = set().union(*(each.images for each in driven))
     who = f"{steps} env steps of random, held and middle commands"
     problems = []
     if costly == 0:
@@ -200,12 +198,11 @@ def _problems(
                 "look at what ends an episode, or lower action_repeat",
             )
         )
-    if len(seen) == 1:
-        what = "image" if cameras else "state"
+    if len(images) == 1:
         problems.append(
             (
-                f"its {what} is the same in {who}",
-                f"show the state that step leads to: the {what} is all that an assistant sees",
+                f"its image is the same in {who}",
+                "draw the state that step leads to: the image is all that an assistant sees",
             )
         )
     if indifferent:

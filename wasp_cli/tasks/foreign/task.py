@@ -59,7 +59,7 @@ class GymTask:
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
-        # 0: assistants see the state; 1, or 2; the image of a rear camera that is not there is black
+        # 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
         self._envs: list[GymEnv] = opened(self, name)

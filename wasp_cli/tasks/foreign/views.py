@@ -81,12 +81,6 @@ class Views:
             out[3:] = self.rear.images(observation)
         return out
 
-    def shown(self, observation: Any) -> Pixels | Floats:
-        """Return what assistants see: images [6, 64, 64], or the vector [S]."""
-        if self.front is None and self.state is not None:
-            return self.vector(observation, self.state)
-        return self.pixels(observation)
-
     def check(self, observation: Any) -> None:
         for camera in (self.front, self.rear):
             if camera is not None:
