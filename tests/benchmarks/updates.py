@@ -41,6 +41,7 @@ def wasp(report: Any) -> None:
         "first": (flags == 0).astype(np.float32),
         "episode": (np.arange(ROWS) // 200).astype(np.int32),
     }
+    columns.pop("state", None)  # images are what it sees
     recording, rows = Recording(**columns), np.arange(ROWS)
     config = WorldModelConfig(batch=BATCH, length=LENGTH, updates=10**6, checkpoint_every=10**9)
     model = learning.build(config, 2)

@@ -197,10 +197,10 @@ class Film:
 def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     data, rows = recording((12, 20)), Rows(np.arange(32))
     starts = judge.spread_starts(data, 4, 11)
-    perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)
+    perfect = judge.judged_observations(Film(data), data, rows, starts, 4, 2, 0)
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
     assert [row["image_explained"] for row in perfect] == pytest.approx([1] * 4)
-    late = judge.judged_images(Film(data, lag=1), data, rows, starts, 4, 1, 0)
+    late = judge.judged_observations(Film(data, lag=1), data, rows, starts, 4, 1, 0)
     assert late[0]["image_over_copy"] == pytest.approx(1.0), (
         "one step late is a copy at the first step"
     )

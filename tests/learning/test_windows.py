@@ -33,7 +33,7 @@ def test_sampled_sequences_begin_without_a_past_and_hold_costs():
     data.cost[:] = 0
     data.cost[137] = 1
     window = Windows(data, np.arange(400), 10, 0.5).sample(8, generator(0))
-    assert window.batch.pixels.shape == (8, 10, 6, 64, 64)
+    assert window.batch.seen.shape == (8, 10, 6, 64, 64)
     assert (window.batch.cost[:4].sum(1) == 1).all()
     assert (window.rows == window.rows[:, :1] + torch.arange(10)).all()
     assert np.array_equal(window.batch.first.numpy(), data.first[window.rows.numpy()])
@@ -94,7 +94,7 @@ def test_what_followed_is_looked_up_to_the_end_of_the_episode():
                     data.cost[row + 1 + k],
                 )
         if n < 50 and ahead.within[n, k := int(ahead.shown[n])]:
-            assert np.array_equal(ahead.pixels[n].numpy(), data.pixels[row + 1 + k])
+            assert np.array_equal(ahead.seen[n].numpy(), data.pixels[row + 1 + k])
     assert met == {0, 1, 2, 3, 4, 5}
     assert int((window.rows[ahead.row, ahead.step] + 5 > window.rows[ahead.row, -1]).sum()) > 0, (
         "some lie behind their window"
@@ -111,7 +111,7 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them():
         zip(window.rows.numpy(), window.mirrored.tolist(), strict=True)
     ):
         side, sign = (slice(None, None, -1), -1) if turned else (slice(None), 1)
-        assert np.array_equal(window.batch.pixels[b].numpy(), data.pixels[rows][..., side])
+        assert np.array_equal(window.batch.seen[b].numpy(), data.pixels[rows][..., side])
         assert np.array_equal(window.batch.action[b].numpy(), data.action[rows] * [1, sign])
         assert np.array_equal(window.batch.reward[b].numpy(), data.reward[rows])
         assert np.array_equal(window.memory[b].numpy(), rows + 70 * turned)
@@ -120,7 +120,7 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them():
         k = int(ahead.shown[n])
         if ahead.within[n, k]:
             side, sign = (slice(None, None, -1), -1) if turned else (slice(None), 1)
-            assert np.array_equal(ahead.pixels[n].numpy(), data.pixels[begin + 1 + k][..., side])
+            assert np.array_equal(ahead.seen[n].numpy(), data.pixels[begin + 1 + k][..., side])
             assert np.array_equal(
                 ahead.action[n, k].numpy(), data.action[begin + 1 + k] * [1, sign]
             )
@@ -154,7 +154,7 @@ def test_an_imagined_rollout_is_scored_as_its_steps_are():
                         * (model.reward(here) - ahead.reward[n, k]).square().item()
                     )
                     if n < 2 and k == ahead.shown[n]:
-                        true = ahead.pixels[n] / 255.0
+                        true = ahead.seen[n] / 255.0
                         images.append(
                             (model.decoder(here.features)[0] + model.mean_image - true)
                             .square()

@@ -95,7 +95,7 @@ def test_the_cost_is_calibrated_where_its_probability_varies():
 
 def test_filtering_is_deterministic_and_forgets_at_an_episode_start():
     world = model().eval()
-    pixels = batch().pixels[:, 0]
+    pixels = batch().seen[:, 0]
     with torch.inference_mode():
         once, twice = (
             world.filter(world.initial(2), torch.zeros(2, 2), pixels, torch.ones(2))

@@ -76,7 +76,7 @@ def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Eva
     assert sorted(shown) == [0, 3, 7]
     for t in range(8):
         if t in shown:
-            np.testing.assert_array_equal(shown[t].pixels, seen.pixels[EPISODE])
+            np.testing.assert_array_equal(shown[t].seen, seen.pixels[EPISODE])
             np.testing.assert_array_equal(shown[t].start.a_h, recorded.a_h[EPISODE][t])
             with torch.inference_mode():
                 np.testing.assert_array_equal(

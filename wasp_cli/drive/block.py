@@ -31,7 +31,7 @@ from wasp_cli.drive.desk import (
     Frame,
     action_of,
 )
-from wasp_cli.drive.view import Futures, WorldView, camera_bytes, short
+from wasp_cli.drive.view import Eyes, Futures, WorldView, short
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
@@ -45,6 +45,7 @@ from wasp_cli.plan.node import Cell
 from wasp_cli.report.explain import GATES
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import stick
 
 ALONE = "human"  # the method without an assistant: nobody can be late
@@ -118,9 +119,10 @@ class Block:
     ) -> None:
         self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
         self.task: VectorTask = make_task(
-            cell.task, 1, action_repeat=action_repeat, observe=("pixels",)
+            cell.task, 1, action_repeat=action_repeat, observe=(seen_of(cell.task),)
         )
         self.view = WorldView(self.task)
+        self.eyes = Eyes(self.task)
         self.period = self.task.decision_seconds / how.speed
         self.assistant = build_assistant(cell.method, method_config, parts)
         self.operator = PersonOperator(
@@ -158,7 +160,7 @@ class Block:
             "shown": [name for name in SHOWN if name in self.how.shown],
             "period_ms": 1000 * self.period,
             "speed": self.how.speed,
-            "cameras": getattr(self.task, "cameras", 2),
+            **self.eyes.said,
             "map": self.view.still if "map" in self.how.shown else None,
             "decisions": self.task.max_decisions,
             "seconds": self.task.max_decisions * self.period,
@@ -258,6 +260,7 @@ class _Running:
     def reset(self, method_seed: int) -> None:
         block = self.block
         self._seen = block.task.reset([self.layout])
+        block.eyes.begin()
         self._filter = Filter(block.parts.world_model, 1)
         block.operator.reset(torch.ones(1, dtype=torch.bool))
         block.assistant.reset(torch.ones(1, dtype=torch.bool), [method_seed])
@@ -367,7 +370,7 @@ class _Running:
                 header |= {"executed": None if done is None else short(done), "gate": fired}
                 header["corrected"] = bool((decision.action != a_h).any())
         self.frames.append(header)
-        block.desk.show(Frame(header, camera_bytes(self._seen) if "cameras" in shown else b""))
+        block.desk.show(Frame(header, block.eyes.look(self._seen) if "cameras" in shown else b""))
 
     def pause(self, number: int, facts: Mapping[str, Any]) -> str:
         """Hold the world until the driver goes on, or asks for something else."""

@@ -232,7 +232,7 @@ def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
     for e in range(len(recorded.a)):
         own = recorded.of(range(e, e + 1))
         world = make_task(
-            node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",)
+            node.task, 1, action_repeat=node.settings["action_repeat"], observe=(model.reads,)
         )
         moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
         pairs = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]

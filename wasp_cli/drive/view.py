@@ -1,4 +1,4 @@
-"""What the page draws: a map as numbers, the bytes of the cameras, and what the assistant imagines
+"""What the page draws: a map as numbers, the bytes of the cameras or of a picture of the vector, and what the assistant imagines
 as lines on the map.
 
 The lines are where the command alone leads, and where its correction does. Nothing here is an
@@ -24,10 +24,11 @@ from wasp_cli.methods.configs import PrintedConfig, WASPConfig
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
-from wasp_cli.tasks.base import Floats, Observation, VectorTask
+from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import WIDEST, cameras_of, poses_of, things_of
 from wasp_cli.video.replay import HORIZON
 from wasp_cli.video.trace import (
@@ -39,6 +40,7 @@ from wasp_cli.video.trace import (
     integrated,
     rollout_start,
 )
+from wasp_cli.video.vectors import Scale, draw_course
 
 GROUND = 2048  # px of a side of the picture of the ground at most
 FINE = 0.02  # m of a pixel of it, where that is not too many
@@ -154,6 +156,37 @@ def short(values: Any) -> list[float]:
     return [round(float(value), 3) for value in values]
 
 
+PLOT = 320  # px of a side of the picture of a vector
+
+
+class Eyes:
+    """What assistants see of a task's first row, as a picture for the page: the cameras, or where
+    there are none the components of the vector over time.
+    """
+
+    def __init__(self, task: VectorTask) -> None:
+        cameras = getattr(task, "cameras", 2)
+        self._states: list[Floats] = []
+        self._sees_vectors = cameras == 0
+        self.said: dict[str, Any] = {"cameras": max(1, cameras), "side": CAMERA_SIZE}
+        """How many pictures there are, one below the other, and their side in px."""
+        if self._sees_vectors:
+            self.said = {"cameras": 1, "side": PLOT, "plot": True}
+
+    def begin(self) -> None:
+        """Forget the episode before."""
+        self._states.clear()
+
+    def look(self, observation: Observation) -> bytes:
+        """Return the picture after the next decision as RGB, uint8 [cameras * side, side, 3]."""
+        if not self._sees_vectors:
+            return camera_bytes(observation)
+        assert observation.state is not None
+        self._states.append(observation.state[0].copy())
+        states = np.array(self._states)
+        return np.asarray(draw_course(Scale.of(states), states, PLOT)).tobytes()
+
+
 def camera_bytes(observation: Observation) -> bytes:
     """Return the cameras of the first row as RGB, one below the other: [cameras * 64, 64, 3]
     uint8.
@@ -241,7 +274,7 @@ def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
     """
     if not isinstance(world, HasScene):
         return None
-    worlds = make_task(task, WORLDS, action_repeat=world.action_repeat, observe=("pixels",))
+    worlds = make_task(task, WORLDS, action_repeat=world.action_repeat, observe=(seen_of(task),))
     assert isinstance(worlds, HasScene)
     filter_ = Filter(parts.world_model, WORLDS)
     seen = worlds.reset([seeds.derive(ROLE, task, row) for row in range(WORLDS)])

@@ -46,13 +46,13 @@ def per_episode(score: Tensor, episode: Tensor) -> Tensor:
 
 @torch.no_grad()
 def surprise(model: SafetyWorldModel, latents: Latents, recording: Recording) -> Tensor:
-    """Return the divergence [N] between what an image told and what was foreseen of it: KL of
-    posterior and prior, mean over the variables, of recorded rows with their images.
+    """Return the divergence [N] between what was seen and what was foreseen of it: KL of
+    posterior and prior, mean over the variables, of recorded rows with their observations.
     """
     found = []
     for index in torch.arange(len(recording.first)).split(CHUNK):
         h = latents.at(index).h
-        seen = model.embed(torch.from_numpy(recording.pixels[index.numpy()]))
+        seen = model.embed(torch.from_numpy(recording.seen[index.numpy()]))
         found.append(divergence(model.rssm.posterior(h, seen), model.rssm.prior(h)))
     return torch.cat(found)
 
@@ -69,10 +69,12 @@ def calibrate(
 
     Args:
         latents: of the N held-out rows.
-        recording: pixels, first and episode of these rows.
+        recording: what the model reads, first and episode of these rows.
     """
     episode = torch.from_numpy(recording.episode)
-    inside = torch.from_numpy(recording.first == 0)  # before the first image nothing was foreseen
+    inside = torch.from_numpy(
+        recording.first == 0
+    )  # before the first observation nothing was foreseen
     told = surprise(model, latents, recording)
     surprises = per_episode(told[inside], episode[inside])
     odd = torch.cat(

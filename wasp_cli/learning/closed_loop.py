@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -52,8 +52,10 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
 class Perception(Protocol):
     """What the loop asks of a world model (`models.base.WorldModel`, `models.state.StateWorld`)."""
 
-    reads: ClassVar[str]
     action_size: int
+
+    @property
+    def reads(self) -> str: ...
 
     def initial(self, batch: int) -> Latent: ...
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.shards import HELD_OUT, Recording, held_out_period
 from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.tasks.base import VectorTask
+from wasp_cli.tasks.base import Observation, VectorTask
 
 
 @dataclass(frozen=True)
@@ -136,19 +136,19 @@ def record(
     """Record one episode per row as a shard.
 
     Args:
-        task: B episodes with pixels and privileged observations.
+        task: B episodes with privileged observations and what assistants see: pixels, or the
+            state where the task shows no image.
         command: from privileged observations [B, P] to actions [B, A].
         names: behaviour of each row.
         number: index of the first episode in the dataset.
     """
     seen = task.reset(seeds)
     batch, kinds = task.batch, task.cost_sources
-    assert seen.pixels is not None
     assert seen.privileged is not None
     zeros = np.zeros(batch, np.float32)
     steps: list[dict[str, NDArray[Any]]] = [
         {
-            "pixels": seen.pixels,
+            **_shown(seen),
             "action": np.zeros((batch, task.action_size), np.float32),
             "reward": zeros,
             "cost": zeros,
@@ -167,12 +167,11 @@ def record(
         action = command(seen.privileged)
         step = task.step(action)
         seen = step.observation
-        assert seen.pixels is not None
         assert seen.privileged is not None
         costs = [step.sources[kind].astype(np.int16) for kind in kinds]
         steps.append(
             {
-                "pixels": seen.pixels,
+                **_shown(seen),
                 "action": action,
                 "reward": step.reward.astype(np.float32),
                 "cost": step.cost.astype(np.float32),
@@ -193,8 +192,17 @@ def record(
     # Field by field, each taken out of the steps on the way, so that the images of a shard are in
     # memory at most twice.
     flat = {name: np.stack([s.pop(name) for s in steps], 1)[kept] for name in list(steps[0])}
+    flat.setdefault("pixels", np.zeros(0, np.uint8))
     return Recording(
         episode=np.repeat(np.arange(number, number + batch, dtype=np.int32), lengths),
         behaviour=np.repeat(np.array(list(names), dtype=object), lengths),
         **flat,
     )
+
+
+def _shown(seen: Observation) -> dict[str, NDArray[Any]]:
+    """The column of what assistants see."""
+    if seen.pixels is not None:
+        return {"pixels": seen.pixels}
+    assert seen.state is not None
+    return {"state": seen.state.astype(np.float32)}

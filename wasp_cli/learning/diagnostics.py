@@ -1,14 +1,15 @@
-"""What imagined costs, rewards and images are worth on recorded episodes, per imagined step k =
-1..H and over the whole window.
+"""What imagined costs, rewards and observations are worth on recorded episodes, per imagined step k
+= 1..H and over the whole window.
 
 From the filtered latent of a recorded row under the true actions: step k is held against what
-arrived k rows later. K starts, S sources.
+arrived k rows later. What is observed are images, in [0, 1], or vectors, in standard deviations of
+the dataset. K starts, S sources.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
 
 FALSE_ALARMS = 0.1  # share of the moments without a cost at which a recall is read
-CHUNK = 256  # starts that are imagined, or images that are decoded, together
+CHUNK = 256  # starts that are imagined, or observations that are decoded, together
 
 # index of the first checkpoint that is not among the two `early` ones of the mixture
 HALF_TRAINED = 2
@@ -216,7 +217,9 @@ def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
 def judged_filter(
     model: SafetyWorldModel, recording: Recording, latents: Latents, images: int
 ) -> Row:
-    """Judge the filtered state itself (k = 0): its cost, and how well it shows its own image."""
+    """Judge the filtered state itself (k = 0): its cost, and how well it shows its own observation
+    in `images` of the rows.
+    """
     # nothing can cost before the first decision
     index = torch.from_numpy(np.flatnonzero(recording.first == 0))
     cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
@@ -227,21 +230,36 @@ def judged_filter(
         .round()
         .astype(int)
     )
-    true = recording.pixels[chosen].astype(np.float32) / 255.0
-    decoded = torch.cat(
-        [model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]
-    ).numpy()
+    true = _compared(model, recording, recording.seen[chosen])
+    parts = [model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]
+    decoded = _compared(model, recording, torch.cat(parts).numpy())
+    # A standardised vector of the dataset has the mean 0.
+    mean = model.mean_image.numpy() if recording.reads == "pixels" else np.zeros_like(true[0])
+    what = observed_as(recording)
     return {
         "base": base,
         "auprc": average_precision(event, cost),
         "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
-        "image_error": float(((decoded - true) ** 2).mean()),
-        "image_variance": float(((model.mean_image.numpy() - true) ** 2).mean()),
+        f"{what}_error": float(((decoded - true) ** 2).mean()),
+        f"{what}_variance": float(((mean - true) ** 2).mean()),
     }
 
 
+def observed_as(recording: Recording) -> Literal["image", "vector"]:
+    """Return what numbers about the observations of a recording are called."""
+    return "image" if recording.reads == "pixels" else "vector"
+
+
+def _compared(model: SafetyWorldModel, recording: Recording, values: Floats) -> Floats:
+    """What was seen or decoded, [K, ...], in the units in which errors are measured."""
+    if recording.reads == "state":
+        standardised: Floats = model.standardised(torch.from_numpy(values)).numpy()
+        return standardised
+    return values.astype(np.float32) / 255.0 if values.dtype == np.uint8 else values
+
+
 @torch.inference_mode()
-def imagined_images(
+def imagined_observations(
     model: SafetyWorldModel,
     recording: Recording,
     latents: Latents,
@@ -249,16 +267,19 @@ def imagined_images(
     horizon: int,
     source: torch.Generator,
 ) -> Floats:
-    """Imagine images of one future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
+    """Imagine observations of one future per start: images, float32 [K, H, 6, 64, 64] in [0, 1],
+    or vectors [K, H, S] in the task's own units.
+    """
     actions = torch.from_numpy(recording.action[starts[:, None] + 1 + np.arange(horizon)])
     arrived = roll_prior(model, latents.at(torch.from_numpy(starts)), actions, source)
     flat = type(arrived)(arrived.h.flatten(0, 1), arrived.z.flatten(0, 1))
     parts = [model.decode(flat.rows(part)) for part in torch.arange(len(flat.h)).split(CHUNK)]
-    images: Floats = torch.cat(parts).unflatten(0, (len(starts), horizon)).numpy()
-    return images
+    imagined: Floats = torch.cat(parts).unflatten(0, (len(starts), horizon)).numpy()
+    return imagined
 
 
-def judged_images(
+@torch.inference_mode()
+def judged_observations(
     model: SafetyWorldModel,
     recording: Recording,
     latents: Latents,
@@ -267,37 +288,39 @@ def judged_images(
     samples: int,
     seed: int,
 ) -> list[Row]:
-    """Judge images per imagined step from starts [K].
+    """Judge images, or vectors, per imagined step from starts [K].
 
-    Squared error per pixel of the imagined image (mean over samples) and of a copy of the start's
-    image;
+    Squared error per pixel or component of what was imagined (mean over samples) and of a copy of
+    what was seen at the start;
 
     `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of
-    the change that is explained.
+    the change that is explained. Of vectors the names begin with `vector`.
     """
+    what = observed_as(recording)
     source, error, copy = generator(seed), np.zeros(horizon), np.zeros(horizon)
     for part in np.array_split(starts, max(1, len(starts) // 8)):
-        imagined = (
-            sum(
-                imagined_images(model, recording, latents, part, horizon, source)
-                for _ in range(samples)
-            )
-            / samples
-        )
-        true = recording.pixels[part[:, None] + 1 + np.arange(horizon)].astype(np.float32) / 255.0
-        last = recording.pixels[part].astype(np.float32)[:, None] / 255.0
-        error += ((imagined - true) ** 2).mean((2, 3, 4)).sum(0)
-        copy += ((last - true) ** 2).mean((2, 3, 4)).sum(0)
+        futures = [
+            imagined_observations(model, recording, latents, part, horizon, source)
+            for _ in range(samples)
+        ]
+        mean: Floats = np.asarray(sum(futures) / samples)
+        imagined = _compared(model, recording, mean)
+        after = part[:, None] + 1 + np.arange(horizon)
+        true = _compared(model, recording, recording.seen[after])
+        last = _compared(model, recording, recording.seen[part])[:, None]
+        within = tuple(range(2, true.ndim))
+        error += ((imagined - true) ** 2).mean(within).sum(0)
+        copy += ((last - true) ** 2).mean(within).sum(0)
     count = max(1, len(starts))
     rows = []
     for mine, theirs in zip((error / count).tolist(), (copy / count).tolist(), strict=True):
         ratio = mine / theirs if theirs else float("nan")
         rows.append(
             {
-                "image_error": mine,
+                f"{what}_error": mine,
                 "copy_error": theirs,
-                "image_over_copy": ratio,
-                "image_explained": 1.0 - ratio,
+                f"{what}_over_copy": ratio,
+                f"{what}_explained": 1.0 - ratio,
             }
         )
     return rows
@@ -333,7 +356,7 @@ def unseen_episodes(
     """Record one episode per row of the task, with seeds that no other stage uses.
 
     Args:
-        task: with pixels and privileged observations.
+        task: with what assistants see and privileged observations.
         skills: the checkpoints, the expert last.
     """
     kinds = unseen_behaviours(len(skills))

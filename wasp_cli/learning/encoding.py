@@ -21,12 +21,12 @@ def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Lat
     mode.
 
     Args:
-        recording: pixels, action, first and episode of N rows.
+        recording: what the model reads, action, first and episode of N rows.
 
     Returns:
         N rows on the CPU.
     """
-    device = model.mean_image.device
+    device = model.device
     episodes = [np.flatnonzero(recording.episode == e) for e in np.unique(recording.episode)]
     h = torch.zeros(len(recording.first), model.sizes.deter)
     z = torch.zeros(len(recording.first), model.sizes.variables, dtype=torch.uint8)
@@ -37,11 +37,11 @@ def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Lat
         for t in range(max(len(rows) for rows in group)):
             # Rows whose episode is over repeat its last row; what they produce is not stored.
             index = np.array([rows[min(t, len(rows) - 1)] for rows in group])
-            action, pixels, first = (
+            action, seen, first = (
                 torch.from_numpy(field[index]).to(device)
-                for field in (recording.action, recording.pixels, recording.first)
+                for field in (recording.action, recording.seen, recording.first)
             )
-            latent = model.filter(latent, action, pixels, first)
+            latent = model.filter(latent, action, seen, first)
             live = torch.tensor([t < len(rows) for rows in group])
             keep = torch.from_numpy(index)[live]
             h[keep] = latent.h.cpu()[live]

@@ -1,5 +1,5 @@
 """Sample what a world model sees and imagines, as numbers: true frames beside decoded and
-imagined ones.
+imagined ones. A frame is an image, or a vector where the task shows no image.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.diagnostics import Forecast, imagined_images
+from wasp_cli.learning.diagnostics import Forecast, imagined_observations
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
@@ -22,26 +22,28 @@ from wasp_cli.models.world_model import SafetyWorldModel
 
 # imagined windows that reach a cost from a start without one, and windows without any cost
 COSTLY, CALM = 3, 2
-DECODED = 10  # frames that are decoded from the filtered state
+# frames that are decoded from the filtered state: images, and vectors, which are drawn as points
+DECODED, DECODED_VECTORS = 10, 200
+FILES = {"pixels": "images.parquet", "state": "vectors.parquet"}
+"""By what a world model reads: the file of its samples."""
 
-Images = NDArray[np.uint8]
+Frames = NDArray[Any]  # images uint8 [K, 6, 64, 64], or vectors float32 [K, S]
 
 
 class Sample(NamedTuple):
     """K frames of the model beside the rows of the recording that they belong to."""
 
     rows: NDArray[np.int64]  # [K]
-    images: Images  # [K, 6, 64, 64] decoded or imagined
+    frames: Frames  # decoded or imagined
     predicted: NDArray[Any]  # [K] probability of a cost
 
 
 @torch.inference_mode()
-def decoded_sample(
-    model: SafetyWorldModel, recording: Recording, latents: Latents, count: int = DECODED
-) -> Sample:
-    """Decode `count` filtered states: spread over the episodes, the second half of them costly
-    ones where there are any.
+def decoded_sample(model: SafetyWorldModel, recording: Recording, latents: Latents) -> Sample:
+    """Decode filtered states: spread over the episodes, the second half of them costly ones where
+    there are any.
     """
+    count = DECODED if model.reads == "pixels" else DECODED_VECTORS
     spread = np.linspace(0, len(recording.first) - 1, count).astype(int)
     costly = np.flatnonzero(recording.cost > 0)
     if len(costly):
@@ -49,7 +51,7 @@ def decoded_sample(
             np.linspace(0, len(costly) - 1, count - count // 2).astype(int)
         ]
     seen = latents.at(torch.from_numpy(spread))
-    return Sample(spread, _bytes(model.decode(seen).numpy()), model.cost(seen).numpy())
+    return Sample(spread, _stored(model.decode(seen).numpy(), model), model.cost(seen).numpy())
 
 
 def sampled_windows(recording: Recording, seen: Forecast) -> list[int]:
@@ -91,8 +93,8 @@ def imagined_samples(
     starts = seen.starts[index]
     now = latents.at(torch.from_numpy(starts))
     begun, cost = model.decode(now).numpy()[:, None], model.cost(now).numpy()[:, None]
-    future = imagined_images(model, recording, latents, starts, horizon, generator(seed))
-    imagined = _bytes(np.concatenate([begun, future], 1))
+    future = imagined_observations(model, recording, latents, starts, horizon, generator(seed))
+    imagined = _stored(np.concatenate([begun, future], 1), model)
     predicted = np.concatenate([cost, seen.cost[index]], 1)
     return [
         Sample(np.arange(start, start + horizon + 1), imagined[i], predicted[i])
@@ -107,7 +109,8 @@ def write_samples(
 
     Columns: `window` (-1: decoded, then the imagined ones by number), `step` (place in it),
     `behaviour`, `episode`, `decision` (rows since the episode began), `cost` (the real one),
-    `predicted` (its probability), `true` and `model` (the bytes of uint8 [6, 64, 64]).
+    `predicted` (its probability), `true` and `model` (the bytes of uint8 [6, 64, 64]; of vectors
+    lists of S numbers in the task's own units).
     """
     samples = [decoded, *imagined]
     rows = np.concatenate([sample.rows for sample in samples])
@@ -123,8 +126,8 @@ def write_samples(
         "predicted": pa.array(
             np.concatenate([sample.predicted for sample in samples]), pa.float32()
         ),
-        "true": _binary(recording.pixels[rows]),
-        "model": _binary(np.concatenate([sample.images for sample in samples])),
+        "true": _column(recording.seen[rows]),
+        "model": _column(np.concatenate([sample.frames for sample in samples])),
     }
     pq.write_table(
         pa.table(columns),
@@ -135,17 +138,20 @@ def write_samples(
     )
 
 
-def _binary(images: Images) -> pa.Array:
-    """[K, 6, 64, 64] to K binary values."""
-    size = int(np.prod(images.shape[1:]))
-    return pa.FixedSizeBinaryArray.from_buffers(
-        pa.binary(size), len(images), [None, pa.py_buffer(np.ascontiguousarray(images))]
-    )
+def _column(frames: Frames) -> pa.Array:
+    """K images as binary values, or K vectors as lists."""
+    count, size = len(frames), int(np.prod(frames.shape[1:]))
+    flat = np.ascontiguousarray(frames)
+    if frames.dtype != np.uint8:
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel(), pa.float32()), size)
+    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(size), count, [None, pa.py_buffer(flat)])
 
 
-def _bytes(images: NDArray[Any]) -> Images:
-    """From [0, 1] to uint8."""
-    return (images * 255).round().clip(0, 255).astype(np.uint8)
+def _stored(frames: NDArray[Any], model: SafetyWorldModel) -> Frames:
+    """Images from [0, 1] to uint8; vectors as they are."""
+    if model.reads == "state":
+        return frames.astype(np.float32)
+    return (frames * 255).round().clip(0, 255).astype(np.uint8)
 
 
 def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

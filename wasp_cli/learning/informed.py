@@ -16,11 +16,12 @@ from torch import Tensor
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.operators.base import Policy
 from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.sight import seen_of
 
 
 def observed(task: str) -> tuple[str, ...]:
-    """Return what a task has to show where operators drive it through a camera."""
-    return ("pixels", "privileged") if TASKS[task].informed else ("pixels",)
+    """Return what a task has to show where operators drive it and assistants see it."""
+    return (seen_of(task), "privileged") if TASKS[task].informed else (seen_of(task),)
 
 
 def informed_policies(

@@ -247,7 +247,7 @@ def visit(
     made.
 
     Args:
-        task: B episodes with pixels and privileged observations.
+        task: B episodes with what the model reads and privileged observations.
         skills: latent policies, which drive.
         rows: who drives which episode.
 

@@ -8,6 +8,7 @@ episode.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,6 +74,18 @@ class Readout(nn.Module):
         return (errors * known).sum(-1).mean()  # type: ignore[no-any-return]
 
 
+def untaught(config: WorldModelConfig, recording: Recording) -> dict[str, Any]:
+    """Return the settings that a model of vectors has instead of those of `config`.
+
+    Its encoder has nothing to search for in a vector, so it is not taught; and where assistants see
+    what the expert sees, the decoder tells the privileged vector already.
+    """
+    changed: dict[str, Any] = {"taught": 0}
+    if np.array_equal(recording.state, recording.privileged):
+        changed["privileged"] = 0.0
+    return changed
+
+
 def new_readout(
     model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig
 ) -> Readout:
@@ -81,7 +94,7 @@ def new_readout(
     """
     readout = Readout(model.feature_size, config.head, recording.privileged.shape[1])
     readout.standardise(recording.privileged[rows])
-    return readout.to(model.mean_image.device)
+    return readout.to(model.device)
 
 
 def teach_encoder(
@@ -95,7 +108,7 @@ def teach_encoder(
     mirror: Mirror | None = None,
 ) -> list[float]:
     """Train the encoder on single images to tell the privileged vector, before Eq. 6 trains the
-    whole model.
+    whole model. An encoder of vectors needs no such teaching.
 
     Args:
         model: its encoder is trained in place.
@@ -106,9 +119,9 @@ def teach_encoder(
     Returns:
         The mean squared error per entry of the standardised vector, a value per 20 updates.
     """
-    device = model.mean_image.device
+    device = model.device
     torch.manual_seed(seed)
-    readout = Readout(model.encoder.size, config.taught_head, recording.privileged.shape[1])
+    readout = Readout(model.embedding_size, config.taught_head, recording.privileged.shape[1])
     readout.standardise(recording.privileged[rows])
     readout.to(device)
     learned = [*model.encoder.parameters(), *readout.parameters()]
@@ -130,9 +143,7 @@ def teach_encoder(
             0.5 if mirror is not None else 0.0
         )
         images = in_mirror(pixels.index_select(0, index).to(device), mirrored)
-        loss = readout.loss(
-            model.encoder(images, model.mean_image), privileged[index].to(device), mirrored, mirror
-        )
+        loss = readout.loss(model.encoded(images), privileged[index].to(device), mirrored, mirror)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()

@@ -18,7 +18,7 @@ from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
-CHUNK = 256  # images that are embedded, or starts that are imagined, together
+CHUNK = 256  # observations that are embedded, or starts that are imagined, together
 CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts as constant
 EPSILON = 1e-6  # keeps the regression solvable where the features do not vary at all
 Floats = NDArray[Any]
@@ -96,7 +96,7 @@ class StateReadout:
         """Fit both.
 
         Args:
-            recording: pixels and privileged of N rows that may be learned from.
+            recording: what the model reads and privileged of N rows that may be learned from.
             groups: entries of the privileged vector by name.
             penalty: see `fit_ridge`.
         """
@@ -106,7 +106,7 @@ class StateReadout:
             model,
             groups,
             from_latents,
-            fit_ridge(embeddings(model, recording.pixels), recording.privileged, penalty),
+            fit_ridge(embeddings(model, recording.seen), recording.privileged, penalty),
         )
 
     def filtered(self, recording: Recording, latents: Latents) -> dict[str, float]:
@@ -115,9 +115,9 @@ class StateReadout:
         return self.latent.explained(features, recording.privileged, self.groups)
 
     def embedded(self, recording: Recording) -> dict[str, float]:
-        """Return R2 by group of what the single images of N rows tell."""
+        """Return R2 by group of what the single observations of N rows tell."""
         return self.embedding.explained(
-            embeddings(self.model, recording.pixels), recording.privileged, self.groups
+            embeddings(self.model, recording.seen), recording.privileged, self.groups
         )
 
     def imagined(
@@ -139,11 +139,11 @@ class StateReadout:
 
 
 @torch.inference_mode()
-def embeddings(model: SafetyWorldModel, pixels: NDArray[np.uint8]) -> Tensor:
-    """Embed single images uint8 [N, 6, 64, 64] with the encoder: [N, F]."""
+def embeddings(model: SafetyWorldModel, seen: NDArray[Any]) -> Tensor:
+    """Embed single images uint8 [N, 6, 64, 64], or vectors [N, S], with the encoder: [N, F]."""
     parts = [
-        model.encoder(torch.from_numpy(pixels[begin : begin + CHUNK]), model.mean_image)
-        for begin in range(0, len(pixels), CHUNK)
+        model.encoded(torch.from_numpy(seen[begin : begin + CHUNK]))
+        for begin in range(0, len(seen), CHUNK)
     ]
     return torch.cat(parts)
 

@@ -38,7 +38,7 @@ def reinforce(
 
     Args:
         actor: stays as it is.
-        task: config.envs episodes with pixels.
+        task: config.envs episodes with what the model reads.
         cost_limit: per 1000 env steps.
 
     Returns:

@@ -67,7 +67,7 @@ class Rerun:
     """See the module. It can be iterated once: the operator's noise goes on.
 
     Args:
-        task: of B = the recorded episodes, with pixels.
+        task: of B = the recorded episodes, with what the model reads.
         model: the world model of the cell, used as the filter.
         operator: of the cell, with B fresh rows.
         recorded: the episodes.

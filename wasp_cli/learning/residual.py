@@ -140,7 +140,7 @@ def train_residual(
     """Train the residual policy in one of its modes, see the module.
 
     Args:
-        task: config.envs episodes with pixels.
+        task: config.envs episodes with what the model reads.
         expert_return: per episode of the unimpaired expert; mode `rsa` asks for a share of it.
         informed: privileged policies of operators who know more than assistants perceive, as in
             `OperatorContext`.

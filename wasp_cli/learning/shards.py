@@ -1,8 +1,10 @@
-"""Recorded episodes with images: compressed Parquet shards on disk, flat arrays in memory.
+"""Recorded episodes, with images or with vectors: compressed Parquet shards on disk, flat arrays in
+memory.
 
 Rows are by arrival: row t holds o_t and what came with it (a_{t-1}, r_t, c_t), so an episode of T
 decisions has T + 1 rows and its first row is marked `first` with zero action, reward and cost. The
-names of the cost sources are in the metadata of each shard.
+names of the cost sources are in the metadata of each shard. A shard has a column `pixels`, or where
+the task shows no image a column `state`.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -29,10 +31,14 @@ _SOURCES = b"wasp.cost_sources"
 HELD_OUT = 0.1  # share of the episodes of a dataset that no gradient sees
 
 
-def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
+def _schema(recording: Recording, sources: Sequence[str]) -> pa.Schema:
+    action, privileged = recording.action.shape[1], recording.privileged.shape[1]
+    seen = ("pixels", pa.binary(_BYTES))
+    if recording.reads == "state":
+        seen = ("state", pa.list_(pa.float32(), recording.state.shape[1]))
     return pa.schema(
         [
-            ("pixels", pa.binary(_BYTES)),
+            seen,
             ("action", pa.list_(pa.float32(), action)),
             ("reward", pa.float32()),
             ("cost", pa.float32()),
@@ -52,7 +58,7 @@ def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
 class Recording(NamedTuple):
     """N rows, episodes one after the other."""
 
-    pixels: NDArray[np.uint8]  # [N, 6, 64, 64]
+    pixels: NDArray[np.uint8]  # [N, 6, 64, 64]; empty where the task shows no image
     action: NDArray[np.float32]  # [N, A]
     reward: NDArray[np.float32]
     cost: NDArray[np.float32]  # [N] in {0, 1}: the decision step cost
@@ -64,6 +70,18 @@ class Recording(NamedTuple):
     privileged: NDArray[np.float32]  # [N, P]
     episode: NDArray[np.int32]
     behaviour: NDArray[Any]  # [N] str
+    # [N, S] what assistants see where the task shows no image; else empty
+    state: NDArray[np.float32] = np.zeros(0, np.float32)
+
+    @property
+    def reads(self) -> Literal["pixels", "state"]:
+        """Return which column holds what assistants see."""
+        return "state" if len(self.state) else "pixels"
+
+    @property
+    def seen(self) -> NDArray[Any]:
+        """Return what assistants see: images [N, 6, 64, 64], or vectors [N, S]."""
+        return self.state if self.reads == "state" else self.pixels
 
     def window_starts(self, length: int) -> NDArray[np.int64]:
         """Return the rows [K] from which `length` rows follow within one episode."""
@@ -97,11 +115,8 @@ def held_out_period(share: float) -> int:
 
 def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> None:
     """Write whole episodes to one file; `sources` names the columns of `recording.sources`."""
-    images = np.ascontiguousarray(recording.pixels)
     arrays = [
-        pa.FixedSizeBinaryArray.from_buffers(
-            pa.binary(_BYTES), len(recording.first), [None, pa.py_buffer(images)]
-        ),
+        _lists(recording.state) if recording.reads == "state" else _images(recording.pixels),
         _lists(recording.action),
         pa.array(recording.reward),
         pa.array(recording.cost),
@@ -114,7 +129,7 @@ def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> Non
         pa.array(recording.episode),
         pa.array(recording.behaviour.tolist(), pa.string()),
     ]
-    schema = _schema(recording.action.shape[1], recording.privileged.shape[1], sources)
+    schema = _schema(recording, sources)
     pq.write_table(
         pa.Table.from_arrays(arrays, schema=schema),
         path,
@@ -183,6 +198,13 @@ def hand_over(path: Path, target: Path) -> None:
 def cost_sources(folder: Path) -> tuple[str, ...]:
     """Read the names of the columns of `sources` of a dataset artifact."""
     return tuple(json.loads(pq.read_schema(shard_files(folder)[0]).metadata[_SOURCES]))
+
+
+def _images(values: NDArray[np.uint8]) -> pa.Array:
+    images = np.ascontiguousarray(values)
+    return pa.FixedSizeBinaryArray.from_buffers(
+        pa.binary(_BYTES), len(images), [None, pa.py_buffer(images)]
+    )
 
 
 def _counts(values: NDArray[np.int16]) -> pa.Array:

@@ -30,7 +30,8 @@ class Windows:
     """Random sequences of those rows of a recording that may be learned from; a share of them
     contains a costly step.
 
-    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows.
+    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows:
+    images alone, since nothing says what a vector is in a mirror.
     Everything lies on `device` (uint8 images included), so that a batch is one gather. On the CPU
     the recording's own memory is used.
     """
@@ -59,7 +60,7 @@ class Windows:
         self._mirror = None if mirror is None else there(mirror)
         self._rows = there(rows)
         self._costly = there(np.flatnonzero(recording.cost[rows] > 0))
-        self._pixels, self._action = there(recording.pixels), there(recording.action)
+        self._seen, self._action = there(recording.seen), there(recording.action)
         self._reward, self._cost, self._terminal, self._first = map(
             there, (recording.reward, recording.cost, recording.terminal, recording.first)
         )
@@ -77,13 +78,13 @@ class Windows:
             start[:wanted] = (picked - back).clamp(0, self._starts - 1)
         places = start[:, None] + torch.arange(self.length, device=device)  # [B, T]
         rows = self._rows[places]
-        fields = (self._pixels, self._action, self._reward, self._cost, self._terminal, self._first)
+        fields = (self._seen, self._action, self._reward, self._cost, self._terminal, self._first)
         found = Batch(*(_at(values, rows) for values in fields))
         mirrored = torch.zeros(batch, dtype=torch.bool, device=device)
         if self._mirror is not None:
             mirrored = torch.rand(batch, generator=source, device=device) < 0.5
             found = found._replace(
-                pixels=in_mirror(found.pixels, mirrored),
+                seen=in_mirror(found.seen, mirrored),
                 action=self._turned(found.action, mirrored),
             )
         return Window(
@@ -100,7 +101,7 @@ class Windows:
         source: torch.Generator,
     ) -> Ahead:
         """Return what followed random steps of a batch, in the window or behind it: only `images`
-        of those images are looked up.
+        of what was seen then is looked up.
 
         Args:
             window: B sequences of T steps.
@@ -118,14 +119,14 @@ class Windows:
         rows = self._rows[places.clamp(max=len(self._rows) - 1)]
         over = (places >= len(self._rows)).to(self._first.dtype)
         within = (1.0 - torch.maximum(self._first[rows], over)).cumprod(1)
-        pixels = _at(self._pixels, rows[torch.arange(images, device=device), shown])
+        seen = _at(self._seen, rows[torch.arange(images, device=device), shown])
         action = self._action[rows]
         if self._mirror is not None:
             mirrored = window.mirrored[row]
-            pixels, action = in_mirror(pixels, mirrored[:images]), self._turned(action, mirrored)
+            seen, action = in_mirror(seen, mirrored[:images]), self._turned(action, mirrored)
         draws = gumbel((horizon, starts, noise), source)
         return Ahead(
-            row, step, action, self._reward[rows], self._cost[rows], within, shown, pixels, draws
+            row, step, action, self._reward[rows], self._cost[rows], within, shown, seen, draws
         )
 
     def _turned(self, action: Tensor, mirrored: Tensor) -> Tensor:

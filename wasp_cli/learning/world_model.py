@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from wasp_cli.learning.privileged_state import Mirror, Readout
 from wasp_cli.learning.sampling import generator, gumbel, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.windows import Context, Window, Windows
+from wasp_cli.models.vectors import Standard
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 
 Report = Callable[[float, str], None]
@@ -31,8 +33,16 @@ SHOWN = 20  # updates between two points of the curves
 REFIT_RATE = 1e-3  # initial learning rate of the refit; it decays linearly to a tenth
 
 
-def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
-    """Build an untrained model of the configured sizes."""
+def build(
+    config: WorldModelConfig, action: int, vectors: Standard | None = None
+) -> SafetyWorldModel:
+    """Build an untrained model of the configured sizes.
+
+    Args:
+        config: its sizes.
+        action: number of an action's components.
+        vectors: mean and standard deviation of the vectors that it sees; None: it sees images.
+    """
     names = (
         "deter",
         "hidden",
@@ -45,7 +55,10 @@ def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
         "cost_weight",
         "action_scales",
     )
-    return SafetyWorldModel(Sizes(action=action, **{name: getattr(config, name) for name in names}))
+    sizes = Sizes(action=action, **{name: getattr(config, name) for name in names})
+    if vectors is not None:
+        sizes = replace(sizes, state_mean=vectors.mean, state_std=vectors.std)
+    return SafetyWorldModel(sizes)
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:
@@ -97,8 +110,11 @@ def train(
         The loss curves by term and that of the gradient norm, a value per 20 updates; and the
         number of updates that were left out.
     """
-    device = model.mean_image.device
+    device = model.device
     weights = loss_weights(config)
+    # Vectors are decoded by a small network: of them every step counts.
+    share = config.decode_share if model.reads == "pixels" else 1.0
+    what = "image" if model.reads == "pixels" else "vector"
     whole = nn.ModuleDict({"model": model} | ({"readout": readout} if readout is not None else {}))
     optimizer = torch.optim.Adam(whole.parameters(), lr=config.learning_rate, fused=True)
     privileged = torch.from_numpy(recording.privileged)
@@ -123,7 +139,7 @@ def train(
         )
         noise = gumbel((config.batch, config.length, config.variables, config.classes), source)
         decoded = torch.randperm(config.length, generator=source, device=device)[
-            : max(1, round(config.decode_share * config.length))
+            : max(1, round(share * config.length))
         ]
         further = (config.ahead_starts, config.ahead_horizon, config.ahead_images, model.noise_size)
         ahead = windows.ahead(window, *further, source) if config.ahead_starts else None
@@ -153,7 +169,7 @@ def train(
             for name, value in {**values, "gradient_norm": float(norm)}.items():
                 counters["curves"][name].append(value)
             shown = (
-                f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost "
+                f"{what} {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost "
                 f"{values['beta_c']:.2f}"
             )
             report((update + 1) / updates, f"update {update + 1}/{updates}, {shown}")
@@ -227,7 +243,7 @@ def refit_heads(
     for parameter in heads:
         parameter.requires_grad_(True)
     optimizer = torch.optim.Adam(heads, lr=REFIT_RATE, fused=True)
-    device, last = model.mean_image.device, len(recording.first) - 1
+    device, last = model.device, len(recording.first) - 1
     source = generator(seed, device)
     for update in range(config.refit_updates):
         index = starts[

@@ -7,7 +7,7 @@ stochastic size (S variables x C classes), F = D + Z features.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -73,14 +73,18 @@ class Dynamics(Protocol):
 class WorldModel(Dynamics, Protocol):
     """What the closed loop asks of a world model besides."""
 
-    # which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`
-    reads: ClassVar[str]
+    @property
+    def reads(self) -> str:
+        """Which field of an observation it perceives (`tasks.base.Observation`): `pixels` or
+        `state`.
+        """
+        ...
 
     def initial(self, batch: int) -> Latent: ...
 
     def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
         """Return the posterior after executing `action` [B, A] and seeing `seen` [B, ...]: pixels
-        are uint8 [B, 6, 64, 64].
+        are uint8 [B, 6, 64, 64], states floats [B, S].
 
         Rows with `first` [B] start anew: h, z and the action are masked.
         """

@@ -1,5 +1,5 @@
 """The safety-aware world model: RSSM, decoder, and heads for reward, cost and continuation (Eq.
-6).
+6). It sees camera images, or vectors where a task shows no image.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +17,7 @@ from torch.nn import functional as F
 from wasp_cli.models.base import Latent
 from wasp_cli.models.nets import CHANNELS, Decoder, Encoder, centred, mlp
 from wasp_cli.models.rssm import RSSM, Observed, balanced_kl
+from wasp_cli.models.vectors import standardised, vector_errors
 from wasp_cli.models.weights import load_module, save_weights
 
 
@@ -35,12 +36,24 @@ class Sizes:
     reward_scale: float
     cost_weight: float
     action_scales: Sequence[float] = (1.0,)
+    # Of the vectors of the dataset, S each; empty of a model that sees images. They are kept here,
+    # as the numbers that they are, because weights are stored in 16 bits.
+    state_mean: Sequence[float] = ()
+    state_std: Sequence[float] = ()
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """What is written beside the weights; of a model of images nothing about vectors."""
+        values = asdict(self)
+        if not self.state_mean:
+            del values["state_mean"], values["state_std"]
+        return values
 
 
 class Batch(NamedTuple):
     """Sequences by arrival: entry t holds o_t and what came with it (a_{t-1}, r_t, c_t)."""
 
-    pixels: Tensor  # uint8 [B, T, 6, 64, 64]
+    seen: Tensor  # images, uint8 [B, T, 6, 64, 64], or vectors [B, T, S]
     action: Tensor  # [B, T, A]
     reward: Tensor  # [B, T]
     cost: Tensor  # [B, T] in {0, 1}
@@ -60,26 +73,34 @@ class Ahead(NamedTuple):
     cost: Tensor  # [N, K]
     # [N, K] in {0, 1}: still the same episode; what follows a reset cannot be imagined
     within: Tensor
-    # [M], M <= N: the imagined step in 0..K-1 whose image is decoded, of the first M starts
+    # [M], M <= N: the imagined step in 0..K-1 whose observation is decoded, of the first M starts
     shown: Tensor
-    pixels: Tensor  # uint8 [M, 6, 64, 64]: that image
+    seen: Tensor  # [M, ...]: that observation, an image or a vector
     noise: Tensor  # [K, N, S * C] standard Gumbel draws
 
 
 class SafetyWorldModel(nn.Module):
     """Implements `models.base.WorldModel`; also its own losses."""
 
-    reads: ClassVar[str] = "pixels"
     mean_image: Tensor
+    state_mean: Tensor
+    state_std: Tensor
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
         self.sizes = sizes
         self.action_size = sizes.action
-        self.encoder = Encoder(sizes.depth)
+        self.encoder: nn.Module
+        if sizes.state_mean:
+            embed = sizes.hidden
+            self.encoder = mlp(len(sizes.state_mean), (sizes.hidden, sizes.hidden), embed)
+        else:
+            self.encoder = Encoder(sizes.depth)
+            embed = self.encoder.size
+        self.embedding_size = embed
         self.rssm = RSSM(
             action=sizes.action,
-            embed=self.encoder.size,
+            embed=embed,
             deter=sizes.deter,
             hidden=sizes.hidden,
             variables=sizes.variables,
@@ -89,22 +110,52 @@ class SafetyWorldModel(nn.Module):
         )
         self.feature_size = sizes.deter + self.rssm.flat
         self.noise_size = self.rssm.flat
-        self.decoder = Decoder(self.feature_size, sizes.depth)
+        self.decoder: nn.Module
+        if sizes.state_mean:
+            hidden = (sizes.hidden, sizes.hidden)
+            self.decoder = mlp(self.feature_size, hidden, len(sizes.state_mean))
+        else:
+            self.decoder = Decoder(self.feature_size, sizes.depth)
         heads = (sizes.head, sizes.head)
         self.reward_head = mlp(self.feature_size, heads, 1, zero=True)
         self.cost_head = mlp(self.feature_size, heads, 1)
         self.continue_head = mlp(self.feature_size, heads, 1)
-        # Images are centred by the data set's mean, so that the decoder spends nothing on what
-        # never changes.
-        self.register_buffer("mean_image", torch.zeros(CHANNELS, 64, 64))
+        # What is seen is centred by the data set's mean, so that the decoder spends nothing on
+        # what never changes.
+        if sizes.state_mean:
+            for name in ("state_mean", "state_std"):
+                values = torch.tensor(tuple(getattr(sizes, name)), dtype=torch.float64)
+                self.register_buffer(name, values, persistent=False)
+        else:
+            self.register_buffer("mean_image", torch.zeros(CHANNELS, 64, 64))
+
+    @property
+    def reads(self) -> str:
+        """What it sees of an observation (`tasks.base.Observation`): `pixels` or `state`."""
+        return "state" if self.sizes.state_mean else "pixels"
+
+    @property
+    def device(self) -> torch.device:
+        """Where its weights lie."""
+        return self.rssm.posterior_h.weight.device
 
     # -- perception --------------------------------------------------------------------------------
 
-    def embed(self, pixels: Tensor) -> Tensor:
-        """Map uint8 images [B, 6, 64, 64] to the image half of the posterior's first layer [B,
-        hidden].
+    def encoded(self, seen: Tensor) -> Tensor:
+        """Map uint8 images [B, 6, 64, 64], or vectors [B, S], to embeddings [B, E]."""
+        if self.sizes.state_mean:
+            return self.encoder(self.standardised(seen))  # type: ignore[no-any-return]
+        return self.encoder(seen, self.mean_image)  # type: ignore[no-any-return]
+
+    def standardised(self, vectors: Tensor) -> Tensor:
+        """Return vectors [..., S] in standard deviations of the dataset (`models.vectors`)."""
+        return standardised(vectors, self.state_mean, self.state_std)
+
+    def embed(self, seen: Tensor) -> Tensor:
+        """Map uint8 images [B, 6, 64, 64], or vectors [B, S], to their half of the posterior's
+        first layer [B, hidden].
         """
-        return self.rssm.posterior_o(self.encoder(pixels, self.mean_image))  # type: ignore[no-any-return]
+        return self.rssm.posterior_o(self.encoded(seen))  # type: ignore[no-any-return]
 
     def initial(self, batch: int) -> Latent:
         """Return the latent [B, .] before an episode."""
@@ -150,7 +201,10 @@ class SafetyWorldModel(nn.Module):
         return latent.through(self.continue_head).squeeze(-1).sigmoid()
 
     def decode(self, latent: Latent) -> Tensor:
-        """Decode images [B, 6, 64, 64] in [0, 1]."""
+        """Decode images [B, 6, 64, 64] in [0, 1], or vectors [B, S] in the task's own units."""
+        if self.sizes.state_mean:
+            vectors: Tensor = self.decoder(latent.features) * self.state_std + self.state_mean
+            return vectors.float()
         images: Tensor = (self.decoder(latent.features) + self.mean_image).clamp(0, 1)
         return images
 
@@ -160,7 +214,7 @@ class SafetyWorldModel(nn.Module):
         """Filter a batch of sequences; `noise` are Gumbel draws [B, T, S, C], `start` is the
         latent before their first step.
         """
-        projected = self.embed(batch.pixels.flatten(0, 1)).unflatten(0, batch.action.shape[:2])
+        projected = self.embed(batch.seen.flatten(0, 1)).unflatten(0, batch.action.shape[:2])
         return self.rssm.observe(projected, batch.action, batch.first, noise, start)
 
     def losses(
@@ -179,8 +233,8 @@ class SafetyWorldModel(nn.Module):
         Args:
             batch: B sequences of T steps.
             noise: Gumbel draws [B, T, S, C].
-            decode_steps: indices of the steps whose image is decoded (a random share saves a third
-                of the time).
+            decode_steps: indices of the steps whose observation is decoded (with images, a random
+                share saves a third of the time).
             free_nats: see `balanced_kl`.
             start: the latent before the sequences; zeros by default.
             ahead: starts from which imagined latents are scored too (terms `ahead_r`, `ahead_c` and
@@ -197,20 +251,18 @@ class SafetyWorldModel(nn.Module):
             "beta_c": cost,
             "beta_n": self.continuation_loss(features, batch.terminal),
         }
-        decoded, pixels = (
-            features[:, decode_steps].flatten(0, 1),
-            batch.pixels[:, decode_steps].flatten(0, 1),
-        )
+        decoded = features[:, decode_steps].flatten(0, 1)
+        true = batch.seen[:, decode_steps].flatten(0, 1)
         if ahead is None:
-            return terms | {"beta_o": self._image_errors(decoded, pixels).mean()}, seen.latent
+            return terms | {"beta_o": self._decoding_errors(decoded, true).mean()}, seen.latent
         imagined = self._imagined(seen.latent, ahead)
         terms["ahead_r"], terms["ahead_c"] = self.head_losses(
             imagined, ahead.reward, ahead.cost, ahead.within
         )
-        # Both kinds of images in one pass of the decoder.
+        # What was filtered and what was imagined in one pass of the decoder.
         each = torch.arange(len(ahead.shown), device=ahead.row.device)
-        errors = self._image_errors(
-            torch.cat((decoded, imagined[each, ahead.shown])), torch.cat((pixels, ahead.pixels))
+        errors = self._decoding_errors(
+            torch.cat((decoded, imagined[each, ahead.shown])), torch.cat((true, ahead.seen))
         )
         terms["beta_o"] = errors[: len(decoded)].mean()
         if len(ahead.shown):
@@ -218,11 +270,13 @@ class SafetyWorldModel(nn.Module):
             terms["ahead_o"] = (errors[len(decoded) :] * counts).sum() / counts.sum().clamp(min=1.0)
         return terms, seen.latent
 
-    def _image_errors(self, features: Tensor, pixels: Tensor) -> Tensor:
-        """Squared errors of decoded images, summed over pixels: [N]. A sum over 24,576 values
-        needs float32, whatever the autocast.
+    def _decoding_errors(self, features: Tensor, seen: Tensor) -> Tensor:
+        """Squared errors [N] of decoded images, summed over pixels, or of vectors
+        (`vector_errors`). A sum over 24,576 values needs float32, whatever the autocast.
         """
-        target = centred(pixels, self.mean_image)
+        if self.sizes.state_mean:
+            return vector_errors(self.decoder(features), self.standardised(seen))
+        target = centred(seen, self.mean_image)
         return F.mse_loss(self.decoder(features).float(), target, reduction="none").sum((1, 2, 3))
 
     def _imagined(self, latent: Latent, ahead: Ahead) -> Tensor:
@@ -230,8 +284,8 @@ class SafetyWorldModel(nn.Module):
         actions.
 
         Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within
-        ten. Reward, cost and images of these count up to the end of the episode; the images teach h
-        to carry the surroundings.
+        ten. Reward, cost and observations of these count up to the end of the episode; the
+        observations teach h to carry the surroundings.
         """
         start = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
         return self.rssm.imagine(start, ahead.action, ahead.noise).features
@@ -269,7 +323,7 @@ class SafetyWorldModel(nn.Module):
 
 def save_world_model(model: SafetyWorldModel, folder: Path) -> None:
     """Write `world_model.safetensors` and its sizes."""
-    save_weights(model, folder / "world_model.safetensors", **asdict(model.sizes))
+    save_weights(model, folder / "world_model.safetensors", **model.sizes.stored)
 
 
 def load_world_model(folder: Path) -> SafetyWorldModel:

@@ -61,7 +61,7 @@ class AdversaryStage:
         adversary.learn_data(latents.at(spread).features)
         adversary.whiten.copy_(adversary.whiten.half())
         adversary.centre.copy_(adversary.centre.half())
-        seen = read_shards(job.inputs["dataset"], ["pixels", "first", "episode"], held_out)
+        seen = read_shards(job.inputs["dataset"], [model.reads, "first", "episode"], held_out)
         kept = latents.rows(torch.from_numpy(held_out))
         budget = calibrate(adversary, model, kept, seen, config.alpha)
         del seen

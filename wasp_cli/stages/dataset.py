@@ -1,5 +1,5 @@
-"""Dataset: episodes with images from a mixture of behaviours. Artifact: `shard-NNNN.parquet`,
-`contents.json` (see `learning.contents`).
+"""Dataset: episodes from a mixture of behaviours, with what assistants see. Artifact:
+`shard-NNNN.parquet`, `contents.json` (see `learning.contents`).
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ class DatasetStage:
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
+        from wasp_cli.tasks.sight import seen_of
 
         config = cast(DatasetConfig, job.config)
-        observe = ("pixels", "privileged")
+        observe = (seen_of(job.task), "privileged")
         task = make_task(
             job.task,
             config.envs,

@@ -1,5 +1,5 @@
 """What the world model is worth on unseen episodes. Artifact: `diagnostics.json`,
-`images.parquet` (see `learning.diagnostics`).
+`images.parquet`, or `vectors.parquet` where the task shows no image (see `learning.diagnostics`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class DiagnosticsStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Judge both sets of episodes, and sample images of the held-out ones."""
+        """Judge both sets of episodes, and sample what is seen of the held-out ones."""
         import numpy as np
         import torch
 
@@ -31,6 +31,7 @@ class DiagnosticsStage:
         from wasp_cli.learning.diagnostics import unseen_episodes
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.image_samples import (
+            FILES,
             decoded_sample,
             imagined_samples,
             sampled_windows,
@@ -50,7 +51,7 @@ class DiagnosticsStage:
         model = load_world_model(job.inputs["world_model"])
         folder = job.inputs["dataset"]
         held = read_shards(folder, ["episode"]).held_out(HELD_OUT)
-        observe = ("pixels", "privileged")
+        observe = (model.reads, "privileged")
         task = make_task(
             job.task,
             config.episodes,
@@ -80,7 +81,7 @@ class DiagnosticsStage:
             ]
         ] = True
         known = load_latents(job.inputs["latents"]).rows(torch.from_numpy(chosen))
-        told = read_shards(folder, ["pixels", "privileged"], chosen)
+        told = read_shards(folder, [model.reads, "privileged"], chosen)
         groups = privileged_groups(job.task, told.privileged.shape[1])
         readout = StateReadout.fit(model, told, known, groups, config.readout_penalty)
         del told, known
@@ -102,7 +103,7 @@ class DiagnosticsStage:
             few = judge.spread_starts(recording, config.horizon, config.image_starts)
             ahead = judge.spread_starts(recording, config.readout_step, config.starts)
             steps = judge.judged_steps(recording, seen, alarm, cost_sources(folder))
-            images = judge.judged_images(
+            seen_ahead = judge.judged_observations(
                 model, recording, latents, few, config.horizon, config.samples, seed
             )
             kinds, counts = np.unique(
@@ -111,7 +112,7 @@ class DiagnosticsStage:
             sets[name] = {
                 "episodes": dict(zip(kinds.tolist(), counts.tolist(), strict=True)),
                 "starts": len(starts),
-                "steps": [row | image for row, image in zip(steps, images, strict=True)],
+                "steps": [row | more for row, more in zip(steps, seen_ahead, strict=True)],
                 "window": judge.judged_window(recording, seen, alarm),
                 "filter": judge.judged_filter(model, recording, latents, config.image_starts),
                 "readout": {
@@ -131,7 +132,7 @@ class DiagnosticsStage:
                     else []
                 )
                 write_samples(
-                    job.out_dir / "images.parquet",
+                    job.out_dir / FILES[model.reads],
                     recording,
                     decoded_sample(model, recording, latents),
                     imagined,
@@ -165,4 +166,5 @@ def _summary(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         f"readout_embedding_{group}": round(share, 3) for group, share in told["embedding"].items()
     }
     last = sets["held_out"]["steps"][-1]
-    return summary | {f"image_over_copy@{last['k']}": round(last["image_over_copy"], 3)}
+    over_copy = "vector_over_copy" if "vector_over_copy" in last else "image_over_copy"
+    return summary | {f"{over_copy}@{last['k']}": round(last[over_copy], 3)}

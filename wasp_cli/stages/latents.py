@@ -27,8 +27,9 @@ class LatentsStage:
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.world_model import load_world_model
 
-        recording = read_shards(job.inputs["dataset"], ["pixels", "action", "first", "episode"])
         model = load_world_model(job.inputs["world_model"]).to(training_device())
+        columns = [model.reads, "action", "first", "episode"]
+        recording = read_shards(job.inputs["dataset"], columns)
         latents = encode(model, recording, job.progress)
         save_latents(latents, job.out_dir)
         size = (job.out_dir / "latents.safetensors").stat().st_size

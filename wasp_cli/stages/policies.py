@@ -75,7 +75,7 @@ class PoliciesStage:
         # -- the two drivers on the same episodes
         blind, sighted = (
             task(config.evaluation_episodes, "privileged"),
-            task(config.evaluation_episodes, "pixels"),
+            task(config.evaluation_episodes, model.reads),
         )
 
         def drive(sums: EpisodeSums) -> verdict.Drive:
@@ -134,7 +134,7 @@ class PoliciesStage:
         for number in range(config.labelling_rounds + 1):
             low = 0.3 + 0.3 * number / (config.labelling_rounds + 1)
             if number:
-                behind = task(config.labelling_episodes, "pixels", "privileged")
+                behind = task(config.labelling_episodes, model.reads, "privileged")
                 rows = learning.drivers(
                     config.labelling_episodes, len(experts), config.driver_share
                 )
@@ -193,7 +193,7 @@ class PoliciesStage:
             ]
             taught = [drive(evaluate_privileged(blind, experts[-1], seeds)) for seeds in batches]
             limit = verdict.cost_limit(taught, rounds[best]["env_steps"], config, env_steps)
-            alone = task(config.reinforce.envs, "pixels")
+            alone = task(config.reinforce.envs, model.reads)
             better, curve = reinforce(
                 skills.expert,
                 alone,

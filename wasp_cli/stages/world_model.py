@@ -1,4 +1,4 @@
-"""World model: the encoder taught on images, Eq. 6, a refit of the heads. Artifact:
+"""World model: an encoder of images taught on them, Eq. 6, a refit of the heads. Artifact:
 `world_model.safetensors` (+ .json), `curves.json`.
 """
 
@@ -44,9 +44,15 @@ class WorldModelStage:
         from wasp_cli.learning.checkpoint import has_training
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
-        from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
+        from wasp_cli.learning.privileged_state import (
+            Readout,
+            new_readout,
+            teach_encoder,
+            untaught,
+        )
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.models.vectors import standard_of
         from wasp_cli.models.world_model import save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.privileged_layout import privileged_mirror
@@ -57,15 +63,22 @@ class WorldModelStage:
         learned = ~recording.held_out(HELD_OUT)
         names = (job.task, job.seed)
         torch.manual_seed(derive("world-model-weights", *names))
-        model = learning.build(config, recording.action.shape[1])
-        model.mean_image.copy_(learning.mean_image(recording))
+        if recording.reads == "state":
+            config = config.model_copy(update=untaught(config, recording))
+            vectors = standard_of(recording.state)
+            model = learning.build(config, recording.action.shape[1], vectors)
+        else:
+            model = learning.build(config, recording.action.shape[1])
+            model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
         def during(low: float, high: float) -> learning.Report:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
-        matrix = TASKS[job.task].mirror if config.mirror else None
+        # What a vector is in a mirror is not known.
+        mirrors = config.mirror and model.reads == "pixels"
+        matrix = TASKS[job.task].mirror if mirrors else None
         mirror, turned = (
             None if matrix is None else np.array(matrix, np.float32),
             privileged_mirror(job.task),

@@ -79,6 +79,7 @@ class TaskInfo(_Named):
     informed: bool = False
     """Whether operators know more than the cameras show: they read the privileged observation.
     Assistants imagine them by what the cameras show."""
+    cameras: int = 2  # images that assistants see; 0: they see the vector `state` instead
 
 
 class ForeignInfo(_Named):
@@ -112,6 +113,10 @@ class ForeignInfo(_Named):
         except UnknownName as error:
             hint = by_our_names(error.hint or "")
             raise UnknownName(error.kind, error.name, (), error.message, hint) from error
+
+    @property
+    def cameras(self) -> int:
+        return self.examine().views.cameras
 
     @property
     def env_seconds(self) -> float:

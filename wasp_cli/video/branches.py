@@ -20,7 +20,7 @@ from wasp_cli.learning.counterfactual import Branch, branches
 from wasp_cli.learning.rerun import Rerun
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
+from wasp_cli.tasks.base import Floats, Observation, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.film import STILL, write
 from wasp_cli.video.map import (
@@ -36,6 +36,7 @@ from wasp_cli.video.map import (
     poses_of,
 )
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
+from wasp_cli.video.vectors import Curves, Scale, draw_curves
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what
@@ -51,7 +52,8 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 @dataclass
 class _BranchStates:
-    pixels: list[Pixels] = field(default_factory=list)
+    # what assistants see: images [6, 64, 64], or vectors [S]
+    seen: list[NDArray[Any]] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
     actions: list[Floats] = field(default_factory=list)
 
@@ -82,8 +84,9 @@ class _RecordingTask:
         return step
 
     def _keep(self, observation: Observation) -> None:
-        assert observation.pixels is not None
-        self.branches[-1].pixels.append(observation.pixels[self._row].copy())
+        seen = observation.state if observation.pixels is None else observation.pixels
+        assert seen is not None
+        self.branches[-1].seen.append(seen[self._row].copy())
         if isinstance(self._task, HasScene):
             self.branches[-1].scenes.append(self._task.scene(np.array([self._row])))
 
@@ -95,9 +98,10 @@ class BranchPair:
         with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
+            model = load_world_model(source.world_model)
             rerun = Rerun(
                 recording,
-                load_world_model(source.world_model),
+                model,
                 source.operator_in(world),
                 source.recorded,
             )
@@ -105,6 +109,7 @@ class BranchPair:
                 rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress
             )
         self.world, self.t, self.window = world, t, window
+        self._sees_vectors = model.reads == "state"
         self.appearance: Appearance | None = (
             world.appearance() if isinstance(world, HasScene) else None
         )
@@ -152,8 +157,14 @@ class BranchPair:
     def _state(self, name: str, step: int) -> Image.Image:
         states = self._states[name]
         now = min(step, len(states.actions))
+        if self.appearance is None and self._sees_vectors:
+            whole = np.concatenate([np.array(each.seen) for each in self._states.values()])
+            course = Curves(np.array(states.seen[: now + 1]), 0, _COLOURS[name])
+            after = np.flatnonzero(self.branches[name].cost[:now]) + 1
+            span = (0, self.window)
+            return draw_curves(Scale.of(whole), [course], span, (MAP, MAP), costly=after.tolist())
         if self.appearance is None:
-            return Image.fromarray(cameras_of(states.pixels[now])[0]).resize(
+            return Image.fromarray(cameras_of(states.seen[now])[0]).resize(
                 (MAP, MAP), Image.Resampling.BICUBIC
             )
         paths = {

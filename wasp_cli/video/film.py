@@ -22,6 +22,7 @@ from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import (
     COMMAND,
     COST,
@@ -33,6 +34,7 @@ from wasp_cli.video.map import (
     poses_of,
     things_of,
 )
+from wasp_cli.video.vectors import Scale, draw_course, mark_cost
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
 # endings of a still picture, where there may be one: an animated PNG is then called .apng
@@ -175,15 +177,17 @@ def film(
     cameras: bool = False,
 ) -> Iterator[Moment]:
     """Draw the map of an episode with trail, commands and costs; of a task without a map, what its
-    front camera sees.
+    front camera sees, or without cameras the components of its vector over time.
 
     A frame of `size` px has an orange edge when cost was paid since the frame before, `every`
     decisions ago. Arrows: see `map.stick`. An ArtifactError where the episode of actions a [T, A],
     commands a_h [T, A] and rewards [T] is not what happens here.
     """
-    made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",) if cameras else ())
+    sight = seen_of(task)
+    shown = (sight,) if cameras and sight == "pixels" else ()
+    made = make_task(task, 1, action_repeat=action_repeat, observe=shown)
     if not isinstance(made, HasScene):
-        made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
+        made = make_task(task, 1, action_repeat=action_repeat, observe=(sight,))
     for actions in (a, a_h):
         if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
             raise ArtifactError(
@@ -191,6 +195,7 @@ def film(
                 "run the spec again",
             )
     view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
+    course = _Course(size) if view is None and sight == "state" else None
     things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
     positions: list[Floats] = []
     paid: list[Floats] = []
@@ -198,6 +203,8 @@ def film(
     for played in play(made, [layout_seed], [a], [reward], TOLERANCE):
         now = bool(played.last is not None and played.last.cost[0])
         costly |= now
+        if course is not None:
+            course.add(played, now)
         scene = made.scene(np.array([0])) if isinstance(made, HasScene) else None
         if scene is not None:
             positions.append(scene.position[0, :2].copy())
@@ -220,6 +227,8 @@ def film(
             if costly:
                 picture.edge(COST, size / 50)
             frame = np.asarray(picture.finished())
+        elif course is not None:
+            frame = np.asarray(course.picture(costly))
         else:
             image = Image.fromarray(_seen(played)[0]).resize((size, size), Image.Resampling.NEAREST)
             if costly:
@@ -227,8 +236,32 @@ def film(
                     (0, 0, size - 1, size - 1), outline=COST, width=max(1, size // 50)
                 )
             frame = np.asarray(image)
-        yield Moment(frame, played.t, along(positions), things, _seen(played) if cameras else None)
+        seen = _seen(played) if cameras and sight == "pixels" else None
+        yield Moment(frame, played.t, along(positions), things, seen)
         costly = False
+
+
+class _Course:
+    """The vector of an episode so far. What has not come yet is not known, so that the bounds of a
+    component grow while it is drawn.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._states: list[Floats] = []
+        self._costly: list[int] = []
+
+    def add(self, played: Played, cost: bool) -> None:
+        assert played.observation.state is not None
+        self._states.append(played.observation.state[0].copy())
+        self._costly += [played.t] if cost else []
+
+    def picture(self, costly: bool) -> Image.Image:
+        states = np.array(self._states)
+        image = draw_course(Scale.of(states), states, self._size, self._costly)
+        if costly:
+            mark_cost(image, max(1, self._size // 50))
+        return image
 
 
 def _seen(played: Played) -> Pixels:

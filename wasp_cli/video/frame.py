@@ -2,7 +2,8 @@
 
 Left the map, right what the cameras saw and what the world model made of it: decoded from the
 filtered latent, and from imagined ones under the command uncorrected (upper block) and under the
-correction (lower block); below, the course of the whole episode.
+correction (lower block); below, the course of the whole episode. Of a task without a map and
+cameras the components of its vector stand there, over time.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from wasp_cli.video.map import (
     things_of,
 )
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
+from wasp_cli.video.vectors import Curves, Scale, draw_course, draw_curves, mark_cost
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
@@ -92,6 +94,9 @@ class Painter:
         self.shown = tuple(
             dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0))
         )
+        self._scale = Scale.of(self.played.states) if len(self.played.states) else None
+        # Curves are drawn through every imagined step.
+        self._decoded = self.shown if self._scale is None else range(1, horizon + 1)
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
         self._view: MapView | None = None
         self._next = len(shown)
@@ -130,7 +135,11 @@ class Painter:
         self._next = index + 1
         decision = self.played.decisions[index]
         imagined = trace.imagine(
-            self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold
+            self.played.model,
+            decision.start,
+            self._horizon,
+            self._decoded,
+            hold=self._correction.hold,
         )
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
@@ -156,9 +165,19 @@ class Painter:
         imagined: ImaginedTrajectories,
     ) -> None:
         where = (GAP, HEADER + TITLE)
+        no_map = self._view is None or decision.scene is None or self.played.appearance is None
+        if no_map and self._scale is not None:
+            draw.text((GAP, HEADER), "what the assistant sees, by component", _GREY, font(12))
+            so_far = self.played.states[: decision.start.t + 1]
+            costly = np.flatnonzero(self._stored.costly[: decision.start.t + 1]).tolist()
+            course = draw_course(self._scale, so_far, MAP, costly)
+            if self._stored.costly[decision.start.t]:
+                mark_cost(course, 4)
+            image.paste(course, where)
+            return
         if self._view is None or decision.scene is None or self.played.appearance is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
-            image.paste(_camera(decision.pixels, 0, MAP), where)
+            image.paste(_camera(decision.seen, 0, MAP), where)
             return
         draw.text((GAP, HEADER), "from above", _GREY, font(12))
         x = GAP + font(12).getlength("from above") + 18
@@ -220,10 +239,13 @@ class Painter:
         decision: PlayedDecision,
         imagined: ImaginedTrajectories,
     ) -> None:
+        if self._scale is not None:
+            self._vectors(image, draw, decision, imagined, self._scale)
+            return
         rows = range(getattr(self.played.world, "cameras", 2))
         columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
         for column, name, images in (
-            (columns[0], "cameras", decision.pixels),
+            (columns[0], "cameras", decision.seen),
             (columns[1], "decoded", _bytes(decision.decoded)),
         ):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
@@ -252,6 +274,42 @@ class Painter:
                         )
                     else:
                         draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
+
+    def _vectors(
+        self,
+        image: Image.Image,
+        draw: ImageDraw.ImageDraw,
+        decision: PlayedDecision,
+        imagined: ImaginedTrajectories,
+        scale: Scale,
+    ) -> None:
+        """For each block what came before and after the decision, and what was imagined of it."""
+        t, horizon = decision.start.t, self._horizon
+        span = (max(0, t - horizon // 2), t + horizon)
+        # As wide as the imagined images of other tasks: at their left stand the numbers.
+        left = _RIGHT + 2 * (SIDE + BETWEEN)
+        size = (WIDTH - GAP - left, 2 * SIDE + BETWEEN)
+        came = Curves(self.played.states, 0, "#a0a0a0")
+        for block, (top, name, colour) in enumerate(
+            zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)
+        ):
+            there = block < len(imagined.features)
+            what = f"imagined: {name}" if there else "no correction at this decision"
+            mark = (left, top - 2 * TITLE + 4, left + 10, top - 2 * TITLE + 14)
+            draw.rectangle(mark, colour if there else _NOTHING)
+            place = (left + 16, top - 2 * TITLE + 2)
+            draw.text(place, what, _INK if there else _GREY, font(12))
+            if there:
+                costs = [f"+{step}  ĉ {imagined.cost[block, step - 1]:.2f}" for step in self.shown]
+                draw.text((left, top - TITLE + 2), "    ".join(costs), _GREY, font(11))
+            curves = [came]
+            if there:
+                steps = [imagined.images[step][block] for step in range(1, horizon + 1)]
+                ahead = np.array([decision.decoded, *steps], np.float64)
+                curves.append(Curves(ahead, t, colour))
+            image.paste(draw_curves(scale, curves, span, size, now=t), (left, top))
+        notes = ["right: before and after this decision,", "grey: as it came"]
+        draw.multiline_text((_RIGHT, HEADER + 2), "\n".join(notes), _GREY, font(11), spacing=4)
 
 
 def _legend_entry(

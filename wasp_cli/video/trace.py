@@ -44,7 +44,7 @@ from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.stages.evaluate import EvaluateStage
-from wasp_cli.tasks.base import Floats, Pixels, VectorTask
+from wasp_cli.tasks.base import Floats, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.frames import wrapped
 from wasp_cli.tasks.make import make_task
@@ -73,7 +73,8 @@ class ImaginedTrajectories(NamedTuple):
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
     # [S, H] probability of a cost at the arrived states, mean over the rollouts
     cost: NDArray[np.float32]
-    # by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout
+    # by imagined step from 1 to H, decoded from the first rollout: images [S, 6, 64, 64] in [0, 1],
+    # or vectors [S, size]
     images: dict[int, NDArray[np.float32]]
 
 
@@ -384,8 +385,9 @@ def threads_of_evaluations() -> Iterator[None]:
 
 class PlayedDecision(NamedTuple):
     start: RolloutStart
-    pixels: Pixels  # [6, 64, 64] what the cameras saw
-    decoded: NDArray[np.float32]  # [6, 64, 64] in [0, 1]: what the filtered latent remembers of it
+    seen: NDArray[Any]  # [6, 64, 64] what the cameras saw, or the vector [size]
+    # what the filtered latent remembers of it: [6, 64, 64] in [0, 1], or a vector
+    decoded: NDArray[np.float32]
     scene: Scene | None  # of one row; None of a task without a map
 
 
@@ -399,6 +401,7 @@ class PlayedEpisode(NamedTuple):
     # without a map
     readout: Readout | None
     explained: Floats  # [3] its R2 of the displacements of this episode: forward, left, turn
+    states: Floats  # [T, size] the vectors of the episode; [0, 0] of a task with cameras
 
 
 @threads_of_evaluations()
@@ -425,13 +428,16 @@ def play_episode(
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
+    states: list[Floats] = []
     for moment in rerun:
         t = moment.t
         if appearance is not None and isinstance(world, HasScene):
             poses.append(poses_of(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
+        seen = getattr(moment.seen, model.reads)[episode].copy()
+        if model.reads == "state" and t < length:
+            states.append(seen)
         if t in shown and t < length:
-            assert moment.seen.pixels is not None
             begun = rollout_start(
                 t,
                 moment.latent,
@@ -444,9 +450,7 @@ def play_episode(
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
-            decisions.append(
-                PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene)
-            )
+            decisions.append(PlayedDecision(begun, seen, decoded, scene))
         if t % 25 == 0:
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
@@ -457,6 +461,7 @@ def play_episode(
         decisions,
         places,
         *_read_out(features, poses, rerun.lengths, episode),
+        np.array(states) if states else np.zeros((0, 0)),
     )
 
 

@@ -70,7 +70,7 @@ def test_what_learns_in_the_task(layout: Layout) -> None:
 def test_losses_are_shares_of_the_first_one(layout: Layout) -> None:
     first = loss_curves(layout, [artifact(layout, "world_model")])
     assert {curve.name: curve.y["loss"].tolist() for curve in first} == {
-        "images": [1.0, 0.5, 0.25],
+        "observations": [1.0, 0.5, 0.25],
         "cost": [1.0, 0.5],
     }
     assert first[0].x.tolist() == [0, 20, 40]
@@ -162,7 +162,8 @@ def test_figures_name_what_they_show(tmp_path: Path) -> None:
     ]
     learning, reliability = (files[i].read_text() for i in (1, 3))
     assert all(
-        text in learning for text in ("Expert", "SafeRL-Res", "images", "Goal1: return per episode")
+        text in learning
+        for text in ("Expert", "SafeRL-Res", "observations", "Goal1: return per episode")
     )
     assert all(text in reliability for text in ("Goal1: held-out episodes", "steps ahead"))
     assert "operators not in the data" not in reliability  # nothing was judged there

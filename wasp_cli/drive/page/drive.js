@@ -63,8 +63,10 @@ function begin(message) {
   block = message; world = block.map; review = null; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
   byId("title").textContent = block.task;
   if (world) { ground = new Image(); ground.src = world.ground.image; }
-  byId("eyes").height = 64 * block.cameras;
+  byId("eyes").width = block.side; byId("eyes").height = block.side * block.cameras;
+  byId("ahead").hidden = Boolean(block.plot);
   byId("behind").hidden = block.cameras < 2;
+  byId("seen").textContent = block.plot ? "what the assistant sees: its numbers over the last decisions" : "what the robot sees";
   const toggles = byId("toggles");
   toggles.replaceChildren(toggles.firstElementChild);
   for (const name of shown) {

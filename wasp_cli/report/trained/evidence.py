@@ -35,6 +35,7 @@ from wasp_cli.report.trained.figures import (
     draw_reliability,
     draw_value_reliability,
 )
+from wasp_cli.report.trained.vectors import VectorWindow, draw_decoded, draw_imagined
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
@@ -58,6 +59,7 @@ COLUMNS = (
     "true",
     "model",
 )
+VECTORS_FILE = "vectors.parquet"  # the samples of a model of vectors
 WINDOWS = 16  # imagined windows that are drawn at most
 
 Images = NDArray[np.uint8]
@@ -71,9 +73,34 @@ class Window(NamedTuple):
     predicted: Floats  # [K] probability of a cost
 
 
-def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
-    table = read_table(layout, artifact, "images.parquet", COLUMNS)
-    of = np.asarray(table["window"], np.int64)
+class _Samples(NamedTuple):
+    """What diagnostics sampled, a row for each frame."""
+
+    window: NDArray[np.int64]  # -1: decoded, then the imagined ones by number
+    rows: dict[str, list[Any]]  # other columns by name
+    cost: Floats
+    predicted: Floats
+
+    def windows(self) -> list[int]:
+        """Return the numbers of the imagined windows that are drawn."""
+        return sorted(set(self.window[self.window >= 0].tolist()))[:WINDOWS]
+
+    def places(self, number: int) -> list[int]:
+        """Return the rows of a window, in order."""
+        places: list[int] = np.flatnonzero(self.window == number).tolist()
+        return places
+
+    def title(self, number: int) -> str:
+        """Return whose window it is."""
+        first = self.places(number)[0]
+        behaviour, episode, decision = (
+            self.rows[name][first] for name in ("behaviour", "episode", "decision")
+        )
+        return f"{behaviour}, episode {episode}, step {decision}"
+
+
+def _samples(layout: Layout, artifact: Trained, file: str) -> _Samples:
+    table = read_table(layout, artifact, file, COLUMNS)
     rows: dict[str, list[Any]] = {
         name: table[name].to_pylist()
         for name in ("behaviour", "episode", "decision", "true", "model")
@@ -81,22 +108,47 @@ def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list
     cost, predicted = (
         np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted")
     )
+    window = np.asarray(table["window"], np.int64)
+    return _Samples(window, rows, cost, np.clip(predicted, 0.0, 1.0))
+
+
+def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
+    """Read what a model of images decoded, and the windows that it imagined."""
+    samples = _samples(layout, artifact, "images.parquet")
 
     def window(number: int) -> Window:
-        places = np.flatnonzero(of == number).tolist()
-        first = places[0]
-        title = (
-            f"{rows['behaviour'][first]}, episode {rows['episode'][first]}, step "
-            f"{rows['decision'][first]}"
-        )
+        places = samples.places(number)
         true, model = (
-            np.stack([np.frombuffer(rows[name][i], np.uint8).reshape(PIXELS) for i in places])
+            np.stack(
+                [np.frombuffer(samples.rows[name][i], np.uint8).reshape(PIXELS) for i in places]
+            )
             for name in ("true", "model")
         )
-        return Window(title, true, model, cost[places], np.clip(predicted[places], 0.0, 1.0))
+        cost, predicted = samples.cost[places], samples.predicted[places]
+        return Window(samples.title(number), true, model, cost, predicted)
 
-    numbers = sorted(set(of[of >= 0].tolist()))[:WINDOWS]
-    return window(-1) if (of == -1).any() else None, [window(number) for number in numbers]
+    decoded = window(-1) if samples.places(-1) else None
+    return decoded, [window(number) for number in samples.windows()]
+
+
+def read_vectors(layout: Layout, artifact: Trained) -> tuple[VectorWindow, list[VectorWindow]]:
+    """Read what a model of vectors decoded, and the windows that it imagined."""
+    samples = _samples(layout, artifact, VECTORS_FILE)
+
+    def window(number: int) -> VectorWindow:
+        places = samples.places(number)
+        true, model = (
+            np.array([samples.rows[name][i] for i in places], np.float64)
+            for name in ("true", "model")
+        )
+        cost, predicted = samples.cost[places], samples.predicted[places]
+        return VectorWindow(samples.title(number), true, model, cost, predicted)
+
+    return window(-1), [window(number) for number in samples.windows()]
+
+
+def _sees_vectors(layout: Layout, artifact: Trained) -> bool:
+    return (layout.artifact(artifact.kind, artifact.key) / VECTORS_FILE).is_file()
 
 
 def _strip(window: Window, word: str) -> Image.Image:
@@ -122,12 +174,20 @@ def _strip(window: Window, word: str) -> Image.Image:
 
 
 def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
+    if _sees_vectors(layout, artifact):
+        draw_decoded(read_vectors(layout, artifact)[0], path)
+        return
     decoded, _ = read_windows(layout, artifact)
     if decoded is not None:
         _strip(decoded, "decoded").save(path, format="PNG")
 
 
 def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
+    if _sees_vectors(layout, artifact):
+        _, imagined = read_vectors(layout, artifact)
+        if imagined:
+            draw_imagined(imagined, path)
+        return
     _, windows = read_windows(layout, artifact)
     if not windows:
         return
@@ -195,11 +255,21 @@ FORESEEN = tuple(
         ("foreseen", "Foreseen", 3),
         ("onset_foreseen", "Onset foreseen", 3),
         ("reward_r2", "Reward R2", 2),
-        ("image_error", "Image error", 4),
-        ("copy_error", "Copy error", 4),
-        ("image_over_copy", "Image / copy", 2),
     )
 )
+OBSERVED = {
+    kind: (
+        Column(f"{kind}_error", f"{kind.capitalize()} error", digits=4),
+        Column("copy_error", "Copy error", digits=4),
+        Column(f"{kind}_over_copy", f"{kind.capitalize()} / copy", digits=2),
+    )
+    for kind in ("image", "vector")
+}
+"""By what a world model sees: how well it imagines that."""
+UNITS = {
+    "image": "Image errors are squared, per pixel, for values in [0, 1].",
+    "vector": "Vector errors are squared, per component, in units of the dataset's variance.",
+}
 WINDOW = tuple(
     Column(key, title, digits=3)
     for key, title in (
@@ -240,25 +310,32 @@ def open_loop_markdown(sets: Document) -> str:
             *_foreseen(table),
         ]
     window = next(iter(sets.values()))["window"]
+    kind = _observed(next(iter(sets.values())))
     parts.append(
         "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence "
         "says that the cost stays what it is now, copy "
-        "that the image does. Recall is at 10 % false alarms. Onset counts only starts "
+        f"that the {kind} does. Recall is at 10 % false alarms. Onset counts only starts "
         "that do not cost themselves. Foreseen is the share "
         "of the real costs before which the safety gate would have fired: the expected "
         "costly steps of the window, discounted by "
         f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is "
         "the share of windows without a cost in which "
         "they were too. ECE is the mean distance of predicted and seen over ten bins. "
-        "Image errors are squared, per pixel, for values in "
-        "[0, 1].\n"
+        f"{UNITS[kind]}\n"
     )
     return "\n".join(parts)
 
 
+def _observed(table: Document) -> str:
+    """Return what the model sees: `image` or `vector`."""
+    return "vector" if any("vector_error" in row for row in table["steps"]) else "image"
+
+
 def _foreseen(table: Document) -> Iterator[str]:
     steps, window = table["steps"], table["window"]
-    yield _table("Step by step", ("k",), FORESEEN, [((str(row["k"]),), row) for row in steps])
+    kind = _observed(table)
+    columns = (*FORESEEN, *OBSERVED[kind])
+    yield _table("Step by step", ("k",), columns, [((str(row["k"]),), row) for row in steps])
     starts = [
         ((title,), {column.key: window.get(f"{prefix}{column.key}") for column in WINDOW})
         for title, prefix in (("all", ""), ("onset", "onset_"))
@@ -268,18 +345,18 @@ def _foreseen(table: Document) -> Iterator[str]:
     if told:
         places = (
             ("filtered latent", "filtered"),
-            ("embedding of the image", "embedding"),
+            (f"embedding of the {kind}", "embedding"),
             (f"imagined, step {told['step']}", "imagined"),
         )
         note = (
             "What a ridge regression tells of the privileged vector, as R2, fitted on the "
             "episodes that were learned from."
         )
-        columns = [Column(group, group) for group in told["filtered"]]
+        groups = [Column(group, group) for group in told["filtered"]]
         yield _table(
             "What is read from the latent",
             ("read from",),
-            columns,
+            groups,
             [((title,), told[key]) for title, key in places],
             [note],
         )

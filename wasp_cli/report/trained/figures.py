@@ -53,7 +53,12 @@ DRIVING = {  # stages that learn in the task: file of the curve, name in figures
     "policies": ("reinforcement.json", "Latent expert"),
     "residual": ("curve.json", "SafeRL-Res"),
 }
-LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "cost, imagined"}
+LOSSES = {
+    "beta_o": "observations",
+    "beta_r": "reward",
+    "beta_c": "cost",
+    "ahead_c": "cost, imagined",
+}
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
 UPDATES_PER_POINT = 20  # of the world model's curves
 STEPS = (1, 5, 10, 15)  # imagined steps whose reliability a figure shows
@@ -66,9 +71,13 @@ RANKED = (
 FURTHER = (
     ("predicted_over_base", "predicted cost / base rate"),
     ("reward_r2", "reward R2"),
-    ("image_over_copy", "image error / error of a copy"),
 )
 """What the other panels over the imagined step show: key and title."""
+OVER_COPY = {
+    "image": ("image_over_copy", "image error / error of a copy"),
+    "vector": ("vector_over_copy", "vector error / error of a copy"),
+}
+"""The last of them, by what the world model sees."""
 # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points
 # at most
 GROUPS, POINTS = 10, 1500
@@ -297,6 +306,8 @@ def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
     if not sets:
         return None
     first, last = next(iter(sets)), max(len(rows) for rows in sets.values())
+    of_vectors = any("vector_over_copy" in row for rows in sets.values() for row in rows)
+    others = (*FURTHER, OVER_COPY["vector" if of_vectors else "image"])
     with drawn((14.4, 3.4)) as figure:
         panels = figure.subplots(1, 4, squeeze=False)[0]
         ranked, further = [], []
@@ -319,12 +330,12 @@ def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
             further.append(
                 [
                     Line(k, column_of(rows, key), title, colour, marker="o", gaps=True)
-                    for key, _ in FURTHER
+                    for key, _ in others
                 ]
             )
         common: dict[str, Any] = {"xlabel": "imagined step", "xticks": [1, *range(5, 1 + last, 5)]}
         draw_lines(panels[0], ranked, title="cost AUPRC", **common)
-        for i, (_, title) in enumerate(FURTHER):
+        for i, (_, title) in enumerate(others):
             draw_lines(panels[1 + i], [lines[i] for lines in further], title=title, **common)
         for panel in panels:
             panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
