@@ -31,8 +31,8 @@ SHOWN = 20  # updates between two points of the curves
 REFIT_RATE = 1e-3  # initial learning rate of the refit; it decays linearly to a tenth
 
 
-def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
-    """Build an untrained model of the configured sizes."""
+def build(config: WorldModelConfig, action: int, reward_unit: float = 1.0) -> SafetyWorldModel:
+    """Build an untrained model of the configured sizes, for a task whose rewards have that unit."""
     names = (
         "deter",
         "hidden",
@@ -45,7 +45,8 @@ def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
         "cost_weight",
         "action_scales",
     )
-    return SafetyWorldModel(Sizes(action=action, **{name: getattr(config, name) for name in names}))
+    sizes = {name: getattr(config, name) for name in names}
+    return SafetyWorldModel(Sizes(action=action, reward_unit=reward_unit, **sizes))
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:

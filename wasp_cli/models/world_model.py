@@ -35,6 +35,8 @@ class Sizes:
     reward_scale: float
     cost_weight: float
     action_scales: Sequence[float] = (1.0,)
+    reward_unit: float = 1.0
+    """What a reward of 1 is in the loss: rewards are multiplied by reward_scale / reward_unit."""
 
 
 class Batch(NamedTuple):
@@ -128,11 +130,20 @@ class SafetyWorldModel(nn.Module):
             ),
         )
 
+    @property
+    def reward_unit(self) -> float:
+        """The unit of rewards in which settings of assistants are: see `learning.reward_unit`."""
+        return self.sizes.reward_unit
+
+    @property
+    def _reward_factor(self) -> float:
+        return self.sizes.reward_scale / self.sizes.reward_unit
+
     # -- heads -------------------------------------------------------------------------------------
 
     def reward(self, latent: Latent) -> Tensor:
         """Predict the mean reward [...] at the arrived state."""
-        return latent.through(self.reward_head).squeeze(-1) / self.sizes.reward_scale
+        return latent.through(self.reward_head).squeeze(-1) / self._reward_factor
 
     def cost_logit(self, latent: Latent) -> Tensor:
         """Predict the logit [...] of the cost probability.
@@ -246,7 +257,7 @@ class SafetyWorldModel(nn.Module):
         counts = torch.ones_like(reward) if counts is None else counts
         total = counts.sum().clamp(min=1.0)
         error = (
-            self.reward_head(features).squeeze(-1).float() - sizes.reward_scale * reward
+            self.reward_head(features).squeeze(-1).float() - self._reward_factor * reward
         ).square()
         weight = torch.as_tensor(sizes.cost_weight, dtype=cost.dtype, device=cost.device)
         logit = self.cost_head(features).squeeze(-1).float()

@@ -45,6 +45,7 @@ class WorldModelStage:
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
+        from wasp_cli.learning.reward_unit import unit_of
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.world_model import save_world_model
@@ -57,7 +58,8 @@ class WorldModelStage:
         learned = ~recording.held_out(HELD_OUT)
         names = (job.task, job.seed)
         torch.manual_seed(derive("world-model-weights", *names))
-        model = learning.build(config, recording.action.shape[1])
+        unit = unit_of(job.task, recording.reward[learned & (recording.first == 0)])
+        model = learning.build(config, recording.action.shape[1], unit)
         model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
