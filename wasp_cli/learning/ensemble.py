@@ -28,6 +28,7 @@ def train_ensemble(
     gamma: float,
     seed: int,
     report: Callable[[float, str], None],
+    unit: float = 1.0,
 ) -> tuple[QEnsemble, list[float]]:
     """Learn Q of acting once and following the expert afterwards: target r + gamma Q'(s',
     pi_E(s')).
@@ -35,6 +36,9 @@ def train_ensemble(
     Every member has a target network of its own and sees the same transitions; a third of each
     batch comes from uniformly random commands being executed ('noisy', 'bursts', 'random'), so that
     human-like actions are covered.
+
+    Args:
+        unit: in which Q counts rewards: see `learning.reward_unit`.
 
     Returns:
         The ensemble, and its TD loss at every hundredth update.
@@ -49,7 +53,8 @@ def train_ensemble(
     odd = torch.from_numpy(
         np.flatnonzero(np.isin(recording.behaviour[starts.numpy()], ["noisy", "bursts", "random"]))
     )
-    action, reward = torch.from_numpy(recording.action), torch.from_numpy(recording.reward)
+    action = torch.from_numpy(recording.action)
+    reward = torch.from_numpy(recording.reward) / unit
     terminal = torch.from_numpy(recording.terminal)
     curve: list[float] = []
     for update in range(config.updates):
@@ -79,11 +84,11 @@ def train_ensemble(
 
 
 @torch.inference_mode()
-def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float) -> Pairs:
+def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float, unit: float = 1.0) -> Pairs:
     """Pair Q(h, z, a^E), mean over the members, with the discounted reward that really followed
-    on episodes of the unimpaired expert.
+    on episodes of the unimpaired expert. Q counts rewards in their `unit`.
     """
-    q = ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
+    q = unit * ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
     return pairs(
         q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma
     )

@@ -24,6 +24,7 @@ from torch import nn
 from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs.recorded import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.reward_unit import GrowingUnit, first_unit
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.seeds import derive
@@ -62,6 +63,8 @@ def train_expert(
     seeds = SeedStream("expert-episode", task_name, seed)
     env = TaskVecEnv(task, task.privileged_size, low, high, seeds)
     env.spread = True
+    env.growing = GrowingUnit(task_name, first_unit(task, task_name, seed))
+    env.unit = env.growing.value
     normalised = VecNormalize(env, norm_obs=True, norm_reward=False, clip_obs=10.0)
     model = PPO(
         "MlpPolicy",
@@ -201,6 +204,7 @@ class TrainingState:
             "interactions": ppo.num_timesteps,
             "seeds": self._seeds.drawn,
             "multiplier": self._env.multiplier,
+            "unit": self._env.unit,
             "curve": curve,
             "count": float(self._statistics.count),
             "numpy_generator": [shuffles["state"]["pos"], shuffles["has_gauss"], shuffles["gauss"]],
@@ -252,6 +256,9 @@ class TrainingState:
             counters["count"],
         )
         self._env.multiplier, self._seeds.drawn = counters["multiplier"], counters["seeds"]
+        self._env.unit = counters.get("unit", 1.0)  # a state of an earlier version has none
+        if self._env.growing is not None:
+            self._env.growing.value = self._env.unit
         torch.set_rng_state(torch.from_numpy(arrays["torch_generator"]))
         np.random.set_state(("MT19937", arrays["numpy_generator"], *counters["numpy_generator"]))  # noqa: NPY002
         curve: list[dict[str, float]] = counters["curve"]

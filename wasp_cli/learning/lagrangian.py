@@ -140,6 +140,7 @@ class LagrangianCallback(BaseCallback):
         row = self._tasks.curve.take()
         row |= {"interactions": float(self.num_timesteps), "multiplier": self._tasks.multiplier}
         self.curve.append(row)
+        self._tasks.settle_unit()
         measured = self._average()
         if self.num_timesteps >= self._rule.delay and not math.isnan(measured):
             self._tasks.multiplier = self._rule.next(

@@ -46,6 +46,7 @@ def reinforce(
     """
     env = FilteredTask(task, model, SeedStream("reinforce-episode", name, seed))
     env.normalise = env.spread = True
+    env.unit = model.sizes.reward_unit
     better = copy.deepcopy(actor).train().requires_grad_(True)
     hidden = [layer.out_features for layer in better.net if isinstance(layer, nn.Linear)][:-1]
     ppo = PPO(

@@ -118,7 +118,7 @@ class AssistedTask(FilteredTask):
     def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
         if not self._rsa:
             return super().objective(step, penalty)
-        return (self.multiplier * step.reward - penalty) / (1.0 + self.multiplier)
+        return (self.multiplier * step.reward / self.unit - penalty) / (1.0 + self.multiplier)
 
 
 def huber(norm: NDArray[Any]) -> NDArray[Any]:
@@ -151,6 +151,7 @@ def train_residual(
     torch.manual_seed(derive("residual-weights", name, seed))
     env = AssistedTask(task, model, skills, config, name, seed, informed)
     env.normalise = env.spread = True
+    env.unit = model.sizes.reward_unit
     ppo = PPO(
         "MlpPolicy",
         env,

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from wasp_cli.learning.reward_unit import GrowingUnit
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import Observation, Step, VectorTask
 
@@ -55,6 +56,8 @@ class TaskVecEnv(VecEnv):
     ) -> None:
         self.task = task
         self.multiplier = 0.0
+        self.unit = 1.0  # of a reward: see `learning.reward_unit`
+        self.growing: GrowingUnit | None = None  # where the unit follows what is met
         # divide the reward by 1 + multiplier, so that its scale does not grow with it
         self.normalise = False
         self.spread = False
@@ -85,9 +88,17 @@ class TaskVecEnv(VecEnv):
         return action, np.zeros(len(action), np.float32)
 
     def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
-        """Return the reward that is learned from [B]: (r - penalty - multiplier * c_t) / scale."""
-        reward: NDArray[Any] = step.reward - penalty - self.multiplier * step.cost
+        """Return the reward that is learned from [B]: (r / unit - penalty - multiplier * c_t) /
+        scale.
+        """
+        reward: NDArray[Any] = step.reward / self.unit - penalty - self.multiplier * step.cost
         return reward / (1.0 + self.multiplier) if self.normalise else reward
+
+    def settle_unit(self) -> None:
+        """Let the unit of rewards follow what the last rollout met, where it does."""
+        if self.growing is not None:
+            self.growing.settle()
+            self.unit = self.growing.value
 
     # -- VecEnv ------------------------------------------------------------------------------------
 
@@ -115,6 +126,8 @@ class TaskVecEnv(VecEnv):
         executed, penalty = self.execute(self._action)
         step: Step = self.task.step(executed)
         reward = self.objective(step, penalty)
+        if self.growing is not None:
+            self.growing.see(step.reward)
         self._return += step.reward
         self._cost += step.cost_env
         self.curve.env_steps += int(step.env_steps.sum())

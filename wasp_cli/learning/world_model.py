@@ -34,7 +34,10 @@ REFIT_RATE = 1e-3  # initial learning rate of the refit; it decays linearly to a
 
 
 def build(
-    config: WorldModelConfig, action: int, vectors: Standard | None = None
+    config: WorldModelConfig,
+    action: int,
+    vectors: Standard | None = None,
+    reward_unit: float = 1.0,
 ) -> SafetyWorldModel:
     """Build an untrained model of the configured sizes.
 
@@ -42,6 +45,7 @@ def build(
         config: its sizes.
         action: number of an action's components.
         vectors: mean and standard deviation of the vectors that it sees; None: it sees images.
+        reward_unit: of the task's rewards: see `learning.reward_unit`.
     """
     names = (
         "deter",
@@ -55,7 +59,8 @@ def build(
         "cost_weight",
         "action_scales",
     )
-    sizes = Sizes(action=action, **{name: getattr(config, name) for name in names})
+    values = {name: getattr(config, name) for name in names}
+    sizes = Sizes(action=action, reward_unit=reward_unit, **values)
     if vectors is not None:
         sizes = replace(sizes, state_mean=vectors.mean, state_std=vectors.std)
     return SafetyWorldModel(sizes)

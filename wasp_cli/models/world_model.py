@@ -40,13 +40,19 @@ class Sizes:
     # as the numbers that they are, because weights are stored in 16 bits.
     state_mean: Sequence[float] = ()
     state_std: Sequence[float] = ()
+    reward_unit: float = 1.0
+    """What a reward of 1 is in the loss: rewards are multiplied by reward_scale / reward_unit."""
 
     @property
     def stored(self) -> dict[str, Any]:
-        """What is written beside the weights; of a model of images nothing about vectors."""
+        """What is written beside the weights: nothing about vectors where the model sees images,
+        and no unit where it is 1.
+        """
         values = asdict(self)
         if not self.state_mean:
             del values["state_mean"], values["state_std"]
+        if self.reward_unit == 1.0:
+            del values["reward_unit"]
         return values
 
 
@@ -179,11 +185,20 @@ class SafetyWorldModel(nn.Module):
             ),
         )
 
+    @property
+    def reward_unit(self) -> float:
+        """The unit of rewards in which settings of assistants are: see `learning.reward_unit`."""
+        return self.sizes.reward_unit
+
+    @property
+    def _reward_factor(self) -> float:
+        return self.sizes.reward_scale / self.sizes.reward_unit
+
     # -- heads -------------------------------------------------------------------------------------
 
     def reward(self, latent: Latent) -> Tensor:
         """Predict the mean reward [...] at the arrived state."""
-        return latent.through(self.reward_head).squeeze(-1) / self.sizes.reward_scale
+        return latent.through(self.reward_head).squeeze(-1) / self._reward_factor
 
     def cost_logit(self, latent: Latent) -> Tensor:
         """Predict the logit [...] of the cost probability.
@@ -300,7 +315,7 @@ class SafetyWorldModel(nn.Module):
         counts = torch.ones_like(reward) if counts is None else counts
         total = counts.sum().clamp(min=1.0)
         error = (
-            self.reward_head(features).squeeze(-1).float() - sizes.reward_scale * reward
+            self.reward_head(features).squeeze(-1).float() - self._reward_factor * reward
         ).square()
         weight = torch.as_tensor(sizes.cost_weight, dtype=cost.dtype, device=cost.device)
         logit = self.cost_head(features).squeeze(-1).float()

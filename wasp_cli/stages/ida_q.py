@@ -30,8 +30,9 @@ class IDAQStage:
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.reward_unit import unit_of
         from wasp_cli.learning.rounding import rounded
-        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
@@ -44,8 +45,10 @@ class IDAQStage:
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
         seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
+        decided = ~recording.held_out(HELD_OUT) & (recording.first == 0)
+        unit = unit_of(job.task, recording.reward[decided])
         ensemble, curve = train_ensemble(
-            skills, recording, latents, config, gamma, seed, job.progress
+            skills, recording, latents, config, gamma, seed, job.progress, unit
         )
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
         arguments = {
@@ -61,7 +64,7 @@ class IDAQStage:
             ).features
             expert = skills.expert(seen)
             gap = (ensemble(seen, expert) - ensemble(seen, -expert)).mean()
-        found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma)
+        found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma, unit)
         judged = quality(found)
         (job.out_dir / "curve.json").write_text(json.dumps(curve))
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))

@@ -50,6 +50,7 @@ class WorldModelStage:
             teach_encoder,
             untaught,
         )
+        from wasp_cli.learning.reward_unit import unit_of
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.vectors import standard_of
@@ -63,12 +64,13 @@ class WorldModelStage:
         learned = ~recording.held_out(HELD_OUT)
         names = (job.task, job.seed)
         torch.manual_seed(derive("world-model-weights", *names))
+        unit = unit_of(job.task, recording.reward[learned & (recording.first == 0)])
         if recording.reads == "state":
             config = config.model_copy(update=untaught(config, recording))
             vectors = standard_of(recording.state)
-            model = learning.build(config, recording.action.shape[1], vectors)
+            model = learning.build(config, recording.action.shape[1], vectors, unit)
         else:
-            model = learning.build(config, recording.action.shape[1])
+            model = learning.build(config, recording.action.shape[1], reward_unit=unit)
             model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 

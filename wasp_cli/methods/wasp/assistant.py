@@ -271,6 +271,7 @@ class WASP:
             self.tau_c,
             self.tau_r if config.variant != "safety-only" else torch.inf,
             self.time_is_up,
+            self.imagination.reward_unit,
         )
 
     def _draws(self, streams: Streams, purpose: int, start: Situation) -> Draws:

@@ -158,6 +158,11 @@ class Imagination:
             else None
         )
 
+    @property
+    def reward_unit(self) -> float:
+        """The unit of rewards that the model knows; 1 where it knows none."""
+        return float(getattr(self.model, "reward_unit", 1.0))
+
     def roll(self, start: Situation, candidates: int, compose: Compose, draws: Draws) -> Imagined:
         """Imagine N candidates of B decisions in M rollouts each.
 

@@ -211,7 +211,8 @@ class Printed:
 
     def s_task(self, candidates: Scored) -> Tensor:
         """Return S_task [B, N] (Eq. 16)."""
-        score = candidates.reward - self.config.alpha * candidates.residuals.square().sum((-1, -2))
+        effort = self.config.alpha * candidates.residuals.square().sum((-1, -2))
+        score = candidates.reward / self.imagination.reward_unit - effort
         return score.nan_to_num(nan=-torch.inf)
 
     def s_safe(self, candidates: Scored) -> Tensor:

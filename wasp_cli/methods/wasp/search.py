@@ -33,6 +33,7 @@ def search(
     tau_c: float,
     tau_r: float,
     time_is_up: Callable[[], bool],
+    unit: float = 1.0,
 ) -> Plan:
     """Search residual sequences for B decisions.
 
@@ -48,6 +49,7 @@ def search(
         tau_r: what a plan must gain where the second look says that the command is safe after all.
         time_is_up: asked before every further batch of rollouts; once it says so, the best so far
             is selected on the draws of the search.
+        unit: of a reward; the effort of a correction has its price in it.
     """
     mean, std = known[:, -1], torch.full_like(known[:, -1], config.initial_std)
     everything: list[Scored] = []
@@ -69,7 +71,7 @@ def search(
 
         # Case I: enough safe candidates (Eq. 14), the elites are the best by S_task (Eq. 16). Case
         # II: those of least S_safe (Eq. 17).
-        s_task, s_safe, feasible = scores(batch, config.alpha, tau_c)
+        s_task, s_safe, feasible = scores(batch, config.alpha, tau_c, unit)
         counts.append(feasible.sum(-1))
         enough = counts[-1] >= config.feasible
         by_task = torch.where(feasible, s_task, -torch.inf)
@@ -94,32 +96,41 @@ def search(
     if time_is_up():
         finalists = Scored.joined([alone, found])
     else:
-        s_task, s_safe, feasible = scores(found, config.alpha, tau_c)
+        s_task, s_safe, feasible = scores(found, config.alpha, tau_c, unit)
         size = min(FINALISTS, found.residuals.shape[1])
         best = torch.where(feasible, s_task, -torch.inf).topk(size, 1), (-s_safe).topk(size, 1)
         index = torch.cat([each.indices for each in best], 1)
         finalists = again(
             torch.cat([torch.zeros_like(mean).unsqueeze(1), found.take(index).residuals], 1)
         )
-    return _selected(finalists, counts, config, tau_c, tau_r)
+    return _selected(finalists, counts, config, tau_c, tau_r, unit)
 
 
-def scores(batch: Scored, alpha: float, tau_c: float) -> tuple[Tensor, Tensor, Tensor]:
+def scores(
+    batch: Scored, alpha: float, tau_c: float, unit: float = 1.0
+) -> tuple[Tensor, Tensor, Tensor]:
     """Return S_task (Eq. 16), S_safe (Eq. 17), and which candidates are feasible (Eq. 14), [B,
     N] each; a broken rollout is the worst.
+
+    S_task counts rewards in their `unit`, so that alpha means the same on every task.
     """
     effort = alpha * batch.residuals.square().sum((-1, -2))
-    s_task, s_safe = batch.reward - effort, (batch.cost - tau_c).clamp(min=0) + effort
+    s_task, s_safe = batch.reward / unit - effort, (batch.cost - tau_c).clamp(min=0) + effort
     return s_task.nan_to_num(nan=-torch.inf), s_safe.nan_to_num(nan=torch.inf), batch.cost <= tau_c
 
 
 def _selected(
-    finalists: Scored, counts: list[Tensor], config: WASPConfig, tau_c: float, tau_r: float
+    finalists: Scored,
+    counts: list[Tensor],
+    config: WASPConfig,
+    tau_c: float,
+    tau_r: float,
+    unit: float,
 ) -> Plan:
     """Select the best feasible finalist by S_task, else the one of least S_safe; the first
     finalist is the command alone.
     """
-    s_task, s_safe, feasible = scores(finalists, config.alpha, tau_c)
+    s_task, s_safe, feasible = scores(finalists, config.alpha, tau_c, unit)
     some = (feasible & s_task.isfinite()).any(-1)
     index = torch.where(
         some, torch.where(feasible, s_task, -torch.inf).argmax(-1), s_safe.argmin(-1)
