@@ -164,11 +164,10 @@ def _diagnostics(measured: Measured) -> list[Shortfall]:
     """Costs and rewards imagined ahead, beside what needs no model."""
     summary = measured.summary
     blind: list[str] = []
+    if _number(summary, f"base@{JUDGED[0]}") == 0.0:
+        blind.append("nothing cost in the held-out episodes")
     for step in JUDGED:
         seen, base = _number(summary, f"auprc@{step}"), _number(summary, f"base@{step}")
-        if base == 0.0:
-            blind.append(f"{_ahead(step)} nothing cost in the held-out episodes")
-            continue
         if seen is None or base is None:
             continue
         lasting = _number(summary, f"persistence@{step}")

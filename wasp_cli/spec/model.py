@@ -32,6 +32,7 @@ from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
+from wasp_cli.spec.own_units import with_auto
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
 from wasp_cli.tasks.registry import TASKS
@@ -541,7 +542,9 @@ def validate(document: Mapping[str, Any]) -> Spec:
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
     spec = spec_type().model_validate_json(json.dumps(resolved), strict=True)
     if spec.by_hand is None:  # a record of the spec has every field, written or not
-        spec = spec.model_copy(update={"by_hand": _written_knobs(spec, document)})
+        settings = with_auto(spec.tasks, spec.methods, spec.by_task, document)
+        hand = _written_knobs(spec, document)
+        spec = spec.model_copy(update={"by_hand": hand, "by_task": settings})
     return spec
 
 
