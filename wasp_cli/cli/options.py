@@ -463,6 +463,10 @@ class Work:
     retries: Annotated[
         int, option("N", "Retries of a node that fails for a reason which may pass.", min=0, max=9)
     ] = 0
+    strict: Annotated[
+        bool,
+        flag("--strict", "Stop where a stage is not good enough for what builds on it."),
+    ] = False
     backend: Annotated[
         str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")
     ] = LOCAL
@@ -486,4 +490,12 @@ class Work:
         scheduler = self.scheduler
         if self.backend == LOCAL and scheduler == os.environ.get(SCHEDULER_VARIABLE):
             scheduler = None  # the variable is for the backends that have one
-        return RunOptions(jobs, self.timeout, self.retries, self.backend, scheduler, reports=True)
+        return RunOptions(
+            jobs,
+            self.timeout,
+            self.retries,
+            self.backend,
+            scheduler,
+            reports=True,
+            strict=self.strict,
+        )

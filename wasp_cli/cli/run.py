@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 @command(
     "wasp run specs/quickstart.yaml",
     "wasp run specs/table1.yaml --task goal1 -j 8 --set episodes=10",
-    codes="0 done, 1 some cells failed, 2 usage, 3 invalid spec, 130 interrupted",
+    codes="0 done, 1 some cells failed or a stage fell short (--strict), 2 usage, 3 invalid spec, "
+    "130 interrupted",
 )
 def run(asked: options.SelectedSpec, work: options.Work) -> None:
     """Run a spec and print its tables.

@@ -65,3 +65,12 @@ def contents_of(folder: Path) -> dict[str, dict[str, Any]]:
 def unseen_sources(table: Contents) -> list[str]:
     """Name the cost sources that never cost."""
     return [kind for kind, share in table[ALL]["sources"].items() if share == 0.0]
+
+
+def most_costly(table: Contents) -> str | None:
+    """Name the behaviour with the most costly decisions; None where nothing cost."""
+    costly = {
+        name: row["costly_share"] * row["steps"] for name, row in table.items() if name != ALL
+    }
+    most = max(costly, key=costly.__getitem__, default=None)
+    return most if most is not None and costly[most] > 0 else None

@@ -57,7 +57,12 @@ def train_expert(
 
     Returns:
         The learning curve: a row per rollout.
+
+    Raises:
+        ValueError: the cost limit of `config` is `auto`, which the caller has to replace.
     """
+    if config.cost_limit == "auto":
+        raise ValueError("the cost limit is no number yet")
     torch.manual_seed(derive("expert-weights", task_name, seed))
     low, high = float(task.action_low.min()), float(task.action_high.max())
     seeds = SeedStream("expert-episode", task_name, seed)

@@ -222,11 +222,12 @@ class WASPConfig(Config):
         "does not give it",
         ge=1,
     )
-    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated", "auto"] = assumed(
         1.0,
         "costly decision steps expected within H, discounted by gamma_c, above which the "
         "safety gate fires; `calibrated`: a quantile of "
-        "the signal under the expert",
+        "the signal under the expert; `auto`: a quarter of what an incident of the dataset costs, "
+        "at most 1, which is the default on tasks of one's own",
     )
     tau_c_quantile: float = assumed(
         0.95,
@@ -322,10 +323,10 @@ class PrintedConfig(Config):
 class GuardedIDAConfig(IDAConfig, WASPConfig):
     """IDA with the least correction, and WASP's safety gate behind it: the settings of both."""
 
-    tau_c: Annotated[float, Field(gt=0.0)] = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["auto"] = assumed(
         1.0,
         "costly decision steps expected within H, discounted by gamma_c, above which the "
-        "safety gate fires; nothing calibrates it",
+        "safety gate fires; `auto` as for WASP",
     )
     adversary: Literal["none"] = "none"
 

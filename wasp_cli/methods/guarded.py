@@ -26,7 +26,9 @@ class GuardedIDA:
     def __init__(self, config: Config, parts: Parts) -> None:
         self.ida, self.motors = IDA(config, parts), parts.motors
         safety = cast(GuardedIDAConfig, config).model_copy(update={"variant": "safety-only"})
-        self.safety = wasp(safety, replace(parts, thresholds={}))
+        # Of the calibrated thresholds WASP's gate takes the one that follows from the task.
+        found = {name: value for name, value in parts.thresholds.items() if name == "tau_c"}
+        self.safety = wasp(safety, replace(parts, thresholds=found))
         self.tau_q, self.tau_c = self.ida.tau_q, self.safety.tau_c
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:

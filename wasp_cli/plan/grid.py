@@ -276,6 +276,8 @@ class _Builder:
         }
         label = f"calibration {method if variant == CALIBRATED_VARIANT else f'{method}/{variant}'}"
         needs = self._inputs("calibration", task, seed, method, variant)
+        if axes["method_config"].get("tau_c") == "auto":  # it follows from what incidents there are
+            needs |= {"dataset": self.training("dataset", task, seed)}
         return self.node("calibration", task, seed, axes, needs, code, label, variant)
 
     def _training(self, kind: str, task: str, seed: int) -> Node:

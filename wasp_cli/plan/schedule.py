@@ -1,5 +1,5 @@
 """The order in which nodes run (each as soon as what it needs is there, the longest remaining path
-first), and how long they take.
+first, and before it what tells whether the rest is worth computing), and how long they take.
 
 Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled
 by the speed of this one. The figures are medians by preset, stage, task and method, for stages in
@@ -12,16 +12,19 @@ from __future__ import annotations
 
 import heapq
 import json
+import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, with_upstream
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.reached import reached
+
+FIRST = ("diagnostics",)  # kinds that judge what others build on, and are soon done
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
@@ -48,6 +51,7 @@ class Schedule:
         seconds by key (`durations`).
         """
         members = {node.key: node for node in nodes}
+        self._members = members
         self._needs = {
             key: {needed.key for needed in node.needs.values()} & members.keys()
             for key, node in members.items()
@@ -61,7 +65,10 @@ class Schedule:
             path[key] = lasting[key] + max(
                 (path[node.key] for node in self._dependents[key]), default=0.0
             )
-        self._rank = {key: (-path[key], place) for place, key in enumerate(members)}
+        self._rank = {
+            key: (-math.inf if node.kind in FIRST else -path[key], place)
+            for place, (key, node) in enumerate(members.items())
+        }
         self._ready: list[tuple[tuple[float, int], Node]] = []
         self._left = set(members)
         for key, node in members.items():
@@ -96,6 +103,20 @@ class Schedule:
         lost = [dependent for dependent in behind if dependent.key in self._left]
         self._left.difference_update(dependent.key for dependent in lost)
         return sorted(lost, key=lambda dependent: self._rank[dependent.key][1])
+
+    def given_up(self, key: str, running: Collection[str]) -> list[Node]:
+        """Give up whatever builds on a node that is there, but for what runs now (keys); return
+        what can never begin, needed ones first.
+        """
+        behind = {key}
+        for node in with_upstream(self._members.values()):  # needed ones first
+            if any(needed.key in behind for needed in node.needs.values()):
+                behind.add(node.key)
+        gone = (behind - {key} - set(running)) & self._left
+        self._left -= gone
+        self._ready = [entry for entry in self._ready if entry[1].key not in gone]
+        heapq.heapify(self._ready)
+        return [node for node in self._members.values() if node.key in gone]
 
 
 def simulated(

@@ -56,6 +56,7 @@ from wasp_cli.report.render import (
     trusted,
     write_pages,
 )
+from wasp_cli.report.shortfalls import chosen_sentences, gate_sentences, stage_sentences
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
@@ -433,6 +434,12 @@ def report_run(
     silent = silences(operating)
     if front and silent:
         front[0] = replace(front[0], notes=(*front[0].notes, *silent))
+    short = [*stage_sentences(layout, trained), *gate_sentences(frame, operating)]
+    short += chosen_sentences(trained)
+    if front:
+        front[0] = replace(front[0], notes=(*front[0].notes, *short))
+    else:
+        remarks = (*remarks, *short)
     front += people_tables(sittings)
     front += [
         table for table in (ablation_table(frame), necessity_table(frame)) if table is not None

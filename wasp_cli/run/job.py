@@ -74,6 +74,8 @@ class NodeResult:
     """
     unclosed: tuple[str, ...] = ()
     """What went wrong in closing the environments of the node, which is no failure of its own."""
+    short: bool = False
+    """Whether a failure is that of a strict run: the node is stored, and falls short of its bar."""
 
 
 SECONDS = 1.0

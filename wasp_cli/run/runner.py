@@ -5,13 +5,15 @@ its dependents along.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.bars import Shortfall
+from wasp_cli.plan.judged import judged
+from wasp_cli.plan.node import Node, with_upstream
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
@@ -68,6 +70,11 @@ class Summary:
     def complete(self) -> bool:
         return not self.failed and not self.blocked
 
+    @property
+    def only_short(self) -> bool:
+        """Whether everything that failed is stored, and fell short of its bar."""
+        return all(result.short for _, result in self.failed)
+
 
 class Runner:
     def __init__(
@@ -80,14 +87,17 @@ class Runner:
         threads: int | None = None,
         limit: float | None = None,
         retries: int = 0,
+        strict: bool = False,
     ) -> None:
         """`cores` are those of this machine that nodes side by side share; what they leave free
         goes to physics and cameras. A node has at most so many `threads` (None: no limit of its
-        own), and takes at most `limit` seconds.
+        own), and takes at most `limit` seconds. With `strict` a node that falls short of its bar
+        counts as failed.
         """
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._threads = cores, threads
         self._limit, self._retries = limit, retries
+        self._strict = strict
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0  # deaths of workers that computed nothing
         # what workers compute now, in the order in which it began
@@ -118,7 +128,13 @@ class Runner:
         }
         self._journal.write("run started", **facts, **this_process())
         try:
-            self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
+            schedule = Schedule(nodes, durations(nodes, plan.seconds))
+            for node, found in short_before(self._layout, plan):
+                self._tell_short(node, found)
+                if self._strict:
+                    self.summary.failed.append((node, short_result(node, found)))
+                    self._give_up(schedule, node)
+            self._carry_out(schedule)
             if self.stop.asked:
                 raise KeyboardInterrupt
             self._journal.write(
@@ -284,10 +300,16 @@ class Runner:
             )
             schedule.put(node)
         else:
+            short = judged(self._layout, node.kind, node.key) if result.state != "failed" else []
+            if short and self._strict:
+                result = replace(short_result(node, short), seconds=result.seconds, log=result.log)
             self._ended(node, result)
-            if result.state == "failed":
+            if result.short:
+                self._give_up(schedule, node)
+            elif result.state == "failed":
                 self._block(schedule.failed(node), node)
             else:
+                self._tell_short(node, short)
                 schedule.ended(node)
 
     def _arrived(self, job: NodeJob) -> bool:
@@ -392,12 +414,57 @@ class Runner:
                     "unclosed", key=node.key, label=node.label, message=message, hint=CLOSE_HINT
                 )
 
+    def _tell_short(self, node: Node, found: Sequence[Shortfall]) -> None:
+        """Say what falls short in a node that is stored."""
+        for each in found:
+            self._journal.write(
+                "short", key=node.key, label=node.label, message=each.sentence, hint=each.remedy
+            )
+
+    def _give_up(self, schedule: Schedule, node: Node) -> None:
+        """Begin nothing more that builds on a node that falls short. What is stored stays, for a
+        run that is not strict.
+        """
+        begun = {node.key, *(flight.node.key for flight in self._flying.values())}
+        for base in built_on(node):
+            self._block(schedule.given_up(base.key, begun), node)
+
     def _block(self, lost: Iterable[Node], cause: Node) -> None:
         for node in lost:
             self.summary.blocked.append((node, cause))
             self._journal.write(
                 "blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label
             )
+
+
+def short_before(layout: Layout, plan: Plan) -> list[tuple[Node, list[Shortfall]]]:
+    """Return the nodes behind what a plan is to compute that are there already and fall short of
+    their bars.
+    """
+    targets = plan.grid.targets if plan.wanted is None else plan.wanted
+    asked = [step.node for step in plan.steps if step.node.key in targets]
+    scope = {node.key for node in with_upstream(asked)}
+    found = [
+        (step.node, judged(layout, step.node.kind, step.node.key))
+        for step in plan.steps
+        if step.state in ("cached", "published") and step.node.key in scope
+    ]
+    return [(node, short) for node, short in found if short]
+
+
+def short_result(node: Node, found: Sequence[Shortfall]) -> NodeResult:
+    """Return how a node counts in a strict run: as failed, for what falls short in it."""
+    message = "; ".join(each.sentence for each in found)
+    hint = "; ".join(dict.fromkeys(each.remedy for each in found))
+    return NodeResult(node.key, "failed", 0.0, message=message, hint=hint, short=True)
+
+
+def built_on(node: Node) -> tuple[Node, ...]:
+    """Return the nodes on which nothing more is built when a node falls short: the node itself, and
+    what `diagnostics` judge, the world model.
+    """
+    judges = node.kind == "diagnostics" and "world_model" in node.needs
+    return (node, node.needs["world_model"]) if judges else (node,)
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:

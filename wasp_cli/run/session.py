@@ -22,7 +22,7 @@ from wasp_cli.run.cores import cores, thread_limit
 from wasp_cli.run.job import listening
 from wasp_cli.run.pool import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
-from wasp_cli.run.runner import Runner, Summary
+from wasp_cli.run.runner import Runner, Summary, short_before, short_result
 from wasp_cli.run.shared_memory import require_semaphores
 from wasp_cli.run.show import board
 from wasp_cli.run.signals import SIGNALS
@@ -69,7 +69,10 @@ class Session:
                     for name, cause in blocked
                 ]
                 lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
-            raise CellsFailed("\n".join([*lines, *also]), f"run the same command again {again}")
+            hint = f"run the same command again {again}"
+            if self.summary.failed and self.summary.only_short:
+                hint = "what is stored stays; without --strict, a run goes on with it"
+            raise CellsFailed("\n".join([*lines, *also]), hint)
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class RunOptions:
     scheduler: str | None = None
     # whether this process writes a report afterwards, and then removes `Layout.reporting`
     reports: bool = False
+    strict: bool = False  # whether a stage that falls short of its bar counts as failed
 
 
 def run_spec(
@@ -188,7 +192,13 @@ def carry_out(
                 [f"{len(offers)} published results are used:", *reason_lines(plan, "published")]
             )
         )
-    summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
+    if plan.to_run():
+        summary = _compute(plan, layout, run_id, options, names)
+    else:
+        summary = Summary()
+        if options.strict:
+            short = short_before(layout, plan)
+            summary.failed = [(node, short_result(node, found)) for node, found in short]
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     parts += [
         f"{len(ended)} {how}"
@@ -226,6 +236,7 @@ def _compute(
         threads=most,
         limit=options.limit,
         retries=options.retries,
+        strict=options.strict,
     )
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):

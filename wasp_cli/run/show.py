@@ -98,6 +98,8 @@ class Lines:
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "unclosed":
             self._note(f"{event['message']} (after {name}; results are kept); {event['hint']}")
+        elif kind == "short":
+            self._note(f"{name} falls short: {event['message']}; {event['hint']}")
         elif kind == "worker killed":
             labels = [
                 self._names.get(suspect, label)
@@ -236,6 +238,10 @@ def _block(state: RunState, now: datetime) -> Group:
     ]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
+    for line in state.short[:LISTED]:
+        parts.append(Text.assemble(("SHORT  ", "yellow"), line))
+    if len(state.short) > LISTED:
+        parts.append(Text(f"       and {len(state.short) - LISTED} more; --json lists all"))
     for failure in state.failed[:LISTED]:
         parts.append(Text.assemble(("FAILED ", "red"), f"{failure.label}: {failure.message}"))
         if failure.log:

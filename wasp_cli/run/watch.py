@@ -75,6 +75,7 @@ class RunState:
     # decisions to come in an environment that no node has measured yet: as above
     unmeasured: int
     idle: bool  # nothing had to be computed; what counts as done was there before
+    short: tuple[str, ...] = ()  # what falls short of its bar, a line each
 
     @property
     def finished(self) -> int:
@@ -158,6 +159,12 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         unknown=unknown,
         unmeasured=unmeasured,
         idle=not total,
+        short=tuple(
+            dict.fromkeys(
+                f"{_line(event.get('label'), 'a node')}: {_line(event.get('message'), '')}"
+                for event in by_event.get("short", ())
+            )
+        ),
     )
 
 

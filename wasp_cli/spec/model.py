@@ -33,6 +33,7 @@ from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
 from wasp_cli.spec.environments import Environments, drawn_apart, placed
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
+from wasp_cli.spec.own_units import with_auto
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
 from wasp_cli.tasks.declared import declare
@@ -564,7 +565,9 @@ def validate(document: Mapping[str, Any]) -> Spec:
         raise placed(error, apart) from None
     refuse(list(apart.problems))
     if spec.by_hand is None:  # a record of the spec has every field, written or not
-        spec = spec.model_copy(update={"by_hand": _written_knobs(spec, document)})
+        settings = with_auto(spec.tasks, spec.methods, spec.by_task, document)
+        hand = _written_knobs(spec, document)
+        spec = spec.model_copy(update={"by_hand": hand, "by_task": settings})
     return spec
 
 

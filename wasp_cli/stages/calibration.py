@@ -1,5 +1,6 @@
-"""Calibration of one method's thresholds on the held-out episodes. Artifact: `calibration.json`
-(by name, with their distributions).
+"""Calibration of one method's thresholds on the held-out episodes, and of a bound in costly
+decisions on the incidents of the dataset. Artifact: `calibration.json` (by name, with their
+distributions).
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class CalibrationStage:
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.methods.base import CalibratedAssistant, Heldout
+        from wasp_cli.metrics.incidents import incident_cost, tau_of
         from wasp_cli.metrics.windows import sums_ahead
         from wasp_cli.models.base import Latent
         from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
@@ -48,7 +51,18 @@ class CalibrationStage:
             *(field[index] for field in heldout[1:]),
         )
         parts = load_parts(job.inputs, job.settings["returns"], motors=TASKS[job.task].motors)
-        assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
+        method_config: Mapping[str, Any] = job.axes["method_config"]
+        # -- a bound that follows from the task: of what its incidents cost in the dataset
+        followed: dict[str, float] = {}
+        if method_config.get("tau_c") == "auto":
+            recording = read_shards(job.inputs["dataset"], ["cost", "episode"])
+            discount = job.settings["returns"].gamma_c
+            incident = incident_cost(
+                recording.cost, recording.episode, method_config["horizon"], discount
+            )
+            followed["incident"] = 0.0 if incident is None else incident
+            method_config = {**method_config, "tau_c": tau_of(incident)}
+        assistant = build_assistant(job.axes["method"], method_config, parts)
         # The unimpaired operator has no memory, so only its policy and its number of rows matter
         # here.
         context = OperatorContext(parts.skills.at, heldout.a_h.shape[1], 0.0)
@@ -63,4 +77,4 @@ class CalibrationStage:
         (job.out_dir / "calibration.json").write_text(
             json.dumps(thresholds, indent=1, sort_keys=True)
         )
-        return {name: round(value, 4) for name, value in thresholds.items()}
+        return {name: round(value, 4) for name, value in (thresholds | followed).items()}

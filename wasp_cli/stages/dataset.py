@@ -25,7 +25,7 @@ class DatasetStage:
         """Collect shard after shard until there are enough decision steps."""
         import numpy as np
 
-        from wasp_cli.learning.contents import ALL, contents_of, unseen_sources
+        from wasp_cli.learning.contents import ALL, contents_of, most_costly, unseen_sources
         from wasp_cli.learning.dataset import Commander, behaviours, record
         from wasp_cli.learning.shards import (
             HELD_OUT,
@@ -101,4 +101,9 @@ class DatasetStage:
             "sources_not_seen": len(unseen),
             "return": round(whole["return_per_episode"], 2),
         }
+        if unseen:
+            summary["unseen_sources"] = ", ".join(unseen)
+        most = most_costly(contents)
+        if most is not None:
+            summary["most_costly"] = most
         return summary | {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}

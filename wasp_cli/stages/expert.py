@@ -3,19 +3,24 @@ checkpoint.
 
 Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last one with whatever
 training was added to reach the bars of its task; `curve.json` (a row per rollout),
-`acceptance.json` (a row each time the bars were asked), `evaluation.json` (a row per checkpoint).
+`acceptance.json` (a row each time the bars were asked), `evaluation.json` (a row per checkpoint),
+`references.json` (zero and random commands in some of the same worlds).
 """
 
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs.recorded import ExpertConfig
+from wasp_cli.learning.configs.recorded import ExpertConfig, chosen_limit
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
+
+# episodes of zero and of random commands, at most as many as evaluate a checkpoint
+REFERENCE_EPISODES = 10
 
 
 class ExpertStage:
@@ -31,7 +36,11 @@ class ExpertStage:
         own state in the work folder.
         """
         from wasp_cli.learning.expert import train_expert
-        from wasp_cli.learning.privileged import evaluate_privileged
+        from wasp_cli.learning.privileged import (
+            evaluate_privileged,
+            evaluate_random,
+            evaluate_zero,
+        )
         from wasp_cli.models.policy import PrivilegedPolicy, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
@@ -68,10 +77,29 @@ class ExpertStage:
             )
             return accepted
 
+        # -- what commands that look at nothing return and cost, in worlds of the evaluation
+        known = min(REFERENCE_EPISODES, config.evaluation_episodes)
+        worlds = [derive("expert-evaluation", job.task, job.seed, i) for i in range(known)]
+        blind = make_task(job.task, known, **options)
+        drawn = derive("expert-random-commands", job.task, job.seed)
+        goals = TASKS[job.task].success_goals
+        references = {
+            "zero": evaluate_zero(blind, worlds).statistics(goals),
+            "random": evaluate_random(blind, worlds, drawn).statistics(goals),
+        }
+        (job.out_dir / "references.json").write_text(finite_json(references))
+        limit: dict[str, float] = {}
+        if config.cost_limit == "auto":
+            limit["cost_limit"] = chosen_limit(references["random"]["cost_per_1000"] or 0.0)
+            config = config.model_copy(update=limit)
+
+        # -- training
         training = make_task(job.task, config.envs, **options)
         curve = train_expert(
             training, config, job.work_dir, job.task, job.seed, job.progress, accept
         )
+
+        # -- evaluation
         for path in [*sorted(job.work_dir.glob("skill-*")), *([asked] if asked.exists() else [])]:
             shutil.copy(path, job.out_dir)
         # no episode may have ended in a rollout: its mean is undefined
@@ -97,4 +125,20 @@ class ExpertStage:
             "multiplier": curve[-1]["multiplier"],
             "interactions": int(curve[-1]["interactions"]),
             **verdict,
+            "return_se": standard_error(evaluation[last]),
+            "cost_per_1000": evaluation[last]["cost_per_1000"],
+            **limit,
+            **{name: beside(row) for name, row in references.items()},
         }
+
+
+def beside(row: Mapping[str, float | None]) -> dict[str, float | None]:
+    """What the summary tells of the episodes of a reference."""
+    told = {name: row[name] for name in ("return", "cost", "cost_per_1000")}
+    return told | {"return_se": standard_error(row)}
+
+
+def standard_error(row: Mapping[str, float | None]) -> float | None:
+    """Standard error of a mean return over episodes; None for a single one."""
+    spread, episodes = row["return_sd"], row["episodes"]
+    return None if spread is None or not episodes else spread / math.sqrt(episodes)

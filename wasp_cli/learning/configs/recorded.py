@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
-from pydantic import model_validator
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
 
 from wasp_cli.config import Config, assumed
 from wasp_cli.learning.configs.shared import Layers
+
+LIMIT_SHARE = 0.1
+LEAST_LIMIT, MOST_LIMIT = 1.0, 25.0
+"""Of a limit that follows from the task: a multiplier follows the excess in units of its limit, so
+that one near 0 would throw it about; 25 is the benchmark's convention.
+"""
+
+
+def chosen_limit(random_rate: float) -> float:
+    """Return the cost per 1000 env steps that an expert may have where its limit is `auto`: a tenth
+    of `random_rate`, the cost rate of random commands, within bounds.
+    """
+    return min(MOST_LIMIT, max(LEAST_LIMIT, LIMIT_SHARE * random_rate))
 
 
 class Bars(Config):
@@ -41,8 +56,10 @@ class ExpertConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
-    cost_limit: float = assumed(
-        25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0
+    cost_limit: Annotated[float, Field(ge=0.0)] | Literal["auto"] = assumed(
+        25.0,
+        "kappa per 1000 env steps; the benchmark's convention; `auto`: a tenth of what random "
+        "commands cost, from 1 to 25, which is the default on tasks of one's own",
     )
     late_cost_limit: float | None = assumed(
         None,

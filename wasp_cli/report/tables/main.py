@@ -27,6 +27,7 @@ from wasp_cli.report.summary import (
     summarise,
 )
 from wasp_cli.report.tables import Column, Row, Table, assistant_title, operator_title, task_title
+from wasp_cli.tasks.registry import TASKS
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),
@@ -42,6 +43,10 @@ MORE_COLUMNS = (
     Column("mag_int", "Mag.|int", "down", optional=True),
     Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True, least=True),
 )
+RATE_COLUMN = Column("viol_env", "Cost/1000", "down", digits=1, scale=1000.0)
+"""Cost per 1000 env steps, of tasks of one's own: their episodes may end early, and who dies early
+looks safe.
+"""
 AUTONOMY = frozenset({"int_rate", "mag", "mag_int", "int_eff", "mag_eff"})
 """Columns in which a method that never acts is not the best, only absent."""
 OF_COMMANDS = AUTONOMY | {"int_rate_05", "int_rate_10", "jump"}
@@ -69,8 +74,25 @@ UNATTENDED_NOTE = (
 )
 
 
+RATE_NOTE = (
+    "Cost/1000 is the cost per 1000 env steps: an episode that ends early costs little, and looks "
+    "safe by its sum."
+)
+
+
+def main_columns(frame: Frame) -> tuple[Column, ...]:
+    """Return the columns of the main table; with a task of one's own, also its cost per step."""
+    columns: list[Column] = []
+    rated = any(group.task not in TASKS.own for group in full_groups(frame))
+    for column in PAPER_COLUMNS:
+        columns.append(column)
+        if column.key == "cost" and rated:
+            columns.append(RATE_COLUMN)
+    return (*columns, *MORE_COLUMNS)
+
+
 def main_table(frame: Frame) -> Table:
-    columns = PAPER_COLUMNS + MORE_COLUMNS
+    columns = main_columns(frame)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
     references = dict.fromkeys(
@@ -89,7 +111,7 @@ def main_table(frame: Frame) -> Table:
         columns,
         tuple(rows),
         notes,
-        (*MEANINGS, *dict.fromkeys(told)),
+        (*MEANINGS, *((RATE_NOTE,) if RATE_COLUMN in columns else ()), *dict.fromkeys(told)),
     )
 
 

@@ -1,0 +1,298 @@
+"""What a stage has to measure to be good enough, and what to do where it is not.
+
+Each bar follows from the environment itself: from what zero and random commands return and cost
+there, from the base rate of its costs, from the expert's own return. The numbers are those that a
+stage left in the summary of its manifest. None of this is in a key, so that results that were
+stored before a bar existed are held against it too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+Summary = Mapping[str, Any]
+
+CLEAR = 2.0  # standard errors by which an expert has to beat commands that know nothing
+COSTLY_ROWS = 400
+"""Costly decisions that a dataset should have: with ViZDoom's 210 the model stayed at chance; the
+least of this package's tasks has ten times as many.
+"""
+FORESEEN = 0.25
+"""Share of what the best trivial forecast leaves (1 minus its AUPRC) that the model has to foresee.
+The published models of this package foresee .42 or more.
+"""
+JUDGED = (1, 5)  # imagined decisions ahead: at the start and at a third of the gates' horizon
+EXPLAINED = 0.1  # share of the variance of rewards, beside a forecast of their mean
+KEPT = 0.85  # share of the teacher's return above random commands
+COST_RATIO = 1.3  # of the latent expert's cost to its teacher's
+COST_SLACK = 0.25
+"""Share of the way from the teacher's cost to that of random commands, which the latent expert may
+go where that is more.
+"""
+UNCONSTRAINED = 0.5  # share of the cost rate of random commands
+ALWAYS = 0.95  # share of the expert's decisions at which a gate fires in effect always
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """What falls short of a bar, with the numbers, and what to do about it."""
+
+    sentence: str  # begins small, and ends without a point
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is known of a node: what its stage returned, the settings that it ran under, and the
+    summaries of the stages behind it, by kind.
+    """
+
+    summary: Summary
+    config: Summary
+    behind: Mapping[str, Summary]
+
+
+def shortfalls(kind: str, measured: Measured) -> list[Shortfall]:
+    """Hold a node against the bars of its stage.
+
+    A number that the stage did not tell is not judged: earlier versions measured less.
+    """
+    judge = BARS.get(kind)
+    return [] if judge is None else judge(measured)
+
+
+def _expert(measured: Measured) -> list[Shortfall]:
+    """Beside zero and random commands in the same worlds; and whether its limit did anything."""
+    summary, config = measured.summary, measured.config
+    found: list[Shortfall] = []
+    returned = _number(summary, "return")
+    references = {
+        f"{name} commands": reference
+        for name in ("zero", "random")
+        if isinstance(reference := summary.get(name), Mapping)
+    }
+    if returned is not None and references:
+        unbeaten = [
+            f"{name} {_short(other)}"
+            for name, reference in references.items()
+            if (other := _number(reference, "return")) is not None
+            and returned - other <= CLEAR * _error_of_difference(summary, reference)
+        ]
+        if unbeaten:
+            found.append(
+                Shortfall(
+                    f"the expert returns {_short(returned)} an episode, and does not clearly beat "
+                    f"{' and '.join(unbeaten)}",
+                    "give it more `expert.interactions`, a vector that says where things are, or "
+                    "a reward that tells progress",
+                )
+            )
+    cost, limit = _number(summary, "cost_per_1000"), _limit(measured)
+    multiplier = _number(summary, "multiplier")
+    lowest, highest = _number(config, "multiplier_min"), _number(config, "multiplier_max")
+    if cost is None or multiplier is None:
+        return found
+    random = _number(summary.get("random"), "cost_per_1000")
+    at_floor = lowest is not None and multiplier <= lowest
+    at_ceiling = highest is not None and multiplier >= highest
+    if at_floor and random is not None and cost > UNCONSTRAINED * random:
+        found.append(
+            Shortfall(
+                f"the expert was never constrained: its multiplier ended at its floor of "
+                f"{_short(multiplier)}, and it costs {_short(cost)} per 1000 env steps, random "
+                f"commands {_short(random)}",
+                "lower `expert.cost_limit`, or write `auto`",
+            )
+        )
+    if at_ceiling and limit is not None and cost > limit:
+        found.append(
+            Shortfall(
+                f"the expert's limit of {_short(limit)} per 1000 env steps is out of its reach: "
+                f"its multiplier ended at its ceiling of {_short(multiplier)}, and it costs "
+                f"{_short(cost)}",
+                "give it more `expert.interactions`, or raise `expert.cost_limit`",
+            )
+        )
+    return found
+
+
+def _limit(measured: Measured) -> float | None:
+    """The limit in force: the one that the stage chose, or else that of its section."""
+    config = measured.config
+    late = _number(config, "late_cost_limit")
+    chosen = _number(measured.summary, "cost_limit")
+    if late is not None:
+        return late
+    return _number(config, "cost_limit") if chosen is None else chosen
+
+
+def _dataset(measured: Measured) -> list[Shortfall]:
+    """Whether there is enough to learn a cost from."""
+    summary, found = measured.summary, []
+    share, steps = _number(summary, "costly_share"), _number(summary, "steps")
+    if share is not None and steps is not None:
+        costly = round(share * steps)
+        if costly < COSTLY_ROWS:
+            most = summary.get("most_costly")
+            whose = f", most of them {most}" if isinstance(most, str) and costly else ""
+            found.append(
+                Shortfall(
+                    f"{costly} of {steps:,.0f} recorded decisions cost ({share:.2%}){whose}: too "
+                    f"few to learn a cost from, which takes about {COSTLY_ROWS}",
+                    "raise `dataset.steps`, or the shares of `careless` and `bursts` in "
+                    "`dataset.mixture`",
+                )
+            )
+    unseen = _number(summary, "sources_not_seen")
+    if unseen:
+        names = summary.get("unseen_sources")
+        which = f" ({names})" if isinstance(names, str) else ""
+        found.append(
+            Shortfall(
+                f"{unseen:.0f} of the environment's cost sources{which} never cost in the dataset: "
+                "nothing can be learned of them",
+                "raise `dataset.steps`, or leave them out of `cost_sources`",
+            )
+        )
+    return found
+
+
+def _diagnostics(measured: Measured) -> list[Shortfall]:
+    """Costs and rewards imagined ahead, beside what needs no model."""
+    summary = measured.summary
+    blind: list[str] = []
+    if _number(summary, f"base@{JUDGED[0]}") == 0.0:
+        blind.append("nothing cost in the held-out episodes")
+    for step in JUDGED:
+        seen, base = _number(summary, f"auprc@{step}"), _number(summary, f"base@{step}")
+        if seen is None or base is None:
+            continue
+        lasting = _number(summary, f"persistence@{step}")
+        trivial = base if lasting is None else max(base, lasting)
+        if seen < trivial + FORESEEN * (1.0 - trivial):
+            beside = "" if lasting is None else f", with a cost that stays as it is {lasting:.2f}"
+            blind.append(f"{_ahead(step)} AUPRC {seen:.2f} (by chance {base:.2g}{beside})")
+    found: list[Shortfall] = []
+    if blind:
+        found.append(
+            Shortfall(
+                f"the world model does not know the cost: {'; '.join(blind)}",
+                "see with `wasp try` whether an image shows what will cost; another camera, more "
+                "costly decisions in the dataset, or a larger preset may help",
+            )
+        )
+    unexplained = [
+        f"{_ahead(step)} {value:.2f}"
+        for step in JUDGED
+        if (value := _number(summary, f"reward_r2@{step}")) is not None and value < EXPLAINED
+    ]
+    if unexplained:
+        found.append(
+            Shortfall(
+                f"the world model foresees rewards no better than their mean: R2 "
+                f"{', '.join(unexplained)}",
+                "raise `world_model.updates` or the preset; a reward at rare moments needs more "
+                "`dataset.steps`",
+            )
+        )
+    return found
+
+
+def _policies(measured: Measured) -> list[Shortfall]:
+    """The latent expert beside its privileged teacher in the same worlds."""
+    summary, found = measured.summary, []
+    latent, teacher = _number(summary, "return"), _number(summary, "privileged_return")
+    random = measured.behind.get("expert", {}).get("random")
+    nothing = _number(random, "return")
+    if latent is not None and teacher is not None:
+        zero = 0.0 if nothing is None else nothing
+        gained = teacher - zero
+        share = (latent - zero) / gained if gained > 0 else None
+        if share is not None and share < KEPT:
+            above = "" if nothing is None else f" above random commands ({_short(nothing)})"
+            found.append(
+                Shortfall(
+                    f"the latent expert keeps {max(share, 0.0):.0%} of its teacher's "
+                    f"return{above}, {_short(latent)} of {_short(teacher)}, which bounds every "
+                    "assistant",
+                    "raise `policies.labelling_rounds` and `policies.reinforce.interactions`, or "
+                    "the preset; if the image does not show what the vector says, another camera",
+                )
+            )
+    cost, allowed = _number(summary, "cost"), _number(summary, "privileged_cost")
+    at_random = _number(random, "cost")
+    if cost is not None and allowed is not None and at_random is not None:
+        most = max(COST_RATIO * allowed, allowed + COST_SLACK * (at_random - allowed))
+        if cost > most:
+            found.append(
+                Shortfall(
+                    f"the latent expert costs {_short(cost)} an episode, its teacher "
+                    f"{_short(allowed)} and random commands {_short(at_random)}",
+                    "raise `policies.reinforce.interactions`, or see whether the world model knows "
+                    "the cost",
+                )
+            )
+    return found
+
+
+def _calibration(measured: Measured) -> list[Shortfall]:
+    """How often the safety gate fires at an unimpaired expert's held-out decisions."""
+    summary = measured.summary
+    rate, threshold = _number(summary, "safety_rate"), _number(summary, "tau_c")
+    if rate is None or threshold is None:
+        return []
+    expected = _number(summary, "g_cost_p95")
+    against = "" if expected is None else f"; 95 % of the expected costs are below {expected:.2g}"
+    if rate == 0.0:
+        return [
+            Shortfall(
+                f"the safety gate never fires on held-out decisions: tau_c is "
+                f"{_short(threshold)}{against}",
+                "lower `tau_c`, or write `auto`; where expected costs are near 0 everywhere, the "
+                "world model does not know the cost",
+            )
+        ]
+    if rate >= ALWAYS:
+        return [
+            Shortfall(
+                f"the safety gate fires at {rate:.0%} of the expert's held-out decisions: tau_c is "
+                f"{_short(threshold)}{against}",
+                "raise `tau_c`, or lower `expert.cost_limit`: who drives like the expert is "
+                "corrected all the time",
+            )
+        ]
+    return []
+
+
+BARS: Mapping[str, Callable[[Measured], list[Shortfall]]] = {
+    "expert": _expert,
+    "dataset": _dataset,
+    "diagnostics": _diagnostics,
+    "policies": _policies,
+    "calibration": _calibration,
+}
+"""By the kind of a stage, what holds it against its bars."""
+
+
+def _number(values: object, name: str) -> float | None:
+    """A finite number of a summary; None where there is none."""
+    value = values.get(name) if isinstance(values, Mapping) else None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def _error_of_difference(one: Summary, other: Summary) -> float:
+    """Standard error of the difference of two mean returns; 0 where nothing is known of it."""
+    return math.hypot(_number(one, "return_se") or 0.0, _number(other, "return_se") or 0.0)
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _ahead(step: int) -> str:
+    return "one decision ahead" if step == 1 else f"{step} ahead"

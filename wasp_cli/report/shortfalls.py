@@ -1,0 +1,79 @@
+"""What falls short behind the cells of a report, as sentences for the foot of its main table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.bars import ALWAYS
+from wasp_cli.plan.judged import judged
+from wasp_cli.report.operating import Operating
+from wasp_cli.report.stats import Frame, groups
+from wasp_cli.report.summary import summarise
+from wasp_cli.report.tables import task_title
+from wasp_cli.report.trained import Trained
+from wasp_cli.store.layout import Layout
+
+GATED = ("wasp", "printed", "ida-guarded")  # methods whose safety gate the rows record
+
+
+def stage_sentences(layout: Layout, trained: Iterable[Trained]) -> list[str]:
+    """Return a sentence for each bar that a trained part does not reach, each once.
+
+    Where a task has several trainings, a sentence says which one it is about.
+    """
+    trained = list(trained)
+    seeds: dict[str, set[int]] = {}
+    for part in trained:
+        seeds.setdefault(part.task, set()).add(part.seed)
+    found: dict[str, None] = {}
+    for part in trained:
+        training = f", training {part.seed}" if len(seeds[part.task]) > 1 else ""
+        where = f"{task_title(part.task)}{training}"
+        for short in judged(layout, part.kind, part.key):
+            found[f"{where}: {short.sentence}. {_upper(short.remedy)}."] = None
+    return list(found)
+
+
+def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
+    """Return a sentence for each number that followed from a task instead of its spec (`auto`)."""
+    found: dict[str, None] = {}
+    for part in trained:
+        where = f"{task_title(part.task)}, training {part.seed}"
+        limit = part.summary.get("cost_limit")
+        if part.kind == "expert" and isinstance(limit, int | float):
+            found[
+                f"{where}: the expert's cost_limit of {limit:.3g} per 1000 env steps followed from "
+                "the cost of random commands (auto)."
+            ] = None
+        incident, bound = part.summary.get("incident"), part.summary.get("tau_c")
+        if isinstance(incident, int | float) and isinstance(bound, int | float):
+            found[
+                f"{where}: tau_c of {bound:.3g} followed from the incidents of the dataset, which "
+                f"have {incident:.2g} costly decisions (auto)."
+            ] = None
+    return list(found)
+
+
+def gate_sentences(frame: Frame, operating: Sequence[Operating]) -> list[str]:
+    """Return a sentence for each safety gate that never fires in any of its cells, or in effect
+    always; of a silent assistant nothing is asked.
+    """
+    silent = {(point.task, point.method) for point in operating if point.silent}
+    found = []
+    for group in groups(frame):
+        if group.variant != "full" or group.method not in GATED or not group.cells:
+            continue
+        rate = summarise(group.cells, "safety_gate").mean
+        if rate is None or (group.task, group.method) in silent:
+            continue
+        who = f"{task_title(group.task)}: the safety gate of {METHODS[group.method].title}"
+        if rate == 0.0:
+            found.append(f"{who} never fires.")
+        elif rate >= ALWAYS:
+            found.append(f"{who} fires at {rate:.0%} of the decisions.")
+    return found
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
