@@ -27,7 +27,8 @@ def perceived(shown: Any, reads: str, batch: int | None, *, own: bool = False) -
     Args:
         shown: what a task of ours or somebody else's environment shows: an array, a dictionary of
             arrays, or an `Observation`. Images are uint8 [6, 64, 64], or in one of the forms of
-            `tasks.foreign.views`, and are scaled as there. With a batch every array is [B, ...].
+            `tasks.foreign.views`, and are scaled as there. With a batch, and in an `Observation`,
+            every array is [B, ...].
         reads: what the world model reads: `pixels` or `state`.
         batch: B; None: one episode, without a dimension for it.
         own: of a task of ours, whose two cameras are never anything but uint8 [6, 64, 64].
@@ -36,7 +37,7 @@ def perceived(shown: Any, reads: str, batch: int | None, *, own: bool = False) -
         TaskError: it is no such observation.
     """
     entries = _entries(shown, reads)
-    if batch is None:
+    if batch is None and not isinstance(shown, Observation):
         entries = {name: value[None] for name, value in entries.items()}
     for name, value in entries.items():
         if len(value) != (batch or 1):
@@ -79,10 +80,10 @@ def _pixels(entries: Mapping[str, NDArray[Any]], own: bool) -> NDArray[np.uint8]
         return np.ascontiguousarray(whole)
     if own:
         described = ", ".join(
-            f"{name} {value.dtype} {list(value.shape[1:])}" for name, value in entries.items()
+            f"'{name}' of {value.dtype} {list(value.shape[1:])}" for name, value in entries.items()
         )
         raise TaskError(
-            f"the observation shows no camera images, but {described}",
+            f"the observation is {described}",
             "the assistant sees `pixels`, uint8 [6, 64, 64]: make the environment with "
             "observation='pixels' or 'all'",
         )

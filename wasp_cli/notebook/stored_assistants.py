@@ -24,10 +24,10 @@ from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import ALONE, CALIBRATED_VARIANT, OPERATING, OPERATOR_CLONE
 from wasp_cli.report.node import upstream_of
 from wasp_cli.spec.shipped import published_folder
-from wasp_cli.store.artifact import exists, read_manifest, stored_keys
+from wasp_cli.store.artifact import exists, stored_keys
 from wasp_cli.store.find import KIND, LEAST, SHOWN
 from wasp_cli.store.layout import Layout, is_key
-from wasp_cli.store.published import BEHIND
+from wasp_cli.store.published import BEHIND, manifest_of
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATION = "calibration"
@@ -155,8 +155,9 @@ def stored_assistants(layout: Layout) -> list[StoredAssistant]:
                 one = replace(one, seed=seeds[world_model])
                 if kind != KIND and not METHODS[one.method].intervenes:
                     continue  # how the operators alone drove, with whom others are compared
-                known = found.setdefault(one.identity, replace(one, sources=()))
-                found[one.identity] = replace(known, sources=(*known.sources, *one.sources))
+                identity = one.identity
+                before = found[identity].sources if identity in found else ()
+                found[identity] = replace(one, sources=(*before, *one.sources))
                 built |= set(one.inputs.values())
     return list(found.values())
 
@@ -165,7 +166,7 @@ def _read(layout: Layout, kind: str, key: str) -> StoredAssistant:
     """One assistant from one manifest; a LookupError, TypeError or ValueError where that is of
     another form.
     """
-    manifest = read_manifest(layout, kind, key)
+    manifest = manifest_of(layout, kind, key)
     axes, settings = manifest["axes"], manifest["settings"]
     method, config, task = axes["method"], dict(axes["method_config"]), str(manifest["task"])
     inputs = upstream_of(manifest)
@@ -200,7 +201,7 @@ def _read(layout: Layout, kind: str, key: str) -> StoredAssistant:
 def _seed_of(layout: Layout, kind: str, key: str, otherwise: int) -> int:
     """The seed of a training; that of the cell where its model is not there."""
     with suppress(WaspError, LookupError, TypeError, ValueError):
-        return int(read_manifest(layout, kind, key)["seed"])
+        return int(manifest_of(layout, kind, key)["seed"])
     return otherwise
 
 
