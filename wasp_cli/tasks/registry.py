@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness, did_you_mean
 from wasp_cli.registry import Registry, module_of, require_spelling
+from wasp_cli.tasks.declared import Declaration, declaration_of
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ class _Named:
     def image_modules(self) -> tuple[str, ...]:
         """The modules that do nothing but draw what assistants see: nobody else needs them."""
         return ()
+
+    def identity_without_image(self, declaration: Declaration) -> dict[str, Any]:
+        """Return what a declaration says to who reads no image."""
+        return declaration.plain()
 
     def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return what the registry says of a task and moves results (the time limit, what
@@ -95,8 +100,11 @@ class ForeignInfo(_Named):
     informed: ClassVar[bool] = False
 
     def __init__(self, name: str) -> None:
-        gym_id = name.rpartition(":")[2]
-        super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
+        declaration = declaration_of(name)
+        registered = name if declaration is None else declaration.id
+        gym_id = registered.rpartition(":")[2]
+        title = gym_id if registered == name else name
+        super().__init__(name, title, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
 
     def examine(self) -> Facts:
         """Return what the environment says of itself."""
@@ -130,6 +138,17 @@ class ForeignInfo(_Named):
     def image_modules(self) -> tuple[str, ...]:
         return self.examine().image_modules
 
+    def identity_without_image(self, declaration: Declaration) -> dict[str, Any]:
+        """Return what a declaration says to who reads vectors alone: another image does not change
+        what that one learns. All of it, where the expert learns from the image.
+        """
+        vector = self.examine().views.privileged
+        plain = declaration.plain()
+        if vector is None:
+            return plain
+        plain.pop("image", None)
+        return plain | {"vector": vector.names}
+
     def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return how an environment is registered too, which moves results."""
         return super().facts() | {"registered": self.examine().registered(without)}
@@ -149,7 +168,7 @@ class TaskRegistry(Registry[AnyTaskInfo]):
 
     def __getitem__(self, name: str) -> AnyTaskInfo:
         require_spelling("task", name)
-        if name not in self and is_foreign(name):
+        if name not in self and (is_foreign(name) or declaration_of(name) is not None):
             return ForeignInfo(name)
         try:
             return super().__getitem__(name)
