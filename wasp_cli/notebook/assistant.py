@@ -42,6 +42,7 @@ from wasp_cli.report.explain import GATES
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.base import Observation
+from wasp_cli.tasks.declared import declaration_of, declare_from
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 from wasp_cli.tasks.registry import TASKS, AnyTaskInfo, TaskInfo
 
@@ -225,8 +226,8 @@ class LoadedAssistant:
 
         Args:
             observation: what the task shows: `pixels` uint8 [6, 64, 64], the environment's own
-                image (scaled as in training), a vector for worlds without images, or a dictionary
-                with them; [B, ...] with `batch`.
+                image (scaled as in training), a vector for worlds without images, or the
+                dictionary that has them; [B, ...] with `batch`.
 
         Raises:
             TaskError: it is no observation of this task, or no episode has begun.
@@ -234,7 +235,9 @@ class LoadedAssistant:
         begun = time.perf_counter()
         running = self._running()
         model = self.parts.world_model
-        shown = perceived(observation, model.reads, self.batch, own=self.own_task)
+        shown = perceived(
+            observation, model.reads, self.batch, self.own_task, declaration_of(self.task)
+        )
         try:
             with _deciding():
                 running.see(shown, self._first)
@@ -439,13 +442,14 @@ def load_assistant(
         wrong = corruption(Layout(folder.parents[2]), kind, key)
         if wrong is not None:
             raise ArtifactError(wrong, "run the spec again: what is damaged is computed again")
+    declare_from(stored.task, stored.shared)  # its environment is found by its name from now on
     returns = ReturnsConfig.model_validate(stored.shared["returns"])
     parts = load_parts(folders, returns, training_device(), motors=_motors(stored.task))
     return LoadedAssistant(stored, parts, batch)
 
 
 def _info(task: str) -> AnyTaskInfo | None:
-    """What is known of a task; None of one that is declared in a spec alone."""
+    """What is known of a task; None where its plugin is not installed."""
     try:
         return TASKS[task]
     except UnknownName:

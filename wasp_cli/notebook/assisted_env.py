@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.notebook.assistant import AssistantDecision, LoadedAssistant
-from wasp_cli.notebook.perceived import perceived
+from wasp_cli.notebook.perceived import perceived, require_sight, seen_through
+from wasp_cli.tasks.declared import RENDER, declaration_of
+from wasp_cli.tasks.foreign.translated import Translated
+from wasp_cli.tasks.foreign.views import Views, views_of
 from wasp_cli.tasks.gym import TaskEnv
 
 OPERATOR, ASSISTANT_SEED = "operator", "assistant_seed"  # options of `reset`
@@ -69,13 +72,24 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             action_repeat=action_repeat,
             shown=shown,
         )
+        declaration = declaration_of(assistant.task)
+        if declaration is not None:
+            env = Translated(env, declaration)  # which says its cost and its success
         gymnasium.Wrapper.__init__(self, env)
         self.assistant = assistant.another()
         self.action_repeat = _repeat(env, assistant, action_repeat)
         self._shown = shown
         self._low, self._high = _bounds(env, assistant)
-        if shown is None:
+        # what is seen of somebody else's environment; of one that is drawn, from the first reset on
+        self._views: Views | None = None
+        self._draws_itself = declaration is not None and declaration.image == RENDER
+        if shown is None and assistant.own_task:
             _try_observation(env, assistant)
+        elif shown is None and self._draws_itself:
+            _require_drawing(env)
+        elif shown is None:
+            self._views = views_of(env.observation_space, declaration)
+            require_sight(self._views, assistant.parts.world_model.reads)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._low.shape, np.float32)
         self.decision: AssistantDecision | None = None  # the last one
         self._running = False
@@ -102,6 +116,9 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         if own is None:
             own = int(self._draws.integers(SEEDS))
         observation, info = self.env.reset(seed=seed, options=given or None)
+        if self._draws_itself and self._views is None and self._shown is None:
+            declaration = declaration_of(self.assistant.task)
+            self._views = views_of(self.env.observation_space, declaration, self.env.render())
         self.assistant.reset(own, operator)
         self.assistant.see(self._perceived(observation))
         self._running, self.decision = True, None
@@ -140,7 +157,12 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         return observation, reward, bool(terminated), bool(truncated), dict(info)
 
     def _perceived(self, observation: Any) -> Any:
-        return observation if self._shown is None else self._shown(observation)
+        if self._shown is not None:
+            return self._shown(observation)
+        if self._views is None:
+            return observation
+        reads = self.assistant.parts.world_model.reads
+        return seen_through(self._views, observation, self.env, reads)
 
     def _scaled(self, action: NDArray[np.float32]) -> NDArray[Any]:
         """An action in [-1, 1] within the environment's own bounds, as a task maps it."""
@@ -148,7 +170,10 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         assert isinstance(space, gymnasium.spaces.Box)
         low, high = self._low, self._high
         scaled = (low + high) / 2 + (high - low) / 2 * action.astype(np.float64)
-        return np.clip(scaled, low, high).reshape(space.shape).astype(space.dtype)
+        scaled = np.clip(scaled, low, high)
+        if np.issubdtype(space.dtype, np.integer):
+            scaled = np.rint(scaled)
+        return scaled.reshape(space.shape).astype(space.dtype)
 
 
 def _repeat(env: gymnasium.Env[Any, Any], assistant: LoadedAssistant, given: int | None) -> int:
@@ -191,14 +216,19 @@ def _bounds(
 
 
 def _try_observation(env: gymnasium.Env[Any, Any], assistant: LoadedAssistant) -> None:
-    """Refuse an environment that does not show what the assistant sees."""
-    space = env.observation_space
-    if not isinstance(space, gymnasium.spaces.Box | gymnasium.spaces.Dict):
-        raise TaskError(
-            f"the observation space is {space}", "pass shown=, which makes an image of it"
-        )
+    """Refuse an environment that does not show what an assistant of a task of ours sees."""
     reads = assistant.parts.world_model.reads
-    perceived(create_empty_array(space, 1, np.zeros), reads, 1, own=assistant.own_task)
+    zeros = create_empty_array(env.observation_space, 1, np.zeros)
+    perceived(zeros, reads, 1, assistant.own_task, None)
+
+
+def _require_drawing(env: gymnasium.Env[Any, Any]) -> None:
+    """Refuse an environment that does not draw itself, where that is what the assistant sees."""
+    if env.render_mode != "rgb_array":
+        raise UsageError(
+            f"the assistant sees what render() draws, and the render mode is {env.render_mode!r}",
+            "make the environment with render_mode='rgb_array'",
+        )
 
 
 def _added(costs: Mapping[str, Any], info: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """From what somebody's loop shows to what a world model reads: images in the form of the cameras of
 our tasks, or vectors.
 
-B = episodes side by side, H, W = size of an image.
+B = episodes side by side, S = numbers of a vector.
 """
 
 from __future__ import annotations
@@ -14,108 +14,158 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.base import CAMERA_SIZE, Observation
-from wasp_cli.tasks.foreign.views import views_of
+from wasp_cli.tasks.base import CAMERA_SIZE, Observation, Pixels
+from wasp_cli.tasks.declared import RENDER, Declaration
+from wasp_cli.tasks.foreign.images import WANTED, form_of
+from wasp_cli.tasks.foreign.views import Views, views_of
 
 CAMERAS = (6, CAMERA_SIZE, CAMERA_SIZE)  # shape of what the front and the rear camera see: RGB each
 IMAGE, VECTOR, PRIVILEGED = Observation._fields  # names of what is shown
+_SHOWN = "the observation"
 
 
-def perceived(shown: Any, reads: str, batch: int | None, *, own: bool = False) -> Observation:
+def perceived(
+    shown: Any, reads: str, batch: int | None, own: bool, declaration: Declaration | None
+) -> Observation:
     """Return the observation of B episodes in the form of our tasks.
 
     Args:
-        shown: what a task of ours or somebody else's environment shows: an array, a dictionary of
-            arrays, or an `Observation`. Images are uint8 [6, 64, 64], or in one of the forms of
-            `tasks.foreign.views`, and are scaled as there. With a batch, and in an `Observation`,
-            every array is [B, ...].
+        shown: what a task of ours or somebody else's environment shows: an array or a dictionary of
+            arrays, each [B, ...] with a batch; or an `Observation`, which stays as it is.
         reads: what the world model reads: `pixels` or `state`.
         batch: B; None: one episode, without a dimension for it.
         own: of a task of ours, whose two cameras are never anything but uint8 [6, 64, 64].
+        declaration: what a spec says of somebody else's environment.
 
     Raises:
         TaskError: it is no such observation.
     """
-    entries = _entries(shown, reads)
-    if batch is None and not isinstance(shown, Observation):
-        entries = {name: value[None] for name, value in entries.items()}
-    for name, value in entries.items():
-        if len(value) != (batch or 1):
-            raise TaskError(
-                f"the observation has {len(value)} rows of '{name}' for {batch} episodes",
-                f"with batch={batch} every array begins with {batch} rows",
-            )
-    pixels = _pixels(entries, own) if reads == IMAGE else None
-    state = _state(entries) if reads == VECTOR else None
-    privileged = entries.get(PRIVILEGED)
-    return Observation(
-        pixels, state, None if privileged is None else np.asarray(privileged, np.float32)
-    )
-
-
-def _entries(shown: Any, reads: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an observation by name; one that is no dictionary is what the model reads."""
     if isinstance(shown, Observation):
-        shown = {name: value for name, value in shown._asdict().items() if value is not None}
-    named = shown if isinstance(shown, Mapping) else {reads: shown}
-    entries = {}
-    for name, value in named.items():
-        try:
-            array = np.asarray(value)
-        except ValueError as error:
-            raise TaskError(f"the observation '{name}' is no array: {error}") from error
-        if array.ndim:
-            entries[str(name)] = array
-    if not entries:
+        return _as_it_is(shown, reads, batch or 1)
+    rows = [shown] if batch is None else _rows(shown, batch)
+    privileged = None
+    if own and all(isinstance(row, Mapping) and PRIVILEGED in row for row in rows):
+        privileged = np.stack([np.asarray(row[PRIVILEGED], np.float32) for row in rows])
+    if reads == IMAGE:
+        pixels = np.stack([_pixels(row, own, declaration) for row in rows])
+        return Observation(pixels, None, privileged)
+    return Observation(None, np.stack([_vector(row, declaration) for row in rows]), privileged)
+
+
+def seen_through(views: Views, observation: Any, env: Any, reads: str) -> Observation:
+    """Return what is seen of somebody else's environment, of one episode.
+
+    Args:
+        views: of the environment.
+        observation: what `env` has just returned.
+        env: it draws its image now, where that is what assistants see.
+        reads: what the world model reads.
+
+    Raises:
+        TaskError: the environment shows no such thing.
+    """
+    require_sight(views, reads)
+    if reads == IMAGE:
+        return Observation(views.pixels(observation, env)[None], None, None)
+    assert views.state is not None
+    return Observation(None, views.state.of(observation)[None], None)
+
+
+def require_sight(views: Views, reads: str) -> None:
+    """Refuse views without what the world model reads. Raises TaskError."""
+    if reads == IMAGE and not views.cameras:
+        raise TaskError("the observation shows no camera image", WANTED)
+    if reads == VECTOR and views.state is None:
+        raise TaskError("the observation shows no vector, which the assistant was trained on")
+
+
+def _as_it_is(shown: Observation, reads: str, rows: int) -> Observation:
+    value = shown.pixels if reads == IMAGE else shown.state
+    if value is None:
+        raise TaskError(f"the observation has no '{reads}', which the assistant sees")
+    whole = reads == VECTOR or (value.dtype == np.uint8 and value.shape[1:] == CAMERAS)
+    if len(value) != rows or not whole:
         raise TaskError(
-            f"the observation is {type(shown).__name__}, and no array or dictionary of arrays"
+            f"the observation's '{reads}' is {value.dtype} {list(value.shape)} for {rows} episodes"
         )
-    return entries
+    return shown
 
 
-def _pixels(entries: Mapping[str, NDArray[Any]], own: bool) -> NDArray[np.uint8]:
-    """uint8 [B, 6, 64, 64]."""
-    whole = entries.get(IMAGE)
-    if whole is not None and whole.dtype == np.uint8 and whole.shape[1:] == CAMERAS:
-        return np.ascontiguousarray(whole)
+def _rows(shown: Any, batch: int) -> list[Any]:
+    """The observations of B episodes that lie in arrays [B, ...]."""
+    if isinstance(shown, Mapping):
+        parts = {name: _rows(value, batch) for name, value in shown.items()}
+        return [{name: rows[row] for name, rows in parts.items()} for row in range(batch)]
+    array = _array(shown)
+    if not array.ndim or len(array) != batch:
+        raise TaskError(
+            f"the observation has rows {list(array.shape[:1])} for {batch} episodes",
+            f"with batch={batch} every array begins with {batch} rows",
+        )
+    return list(array)
+
+
+def _array(value: Any) -> NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise TaskError(f"the observation is no array: {error}") from error
+    if array.dtype.kind not in "biuf":
+        raise TaskError(f"the observation is no array of numbers: {type(value).__name__}")
+    return array
+
+
+def _pixels(row: Any, own: bool, declaration: Declaration | None) -> Pixels:
+    """uint8 [6, 64, 64] of one episode."""
+    whole = _array(row.get(IMAGE, 0) if isinstance(row, Mapping) else row)
+    if whole.dtype == np.uint8 and whole.shape == CAMERAS:
+        return whole
     if own:
-        described = ", ".join(
-            f"'{name}' of {value.dtype} {list(value.shape[1:])}" for name, value in entries.items()
-        )
+        shown = row if isinstance(row, Mapping) else {IMAGE: row}
+        arrays = {name: _array(value) for name, value in shown.items()}
+        described = [f"'{name}' of {a.dtype} {list(a.shape)}" for name, a in arrays.items()]
         raise TaskError(
-            f"the observation is {described}",
+            f"the observation is {', '.join(described)}",
             "the assistant sees `pixels`, uint8 [6, 64, 64]: make the environment with "
             "observation='pixels' or 'all'",
         )
-    views = views_of(_space(entries))
-    if not views.cameras:
-        raise TaskError(f"the observation shows no camera image: {', '.join(entries)}")
-    rows = range(len(next(iter(entries.values()))))
-    return np.stack(
-        [views.pixels({name: value[row] for name, value in entries.items()}) for row in rows]
-    )
+    if not isinstance(row, Mapping):
+        form = form_of(whole.shape, whole.dtype)
+        if form is None:
+            raise TaskError(f"the observation is {whole.dtype} of shape {whole.shape}", WANTED)
+        out: Pixels = np.zeros(CAMERAS, np.uint8)
+        image = form.scaled(whole, _SHOWN)
+        out[: len(image)] = image
+        return out
+    if declaration is not None and declaration.image == RENDER:
+        declaration = declaration.model_copy(update={"image": None})  # it is drawn already
+    views = views_of(_space(row), declaration)
+    require_sight(views, IMAGE)
+    nobody: Any = None  # nothing is drawn here
+    return views.pixels(row, nobody)
 
 
-def _space(entries: Mapping[str, NDArray[Any]]) -> gymnasium.spaces.Dict:
-    """The space that arrays [B, ...] of an observation are of, as far as its form decides."""
-    spaces: dict[str, gymnasium.Space[Any]] = {}
-    for name, value in entries.items():
-        if value.dtype == np.uint8:
-            spaces[name] = gymnasium.spaces.Box(0, 255, value.shape[1:], np.uint8)
-        elif value.dtype.kind == "f":
-            spaces[name] = gymnasium.spaces.Box(-np.inf, np.inf, value.shape[1:], value.dtype.type)
-    return gymnasium.spaces.Dict(spaces)
-
-
-def _state(entries: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """float64 [B, S]."""
-    vector = entries.get(VECTOR)
-    if vector is None:
-        raise TaskError(f"the observation has no entry 'state', but: {', '.join(entries)}")
-    try:
-        values = vector.astype(np.float64).reshape(len(vector), -1)
-    except (TypeError, ValueError) as error:
-        raise TaskError(f"the observation is no vector of numbers: {vector.dtype}") from error
-    if not np.isfinite(values).all():
-        raise TaskError(f"the observation is not finite: {values.tolist()}")
+def _vector(row: Any, declaration: Declaration | None) -> NDArray[np.float64]:
+    """float64 [S] of one episode."""
+    if isinstance(row, Mapping):
+        views = views_of(_space(row), declaration)
+        require_sight(views, VECTOR)
+        assert views.state is not None
+        return views.state.of(row)
+    values = _array(row).astype(np.float64)
+    if values.ndim != 1 or not np.isfinite(values).all():
+        raise TaskError(f"the observation is no finite vector [S]: {values.tolist()}")
     return values
+
+
+def _space(row: Any) -> gymnasium.Space[Any]:
+    """The space that an observation is of, as far as its form decides."""
+    if isinstance(row, Mapping):
+        return gymnasium.spaces.Dict({str(name): _space(value) for name, value in row.items()})
+    array = _array(row)
+    if array.dtype == np.uint8:
+        return gymnasium.spaces.Box(0, 255, array.shape, np.uint8)
+    kind: Any = array.dtype.type if array.dtype.kind == "f" else np.float64
+    if array.ndim > 1 and array.min() >= 0.0 and array.max() <= 1.0:  # an image may be so
+        return gymnasium.spaces.Box(0.0, 1.0, array.shape, kind)
+    return gymnasium.spaces.Box(-np.inf, np.inf, array.shape, kind)
