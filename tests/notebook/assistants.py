@@ -108,14 +108,23 @@ def puddle_assistant(
     config: Mapping[str, Any] | None = None,
     seed: int = 0,
     cell: bool = True,
+    task: str = PUDDLE,
+    environment: Mapping[str, Any] | None = None,
 ) -> Mapping[str, str]:
-    """Store an assistant of Puddle, of tiny untrained models; returns keys by kind."""
+    """Store an assistant of Puddle, or of a declared environment, of tiny untrained models; returns
+    keys by kind.
+    """
     layout = Layout(results)
     layout.prepare()
     keys = {kind: f"{i}{seed}".ljust(20, "a") for i, kind in enumerate(needs)}
-    settings = {"action_repeat": REPEAT, "returns": ReturnsConfig().model_dump(mode="json")}
+    settings: dict[str, Any] = {
+        "action_repeat": REPEAT,
+        "returns": ReturnsConfig().model_dump(mode="json"),
+    }
+    if environment is not None:
+        settings["environment"] = dict(environment)
     axes = {"method": method, "method_config": dict(config or {})}
-    shared = {"task": PUDDLE, "seed": seed, "settings": settings, "provenance": {}}
+    shared = {"task": task, "seed": seed, "settings": settings, "provenance": {}}
 
     def store(kind: str, key: str, source: Path | None, upstream: list[str], **facts: Any) -> None:
         staging = staging_folder(layout, key)
@@ -130,7 +139,7 @@ def puddle_assistant(
                 **shared,
                 "kind": kind,
                 "key": key,
-                "label": f"{PUDDLE} s{seed} {kind}",
+                "label": f"{task} s{seed} {kind}",
                 "upstream": {name: keys[name] for name in upstream},
                 "upstream_kinds": {name: name for name in upstream},
                 **facts,
@@ -143,6 +152,6 @@ def puddle_assistant(
         store(kind, keys[kind], artifacts[kind], models if own else [], **own)
     if cell:
         driven = {**axes, "operator": "noisy", "value": 0.4}
-        label = f"{PUDDLE} s{seed} {method} noisy=0.4"
+        label = f"{task} s{seed} {method} noisy=0.4"
         store("evaluate", f"e{seed}".ljust(20, "a"), None, list(needs), axes=driven, label=label)
     return keys

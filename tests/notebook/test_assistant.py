@@ -27,6 +27,7 @@ from tests.notebook.assistants import (
 from wasp_cli.errors import ArtifactError, StoreError, TaskError, UnknownName, UsageError
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.notebook.assistant import LoadedAssistant
+from wasp_cli.notebook.perceived import perceived
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.make import make_task
 
@@ -320,6 +321,21 @@ def test_an_image_of_any_size_is_scaled_as_in_training(
         found.append(assistant.features)
     for features in found[1:]:
         assert np.array_equal(features, found[0])
+
+
+def test_vectors_are_seen_where_the_model_reads_them() -> None:
+    """Alone, as the whole observation, and below names."""
+    vector = np.array([0.5, -2.0, 3.0])
+    for shown in (vector, vector.tolist(), {"state": vector}, {"b": vector[1:], "a": vector[:1]}):
+        seen = perceived(shown, "state", None, own=False, declaration=None)
+        assert seen.state is not None
+        assert np.array_equal(seen.state, vector[None])
+    many = perceived({"state": np.stack([vector, -vector])}, "state", 2, False, None)
+    assert many.state is not None
+    assert np.array_equal(many.state, [vector, -vector])
+    for odd in ([[0.0], [1.0]], [np.nan], {"state": [np.inf, 0.0]}, {"image": np.zeros((8, 8, 3))}):
+        with pytest.raises(TaskError, match="observation"):
+            perceived(odd, "state", None, own=False, declaration=None)
 
 
 def test_the_package_imports_no_torch_before_an_assistant_is_asked_for() -> None:

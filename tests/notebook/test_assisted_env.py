@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from puddle import Puddle
 from stable_baselines3.common.env_checker import check_env as check_with_baselines
 
 import wasp_cli
@@ -112,6 +113,48 @@ def test_episodes_in_somebody_elses_environment_are_those_of_an_evaluation(
     found = driven(assisted(puddle), "noisy", 0.4)
     found.require_same(expected)
     assert len(found.a[0]) > 10
+
+
+class Drawn(Puddle):
+    """A pond that is seen by drawing it, and whose info calls the cost otherwise."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (8,), np.float32)
+    render_mode = None
+
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+
+    def _seen(self) -> Any:
+        return super()._seen()["privileged"]
+
+    def render(self) -> Any:
+        return np.repeat(super()._seen()["image"], 2, 0)
+
+    def step(self, action: Any) -> Any:
+        *seen, info = super().step(action)
+        return (*seen, {"wet": info["cost"]})
+
+
+gymnasium.register("Drawn-v0", entry_point=Drawn, max_episode_steps=60)
+
+
+def test_declared_environments_are_seen_as_they_were_declared(
+    artifacts: Mapping[str, Path], tmp_path: Path
+) -> None:
+    declaration = {"id": "Drawn-v0", "image": "render", "cost": "info.wet"}
+    puddle_assistant(artifacts, tmp_path / "results", task="pond", environment=declaration)
+    assistant = wasp_cli.load_assistant(tmp_path / "results", "pond ida")
+    expected = evaluated(assistant, "noisy", 0.4, tmp_path)
+    env = wasp_cli.AssistedEnv(gymnasium.make("Drawn-v0", render_mode="rgb_array"), assistant)
+    driven(env, "noisy", 0.4).require_same(expected)
+    env.reset(seed=3)
+    assert {"cost", "cost_sources"} <= set(env.step(np.zeros(2))[4])
+    with pytest.raises(UsageError, match="render mode is None"):
+        wasp_cli.AssistedEnv(gymnasium.make("Drawn-v0"), assistant)
+    # in a loop of one's own, what is drawn is the observation
+    assistant.reset(0)
+    assistant.see(env.render())
 
 
 def test_gymnasium_and_stable_baselines3_pass_it(
