@@ -5,8 +5,10 @@ planning.
 
     results = wasp_cli.results("results")              # tables of a results folder; needs no torch
     model = wasp_cli.load_world_model("results")       # filters, imagines, decodes
+    assistant = wasp_cli.load_assistant("results", "goal1 s1 wasp")    # in any loop of yours
+    env = wasp_cli.AssistedEnv(env, assistant)         # as a gymnasium environment
 
-docs/results.md shows what they can do.
+docs/results.md and docs/own_loop.md show what they can do.
 """
 
 # nothing is imported here, `typing` neither: `wasp_cli.__main__` first says where modules are
@@ -16,10 +18,12 @@ if TYPE_CHECKING:
     from typing import Any
 
     from wasp_cli.notebook import open_results as results
+    from wasp_cli.notebook.assistant import load_assistant
+    from wasp_cli.notebook.assisted_env import AssistedEnv
     from wasp_cli.notebook.world_model import load_world_model
 
 __version__ = "0.3.0"
-__all__ = ["__version__", "load_world_model", "results"]
+__all__ = ["AssistedEnv", "__version__", "load_assistant", "load_world_model", "results"]
 
 
 def __getattr__(name: str) -> "Any":
@@ -33,6 +37,14 @@ def __getattr__(name: str) -> "Any":
         from wasp_cli.notebook.world_model import load_world_model
 
         return load_world_model
+    if name == "load_assistant":
+        from wasp_cli.notebook.assistant import load_assistant
+
+        return load_assistant
+    if name == "AssistedEnv":
+        from wasp_cli.notebook.assisted_env import AssistedEnv
+
+        return AssistedEnv
     raise AttributeError(f"module 'wasp_cli' has no attribute '{name}'")
 
 

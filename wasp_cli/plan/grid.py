@@ -332,7 +332,7 @@ class _Builder:
             *({name: section[form] for name, section in sections.items()} for form in (0, 1))
         )
 
-    def _of_task(self, settings: Section, task: str) -> Section:
+    def _of_task(self, settings: Section, task: str, reads_images: bool) -> Section:
         """The shared settings as they are on a task, with what the spec says of its environment."""
         declaration = self.spec.environments.get(task)
         if declaration is None:
@@ -340,9 +340,14 @@ class _Builder:
         own: dict[str, Any] = {}
         if "action_repeat" in settings.values:
             own["action_repeat"] = self.spec.repeat_of(task)
-        if not declaration.is_bare:
+        if declaration.is_bare:
+            return Section({**settings.values, **own}, {**settings.identity, **own})
+        values = {**settings.values, **own, ENVIRONMENT: declaration.plain()}
+        if reads_images:
             own[ENVIRONMENT] = declaration.plain()
-        return Section({**settings.values, **own}, {**settings.identity, **own})
+        else:
+            own[ENVIRONMENT] = TASKS[task].identity_without_image(declaration)
+        return Section(values, {**settings.identity, **own})
 
     def node(
         self,
@@ -362,7 +367,7 @@ class _Builder:
         # Who reads no image is not trained again for another camera.
         without = () if STAGES[kind].reads_images else info.image_modules
         config = self.config(kind, task)
-        settings = self._of_task(self.settings(kind), task)
+        settings = self._of_task(self.settings(kind), task, STAGES[kind].reads_images)
         identity = {
             "kind": kind,
             "task": info.facts(without),

@@ -20,7 +20,10 @@ from wasp_cli.tasks.registry import TASKS, is_foreign
 
 KEY = "[key]"  # how pydantic ends the place of a key
 TASKS_KEY, FIELD = "tasks", "environments"
-Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
+Loc = tuple[str | int, ...]
+Problem = tuple[Loc, PydanticCustomError, Any]
+_UNIONS = {"cost": "dict[", "state": "tuple["}
+"""Fields that are a text, or what has a tag that begins so."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ def drawn_apart(document: Mapping[str, Any]) -> Apart:
     problems: list[Problem] = []
     if FIELD in document:
         what = PydanticCustomError(
-            "extra_forbidden", "a file has no '{key}'", {"key": FIELD, "hint": "write it in tasks"}
+            "in_tasks", "a file has no '{key}'", {"key": FIELD, "hint": "write it in tasks"}
         )
         problems.append(((FIELD, KEY), what, FIELD))
     tasks = document.get(TASKS_KEY)
@@ -94,7 +97,11 @@ def placed(error: ValidationError, apart: Apart) -> ValidationError:
     for each in details:
         loc = each["loc"]
         if loc[0] == FIELD and len(loc) > 1:
-            loc = (TASKS_KEY, apart.entries[str(loc[1])], *loc[2:])
+            name = str(loc[1])
+            below = _without_tag(loc[2:], apart.document[FIELD][name])
+            if below is None:
+                continue
+            loc = (TASKS_KEY, apart.entries[name], *below)
         elif loc[:1] == (TASKS_KEY,) and len(loc) > 1 and each["input"] in wrong:
             continue  # it cannot be found as long as its entry is wrong
         elif loc[0] == "by_task" and KEY in loc and str(each["input"]) in apart.entries:
@@ -107,7 +114,25 @@ def placed(error: ValidationError, apart: Apart) -> ValidationError:
     return ValidationError.from_exception_data("Spec", moved)
 
 
-def _again(error: ErrorDetails, loc: tuple[str | int, ...]) -> InitErrorDetails:
+def _without_tag(loc: Loc, entry: Mapping[str, Any]) -> Loc | None:
+    """The place of an error in an entry, without pydantic's name for a member of a union.
+
+    None where that is a member of another kind than what is written: it explains nothing.
+    """
+    if len(loc) < 2 or loc[0] not in _UNIONS:
+        return loc
+    written = entry.get(str(loc[0]))
+    tag = ""
+    if isinstance(written, dict):
+        tag = "dict["
+    elif isinstance(written, list):
+        tag = "tuple["
+    if tag and not str(loc[1]).startswith(tag):
+        return None if tag == _UNIONS[str(loc[0])] else (loc[0],)
+    return (loc[0], *loc[2:])
+
+
+def _again(error: ErrorDetails, loc: Loc) -> InitErrorDetails:
     context = error.get("ctx", {})
     what = (
         error["type"]

@@ -240,6 +240,7 @@ _WORDS = {  # pydantic's words for what a YAML file holds, and ours
     "an object": "a mapping of keys to values",
     "a valid dictionary": "a mapping of keys to values",
     "a valid array": "a list",
+    "a valid tuple": "a list",
     "a valid integer": "an integer",
     "a valid ": "a ",
 }

@@ -195,6 +195,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
                 f"a map is square, and not {width!r} x {height!r} pixels",
                 "give width and height the same number",
             )
+        self.task_name = task
         self._success_goals = TASKS[task].success_goals
         self._upstream = bool(upstream_api)
         self._spec: EnvSpec | None = None
@@ -208,6 +209,11 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     def _made(self, task: str, observation: str, action_repeat: int) -> VectorTask:
         return observed_task(task, 1, observation, action_repeat)
+
+    @property
+    def action_repeat(self) -> int:
+        """Env steps of a step."""
+        return self._task.action_repeat
 
     @property
     def max_episode_steps(self) -> int:

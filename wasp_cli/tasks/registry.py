@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness, did_you_mean
 from wasp_cli.registry import Registry, module_of, require_spelling
-from wasp_cli.tasks.declared import declaration_of
+from wasp_cli.tasks.declared import Declaration, declaration_of
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
@@ -47,6 +47,10 @@ class _Named:
     def image_modules(self) -> tuple[str, ...]:
         """The modules that do nothing but draw what assistants see: nobody else needs them."""
         return ()
+
+    def identity_without_image(self, declaration: Declaration) -> dict[str, Any]:
+        """Return what a declaration says to who reads no image."""
+        return declaration.plain()
 
     def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return what the registry says of a task and moves results (the time limit, what
@@ -138,6 +142,17 @@ class ForeignInfo(_Named):
     @property
     def image_modules(self) -> tuple[str, ...]:
         return self.examine().image_modules
+
+    def identity_without_image(self, declaration: Declaration) -> dict[str, Any]:
+        """Return what a declaration says to who reads vectors alone: another image does not change
+        what that one learns. All of it, where the expert learns from the image.
+        """
+        vector = self.examine().views.privileged
+        plain = declaration.plain()
+        if vector is None:
+            return plain
+        plain.pop("image", None)
+        return plain | {"vector": vector.names}
 
     def facts(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """Return how an environment is registered too, which moves results."""

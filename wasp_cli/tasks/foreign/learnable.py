@@ -259,8 +259,8 @@ def _notes(
         notes.append(f"Its first observation is the same for {WORLDS} seeds.")
     if not restored:
         notes.append(
-            "It has no snapshot and restore: to judge interventions (UIR), each of their episodes "
-            "is played again from its seed, up to the step."
+            "It has no snapshot and restore: to judge an intervention (UIR), its episode is played "
+            "again from its seed, up to that step."
         )
     if facts.unowned:
         files = ", ".join(facts.unowned[:3])
