@@ -1,5 +1,5 @@
-"""What the page draws: a map as numbers, the bytes of the cameras or of a picture of the vector, and what the assistant imagines
-as lines on the map.
+"""What the page draws: a map as numbers, the bytes of the cameras or of a picture of the vector,
+and what the assistant imagines as lines on the map.
 
 The lines are where the command alone leads, and where its correction does. Nothing here is an
 observation of an assistant.

@@ -5,8 +5,10 @@
     future = model.imagine(latents[10], actions[10:25])    # fifteen steps from its eleventh
     observation on model.decode(future), model.reward(future), model.cost(future)
 
+A model of a task without images reads vectors, the `state` of its observations, instead.
+
 T = observations of an episode, A = action size, K = imagined steps, D, Z = sizes of a latent's
-parts. `...` are any leading dimensions.
+parts, S = size of a vector. `...` are any leading dimensions.
 """
 
 from __future__ import annotations
@@ -110,26 +112,18 @@ class LoadedWorldModel:
         before t.
 
         Args:
-            images: uint8 [T, 6, 64, 64], an environment's `pixels`.
+            images: uint8 [T, 6, 64, 64], an environment's `pixels`; of a model of vectors its
+                `state` [T, S].
             actions: [T - 1, A] or more: action t was executed after image t was seen.
 
         Raises:
             TaskError: the shapes do not fit.
         """
-        frames = np.asarray(images)
-        if (
-            frames.dtype != np.uint8
-            or frames.ndim != 4
-            or frames.shape[1:] != IMAGES
-            or not len(frames)
-        ):
-            raise TaskError(
-                f"images should be uint8 [T, 6, 64, 64], not {frames.dtype} {list(frames.shape)}"
-            )
+        frames = self._frames(images)
         executed = self._actions(actions)
         if executed.ndim != 2 or len(executed) < len(frames) - 1:
             raise TaskError(
-                f"{len(frames)} images need {len(frames) - 1} actions [T - 1, "
+                f"{len(frames)} observations need {len(frames) - 1} actions [T - 1, "
                 f"{self.action_size}], not {list(executed.shape)}"
             )
         latent, action = self.module.initial(1), torch.zeros(1, self.action_size)
@@ -192,11 +186,15 @@ class LoadedWorldModel:
         return Latents(*(part.unflatten(0, leading) if leading else part[0] for part in parts))
 
     @torch.inference_mode()
-    def decode(self, latents: Latents) -> NDArray[np.uint8]:
-        """Decode the images uint8 [..., 6, 64, 64] that the cameras are expected to see."""
+    def decode(self, latents: Latents) -> NDArray[Any]:
+        """Decode the images uint8 [..., 6, 64, 64] that the cameras are expected to see; a model of
+        vectors decodes float32 [..., S] in the task's own units.
+        """
         flat = Latent(
             latents.h.reshape(-1, latents.h.shape[-1]), latents.z.reshape(-1, latents.z.shape[-1])
         )
+        if self.module.reads == "state":
+            return self.module.decode(flat).reshape(*latents.shape, -1).numpy()
         images = (self.module.decode(flat) * 255).round().to(torch.uint8)
         return images.reshape(*latents.shape, *IMAGES).numpy()
 
@@ -209,6 +207,30 @@ class LoadedWorldModel:
     def cost(self, latents: Latents) -> NDArray[np.float32]:
         """Predict the probability [...] that the step which arrives at each latent has cost."""
         return self.module.cost(Latent(latents.h, latents.z)).numpy()
+
+    def _frames(self, seen: ArrayLike) -> NDArray[Any]:
+        """What was seen of an episode, [T, ...], checked."""
+        frames = np.asarray(seen)
+        if self.module.reads == "state":
+            size = len(self.module.sizes.state_mean)
+            fits = frames.ndim == 2 and frames.shape[1] == size and len(frames) > 0
+            if not fits or not np.issubdtype(frames.dtype, np.number):
+                raise TaskError(
+                    f"vectors should be numbers [T, {size}], not {frames.dtype} "
+                    f"{list(frames.shape)}",
+                    "this model was trained on a task without images: it reads `state`",
+                )
+            return frames.astype(np.float64)
+        if (
+            frames.dtype != np.uint8
+            or frames.ndim != 4
+            or frames.shape[1:] != IMAGES
+            or not len(frames)
+        ):
+            raise TaskError(
+                f"images should be uint8 [T, 6, 64, 64], not {frames.dtype} {list(frames.shape)}"
+            )
+        return frames
 
     def _actions(self, actions: ArrayLike) -> Tensor:
         try:

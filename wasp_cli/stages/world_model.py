@@ -25,6 +25,8 @@ TERMS = {
     "teaching": "teaching_error",
 }
 """The terms of the loss by the weight that multiplies them, named for people."""
+OF_VECTORS = {"beta_o": "vector_loss", "ahead_o": "imagined_vector_loss"}
+"""What is called otherwise of a model that sees vectors."""
 
 
 class WorldModelStage:
@@ -129,9 +131,10 @@ class WorldModelStage:
         if teaching.exists():
             curves["teaching"] = json.loads(teaching.read_text())
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
+        terms = TERMS | (OF_VECTORS if model.reads == "state" else {})
         summary = {
-            f"final_{TERMS[name]}": round(values[-1], 4)
+            f"final_{terms[name]}": round(values[-1], 4)
             for name, values in curves.items()
-            if values and name in TERMS
+            if values and name in terms
         }
         return {**summary, "skipped": skipped}
