@@ -22,7 +22,7 @@ from wasp_cli.spec.model import EVERYWHERE, method_sections, mixing_stages, spec
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.tasks.declared import Declaration
+from wasp_cli.tasks.declared import NAME, Declaration
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -48,7 +48,7 @@ def spec_schema() -> Schema:
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
     definitions, top = schema["$defs"], schema["properties"]
     for model in definitions.values():
-        _cleaned(model["properties"])
+        _cleaned(model.get("properties", {}))
         # A description is a docstring, whose lines are those of the source.
         if "description" in model:
             model["description"] = " ".join(model["description"].split())
@@ -109,7 +109,9 @@ def _name_things(top: Schema, definitions: Schema) -> None:
     severities["additionalProperties"] = False  # names of severities have a pattern
     severities["type"] = ["object", "null"]  # null removes an operator of an extended spec
     sections = {name: top[name] for name in (*STAGES, *method_sections()) if name not in EVERYWHERE}
-    top["by_task"]["propertyNames"] = _task()
+    # The name of a declared environment may be any.
+    own_name = {"type": "string", "pattern": NAME}
+    top["by_task"]["propertyNames"] = {"anyOf": [_task(), own_name]}
     top["by_task"]["additionalProperties"] = {
         "type": "object",
         "properties": sections,
