@@ -59,8 +59,8 @@ class Puddle(gymnasium.Env):
         privileged = np.concatenate([self.flag - self.point, (self.puddles - self.point).ravel()])
         return {"image": image.astype(np.uint8), "privileged": privileged.astype(np.float32)}
 
-    # Counterfactual measures return to an earlier step; without these two methods, everything else
-    # works.
+    # Counterfactual measures return to an earlier step: without these two methods the episode is
+    # played again up to there, which takes longer.
 
     def snapshot(self):
         return {

@@ -15,12 +15,14 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.spec.environments import FIELD
 from wasp_cli.spec.hints import not_set_in_sections
 from wasp_cli.spec.load import SUFFIX
 from wasp_cli.spec.model import EVERYWHERE, method_sections, mixing_stages, spec_type
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.tasks.declared import NAME, Declaration
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -46,7 +48,7 @@ def spec_schema() -> Schema:
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
     definitions, top = schema["$defs"], schema["properties"]
     for model in definitions.values():
-        _cleaned(model["properties"])
+        _cleaned(model.get("properties", {}))
         # A description is a docstring, whose lines are those of the source.
         if "description" in model:
             model["description"] = " ".join(model["description"].split())
@@ -74,7 +76,7 @@ def spec_schema() -> Schema:
             EXTENDS: extends,
             "name": top.pop("name"),
             "preset": top.pop("preset"),
-            SHORT: _task(),
+            SHORT: _entry(),
             **top,
         },
         "additionalProperties": False,
@@ -91,11 +93,12 @@ def spec_schema() -> Schema:
 
 
 def _name_things(top: Schema, definitions: Schema) -> None:
+    top.pop(FIELD)  # files write it in `tasks`
     for name in ("methods", "stages", "variants", "tasks", "seeds"):
         top[name]["uniqueItems"] = True
     for name, known in (("stages", training_stages()), ("variants", assistant_variants())):
         top[name]["items"] = {"enum": known}
-    top["tasks"]["items"] = _task()
+    top["tasks"]["items"] = _entry()
     # editors show them
     named = {"enum": list(METHODS), "enumDescriptions": [info.rule for info in METHODS.values()]}
     top["methods"]["items"] = {
@@ -106,7 +109,9 @@ def _name_things(top: Schema, definitions: Schema) -> None:
     severities["additionalProperties"] = False  # names of severities have a pattern
     severities["type"] = ["object", "null"]  # null removes an operator of an extended spec
     sections = {name: top[name] for name in (*STAGES, *method_sections()) if name not in EVERYWHERE}
-    top["by_task"]["propertyNames"] = _task()
+    # The name of a declared environment may be any.
+    own_name = {"type": "string", "pattern": NAME}
+    top["by_task"]["propertyNames"] = {"anyOf": [_task(), own_name]}
     top["by_task"]["additionalProperties"] = {
         "type": "object",
         "properties": sections,
@@ -127,6 +132,11 @@ def _task() -> Schema:
         "description": "a task (`wasp list tasks`), or a gymnasium id",
         "anyOf": [{"enum": list(TASKS)}, foreign],
     }
+
+
+def _entry() -> Schema:
+    """A task, or a mapping that declares an environment."""
+    return {"anyOf": [_task(), {"$ref": f"#/$defs/{Declaration.__name__}"}]}
 
 
 def _section(reference: Schema, definitions: Schema) -> Schema:

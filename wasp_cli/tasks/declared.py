@@ -22,6 +22,7 @@ from wasp_cli.tasks.references import Reference, reference
 ENVIRONMENT = "environment"
 """The name of a declaration in the settings of a node."""
 RENDER, NO_IMAGE, OBSERVATION = "render", "none", "observation"
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 COST_SOURCE = "cost"
 """The cost source of a declaration that names none."""
 _ABROAD = {"name", "action_repeat"}
@@ -47,7 +48,7 @@ class Declaration(Config):
     id: str = Field(description="gymnasium id, with the module that registers it: my_pkg:MyEnv-v0")
     name: str | None = Field(
         default=None,
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$",
+        pattern=NAME,
         description="what the task is called in the spec and in tables; null: its id",
     )
     make: dict[str, JsonValue] = Field(default={}, description="arguments of gymnasium.make")

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 HEADLESS = {
-    "SDL_VIDEODRIVER": "dummy",
+    # not `dummy` alone: where that is chosen, highway-env draws nothing
+    "SDL_VIDEODRIVER": "offscreen,dummy",
     "SDL_AUDIODRIVER": "dummy",
     "PYGAME_HIDE_SUPPORT_PROMPT": "1",
 }
