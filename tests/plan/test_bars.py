@@ -1,5 +1,5 @@
-"""Whether a stage is good enough: every bar on numbers that reach it and on numbers that do not, and
-the verdict on stored nodes.
+"""Whether a stage is good enough: every bar on numbers that reach it and on numbers that do not,
+and the verdict on stored nodes.
 """
 
 import pytest
@@ -25,8 +25,14 @@ EXPERT = {
 }
 DATASET = {"steps": 24_000, "costly_share": 0.05, "sources_not_seen": 0}
 FORESIGHT = {
-    **{"auprc@1": 0.95, "persistence@1": 0.7, "base@1": 0.04, "reward_r2@1": 0.8},
-    **{"auprc@5": 0.7, "persistence@5": 0.2, "base@5": 0.04, "reward_r2@5": 0.4},
+    "auprc@1": 0.95,
+    "persistence@1": 0.7,
+    "base@1": 0.04,
+    "reward_r2@1": 0.8,
+    "auprc@5": 0.7,
+    "persistence@5": 0.2,
+    "base@5": 0.04,
+    "reward_r2@5": 0.4,
 }
 POLICIES = {"return": 11.0, "cost": 2.0, "privileged_return": 12.0, "privileged_cost": 1.5}
 CALIBRATION = {"safety_rate": 0.05, "tau_c": 1.0, "g_cost_p95": 0.5}
@@ -137,7 +143,7 @@ def stored(layout, kind, key, summary, upstream):
         "label": f"a {kind}",
         "summary": summary,
         "config": CONFIG,
-        "upstream": {name: needed for name, needed in upstream.items()},
+        "upstream": dict(upstream),
         "upstream_kinds": {name: name for name in upstream},
     }
     commit(layout, kind, key, staging, manifest)

@@ -91,12 +91,12 @@ class ExpertStage:
         limit: dict[str, float] = {}
         if config.cost_limit == "auto":
             limit["cost_limit"] = chosen_limit(references["random"]["cost_per_1000"] or 0.0)
-            config = config.model_copy(update=limit)
 
         # -- training
         training = make_task(job.task, config.envs, **options)
+        resolved = config.model_copy(update=limit)
         curve = train_expert(
-            training, config, job.work_dir, job.task, job.seed, job.progress, accept
+            training, resolved, job.work_dir, job.task, job.seed, job.progress, accept
         )
 
         # -- evaluation

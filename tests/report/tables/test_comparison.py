@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.report.claims.test_verdict import cell, frame_of
+from tests.report.invented import invent, write
 from tests.report.swept import invent_sweep
 from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.figures import cost_return_figure
@@ -23,7 +24,7 @@ from wasp_cli.report.tables.main import (
     main_table,
     operator_table,
 )
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.tables import CellIdentity, read_episodes
 
 Grid = Callable[..., list[Wanted]]
 
@@ -262,3 +263,33 @@ def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
     assert [gap.label for gap in report.missing] == [
         "goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"
     ]
+
+
+def test_a_task_of_ones_own_has_its_cost_per_step_since_who_dies_early_looks_safe(
+    tmp_path: Path,
+) -> None:
+    lengths = {"human": 40, "wasp": 10}
+    wanted = [
+        write(
+            tmp_path,
+            CellIdentity("puddle:Puddle-v0", method, "full", "noisy", 0.4, 0),
+            [invent(0, 2, 0.0, 0.3, steps) for _ in range(2)],
+        )
+        for method, steps in lengths.items()
+    ]
+    table = main_table(read_frame(wanted))
+    for wish in wanted:
+        rows = read_episodes([wish.path]).to_pylist()
+        rate = sum(row["cost"] for row in rows) / sum(row["env_steps"] for row in rows)
+        found = value(table, "viol_env", *labels_of_cell(table, wish))
+        assert found.mean == pytest.approx(rate)
+    assert "Cost/1000" in [column.title for column in table.columns]
+
+
+def labels_of_cell(table: Table, wish: Wanted) -> tuple[str, ...]:
+    title = {"human": "Human-only", "wasp": "WASP"}[wish.identity.method]
+    return next(row.labels for row in table.rows if row.labels[1] == title)
+
+
+def test_tasks_of_the_package_have_no_column_more(frame: Frame) -> None:
+    assert "viol_env" not in [column.key for column in main_table(frame).columns]
