@@ -96,7 +96,7 @@ class ForeignInfo(_Named):
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
-        super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
+        super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.processes:foreign_task")
 
     def examine(self) -> Facts:
         """Return what the environment says of itself."""
