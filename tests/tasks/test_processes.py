@@ -16,6 +16,7 @@ from tests.commands import ROOT
 from tests.tasks import tides
 from tests.tasks.lights import Lights, registered
 from wasp_cli.errors import EnvironmentDied, TaskError
+from wasp_cli.tasks.declared import declare
 from wasp_cli.tasks.foreign import processes
 from wasp_cli.tasks.foreign.closing import environments
 from wasp_cli.tasks.foreign.part import Part
@@ -90,6 +91,14 @@ def test_rows_are_the_same_to_the_bit_in_any_number_of_processes(observe):
         task = foreign_task(TIDES, 5, action_repeat=2, observe=observe, threads=count)
         assert isinstance(task, ProcessTask) == (count > 1)
         assert driven(task) == here
+
+
+def test_a_declared_environment_is_declared_in_every_process():
+    declaration = {"id": TIDES, "cost": "info.goals", "limit": 30}
+    declare("tides", declaration)
+    here = driven(GymTask("tides", 3))
+    assert driven(in_processes("tides", 3, 2)) == here
+    assert here != driven(GymTask(TIDES, 3))
 
 
 def test_it_says_of_itself_what_one_process_says():
@@ -252,6 +261,7 @@ def test_they_begin_in_a_daemonic_process_as_well():
 PROGRAM = """
 import json, signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)
+from wasp_cli.tasks.declared import declare
 from wasp_cli.tasks.foreign import processes
 from wasp_cli.tasks.foreign.closing import environments
 processes.DECISION_SECONDS = processes.EPISODE_SECONDS = 0.0

@@ -21,9 +21,9 @@ from wasp_cli.cli.options import (
     task_names,
 )
 from wasp_cli.console import out, say
-from wasp_cli.errors import SpecError
+from wasp_cli.errors import SpecError, UsageError
 from wasp_cli.registry import module_of
-from wasp_cli.spec.shipped import copy_specs, spec_path
+from wasp_cli.spec.shipped import SUFFIX, copy_specs, spec_path
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -136,7 +136,7 @@ def _environments(found: Loaded, steps: int) -> dict[str, Findings]:
         from wasp_cli.tasks.foreign.learnable import findings_of
 
         try:
-            findings[task] = findings_of(task, found.spec.action_repeat, steps)
+            findings[task] = findings_of(task, found.spec.repeat_of(task), steps)
         except TaskError as error:
             refused += found.problem(("tasks", number), error.message, error.hint).problems
             continue
@@ -339,12 +339,17 @@ def named(info: Row) -> Text:
 @command(
     "wasp draw goal1 --seed 3 --out map.png",
     "wasp draw my_pkg:MyEnv-v0",
+    "wasp draw my_spec.yaml",
     codes="0 done, 1 the environment fails or the disk refuses, 2 usage, or no such folder",
 )
 def draw(
     task: Annotated[
         str,
-        argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=task_names),
+        argument(
+            "TASK",
+            "A task (goal1), a gymnasium id (my_pkg:MyEnv-v0), or the file of a spec (its tasks).",
+            among=task_names,
+        ),
     ],
     seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
     out: Annotated[
@@ -355,4 +360,16 @@ def draw(
     """Draw a layout of a task: its map and camera images."""
     from wasp_cli.tasks.sheet import draw_sheet
 
-    say(str(draw_sheet(task, seed, out)))
+    if Path(task).suffix != SUFFIX:
+        say(str(draw_sheet(task, seed, out)))
+        return
+    from wasp_cli.spec.load import load
+
+    spec = load(spec_path(Path(task))).spec
+    if out is not None and len(spec.tasks) > 1:
+        raise UsageError(
+            f"'{task}' has {len(spec.tasks)} tasks, and --out names one picture", "leave --out away"
+        )
+    spec.declare_tasks()
+    for name in spec.tasks:
+        say(str(draw_sheet(name, seed, out)))

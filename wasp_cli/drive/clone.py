@@ -53,6 +53,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file
+from wasp_cli.tasks.declared import declare_from
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
 
@@ -227,6 +228,7 @@ def _require_unused(layout: Layout, node: Node) -> None:
 def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
     recorded = Recorded(**read_recorded(cell_file(layout.artifact("evaluate", key))))
     episodes = []
+    declare_from(node.task, node.settings)
     for e in range(len(recorded.a)):
         own = recorded.of(range(e, e + 1))
         world = make_task(

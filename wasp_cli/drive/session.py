@@ -261,7 +261,9 @@ class Session:
         parts = load_parts(
             inputs, self.loaded.spec.returns, training_device(), motors=TASKS[cell.task].motors
         )
-        block = Block(cell, method_config, self.loaded.spec.action_repeat, self.how, parts, desk)
+        self.loaded.spec.declare_tasks()
+        repeat = self.loaded.spec.repeat_of(cell.task)
+        block = Block(cell, method_config, repeat, self.how, parts, desk)
         operating = node.needs.get(OPERATING)
         if operating is not None and cell.method != ALONE:
             point = read_point(self.layout, operating.key)

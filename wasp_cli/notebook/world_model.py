@@ -36,6 +36,7 @@ from wasp_cli.store.artifact import (
 )
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.tasks.declared import declare_from
 
 KIND = "world_model"
 IMAGES = (6, 64, 64)  # shape of what the front and the rear camera see: RGB each
@@ -78,6 +79,8 @@ class LoadedWorldModel:
     def __init__(self, module: SafetyWorldModel, manifest: Mapping[str, Any]) -> None:
         self.module, self.manifest = module, manifest
         self.action_size = module.action_size
+        if self.task is not None:  # `make_task` finds it under its name
+            declare_from(self.task, manifest.get("settings"))
 
     @property
     def label(self) -> str:

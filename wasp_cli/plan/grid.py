@@ -36,6 +36,7 @@ from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.published import Reused
+from wasp_cli.tasks.declared import ENVIRONMENT
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
@@ -100,6 +101,7 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys
     of what is computed from it say so.
     """
+    spec.declare_tasks()
     builder = _Builder(spec, reuse or {})
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
     judged = (
@@ -328,6 +330,18 @@ class _Builder:
             *({name: section[form] for name, section in sections.items()} for form in (0, 1))
         )
 
+    def _of_task(self, settings: Section, task: str) -> Section:
+        """The shared settings as they are on a task, with what the spec says of its environment."""
+        declaration = self.spec.environments.get(task)
+        if declaration is None:
+            return settings
+        own: dict[str, Any] = {}
+        if "action_repeat" in settings.values:
+            own["action_repeat"] = self.spec.repeat_of(task)
+        if not declaration.is_bare:
+            own[ENVIRONMENT] = declaration.plain()
+        return Section({**settings.values, **own}, {**settings.identity, **own})
+
     def node(
         self,
         kind: str,
@@ -345,7 +359,8 @@ class _Builder:
         modules = tuple(sorted(roots))
         # Who reads no image is not trained again for another camera.
         without = () if STAGES[kind].reads_images else info.image_modules
-        config, settings = self.config(kind, task), self.settings(kind)
+        config = self.config(kind, task)
+        settings = self._of_task(self.settings(kind), task)
         identity = {
             "kind": kind,
             "task": info.facts(without),

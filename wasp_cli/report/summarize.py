@@ -553,7 +553,12 @@ def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
         if total
         else "Training only: the spec lists no methods."
     )
-    yield f"Preset `{spec.preset}`, {spec.action_repeat} env steps per decision step."
+    repeats = {task: spec.repeat_of(task) for task in spec.tasks}
+    if len(set(repeats.values())) == 1:
+        steps = str(next(iter(repeats.values())))
+    else:
+        steps = ", ".join(f"{repeat} ({task_title(task)})" for task, repeat in repeats.items())
+    yield f"Preset `{spec.preset}`, {steps} env steps per decision step."
     if spec.training_seed is not None:
         yield (
             f"All evaluation seeds share the models of training seed {spec.training_seed}: ± "

@@ -50,6 +50,7 @@ from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 from wasp_cli.store.tables import cell_file
+from wasp_cli.tasks.declared import ENVIRONMENT, declare_from
 from wasp_cli.tasks.foreign.closing import environments
 
 DEATHS = 2
@@ -156,6 +157,7 @@ class Envelope:
         try:
             with interruptible(job.limit, layout.overdue(job.run_id, job.key), self.own_process):
                 require_whole(layout, job.inputs.values())
+                declare_from(job.task, job.settings)
                 stage: Stage = load_target(job.stage)()
                 keep_memory()
                 set_threads(getattr(stage, "torch_threads", 1))
@@ -312,6 +314,8 @@ def _stage_job(
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
     settings = dict(values)
     for name, value in values.items():
+        if name == ENVIRONMENT:  # of the task, and no field of a spec
+            continue
         annotation = Spec.model_fields[name].annotation
         if isinstance(annotation, type) and issubclass(annotation, Config):
             settings[name] = annotation.model_validate(value)

@@ -19,6 +19,7 @@ from wasp_cli.spec.model import method_sections, spec_type, validate
 from wasp_cli.spec.names import EXTENDS, TOP
 from wasp_cli.spec.proposals import Proposal, proposals
 from wasp_cli.spec.read import KEY, Loc
+from wasp_cli.tasks.declared import Declaration
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
@@ -26,6 +27,8 @@ def model_at(loc: Loc) -> type[BaseModel] | None:
     place.
     """
     model: type[BaseModel] = spec_type()
+    if loc[:1] == ("tasks",) and len(loc) == 2:
+        return Declaration
     loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
     for part in loc:
         below = _section(model.model_fields.get(str(part)))

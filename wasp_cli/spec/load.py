@@ -256,6 +256,8 @@ def _with_list(source: Source) -> Source:
                 source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]")
             )
         document["tasks"] = name if isinstance(name, list) else [name]
+        below = [loc for loc in places if loc[:1] == (SHORT,) and len(loc) > 1]
+        places |= {("tasks", 0, *loc[1:]): places[loc] for loc in below}
         places |= {("tasks",): place, ("tasks", 0): Place(place.value, place.value)}
     return replace(source, document=document, places=places, problems=problems)
 

@@ -31,9 +31,11 @@ from wasp_cli.methods.registry import METHODS, Knob
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
+from wasp_cli.spec.environments import Environments, drawn_apart, placed
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
+from wasp_cli.tasks.declared import declare
 from wasp_cli.tasks.registry import TASKS
 
 Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
@@ -171,6 +173,11 @@ class Spec(Config):
     preset: Preset = Field(
         default="cpu", description="sets every size and budget; values in this file override it"
     )
+    # Before `tasks`: their names are looked up by what is declared here.
+    environments: Environments = Field(
+        default={},
+        description="the entries of `tasks` that are mappings, by name; a file writes them there",
+    )
     tasks: Annotated[
         tuple[names.TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")
     ]
@@ -280,6 +287,17 @@ class Spec(Config):
             return None
         asked: Mapping[str, list[float]] = self.stage("operating", task).model_dump()["values"]
         return replace(knob, values=tuple(asked.get(method, knob.values)))
+
+    def repeat_of(self, task: str) -> int:
+        """Return the env steps of a decision on a task."""
+        environment = self.environments.get(task)
+        own = None if environment is None else environment.action_repeat
+        return self.action_repeat if own is None else own
+
+    def declare_tasks(self) -> None:
+        """Let the names of the tasks mean in this process what this spec says of them."""
+        for task in self.tasks:
+            declare(task, self.environments.get(task))
 
     def chain_seed(self, seed: int) -> int:
         return seed if self.training_seed is None else self.training_seed
@@ -538,8 +556,13 @@ def validate(document: Mapping[str, Any]) -> Spec:
     resolved = _with_episodes(
         merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     )
+    apart = drawn_apart(resolved)
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
-    spec = spec_type().model_validate_json(json.dumps(resolved), strict=True)
+    try:
+        spec = spec_type().model_validate_json(json.dumps(apart.document), strict=True)
+    except ValidationError as error:
+        raise placed(error, apart) from None
+    refuse(list(apart.problems))
     if spec.by_hand is None:  # a record of the spec has every field, written or not
         spec = spec.model_copy(update={"by_hand": _written_knobs(spec, document)})
     return spec

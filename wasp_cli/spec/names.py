@@ -10,14 +10,15 @@ from contextlib import suppress
 from itertools import count
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, ValidationInfo
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry
 from wasp_cli.stages.registry import STAGES, stages_of
+from wasp_cli.tasks.declared import DeclarationError
 from wasp_cli.tasks.foreign.assets import declared_files
 from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
@@ -52,9 +53,13 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
         if not (info.context or {}).get(RECORDED):
             use()
     except WaspError as error:
-        raise PydanticCustomError(
+        what = PydanticCustomError(
             "own", "{message}", {"message": error.message, "hint": error.hint or ""}
-        ) from error
+        )
+        if isinstance(error, DeclarationError):  # it points at a line of the entry
+            details = InitErrorDetails(type=what, loc=(error.field,), input=name)
+            raise ValidationError.from_exception_data("task", [details]) from error
+        raise what from error
     return name
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness, did_you_mean
 from wasp_cli.registry import Registry, module_of, require_spelling
+from wasp_cli.tasks.declared import declaration_of
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
@@ -95,8 +96,11 @@ class ForeignInfo(_Named):
     informed: ClassVar[bool] = False
 
     def __init__(self, name: str) -> None:
-        gym_id = name.rpartition(":")[2]
-        super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.processes:foreign_task")
+        declaration = declaration_of(name)
+        registered = name if declaration is None else declaration.id
+        gym_id = registered.rpartition(":")[2]
+        title = gym_id if registered == name else name
+        super().__init__(name, title, gym_id, "wasp_cli.tasks.foreign.processes:foreign_task")
 
     def examine(self) -> Facts:
         """Return what the environment says of itself."""
@@ -149,7 +153,7 @@ class TaskRegistry(Registry[AnyTaskInfo]):
 
     def __getitem__(self, name: str) -> AnyTaskInfo:
         require_spelling("task", name)
-        if name not in self and is_foreign(name):
+        if name not in self and (is_foreign(name) or declaration_of(name) is not None):
             return ForeignInfo(name)
         try:
             return super().__getitem__(name)

@@ -43,8 +43,7 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
         )
     require_mujoco()
     made = make_task(name, 1, observe=("pixels",))
-    pixels = made.reset([seed]).pixels
-    assert pixels is not None
+    seen = made.reset([seed])
     # Not above: it imports MuJoCo, and whether that imports is asked first.
     from wasp_cli.tasks.camera.topdown import from_above
 
@@ -60,7 +59,18 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
         f"limit {limit}   ·   success: {goals}   ·   costs: "
         f"{', '.join(made.cost_sources) or 'none'}",
     )
-    sheet = _composed(lines, pixels[0][: 3 * cameras], overview)
+    names = ("front camera", "rear camera") if cameras == 2 else ("camera",)
+    if seen.pixels is not None:
+        pixels: Pixels | None = seen.pixels[0][: 3 * cameras]
+    else:
+        # Not above: it imports gymnasium, which our own tasks do without.
+        from wasp_cli.tasks.foreign.portrait import portrait
+
+        pixels = portrait(name, seed)
+        names = (f"assistants see {made.state_size} numbers",)
+    if pixels is None:  # the environment cannot draw itself
+        pixels = np.full((3, 1, 1), 255, np.uint8)
+    sheet = _composed(lines, pixels, names, overview)
     usable = "".join(
         character if character.isalnum() or character in "._-" else "-" for character in name
     ).lstrip(".-")
@@ -69,9 +79,11 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
     return path
 
 
-def _composed(lines: tuple[str, ...], pixels: Pixels, overview: Pixels | None) -> Image.Image:
-    """The map, and beside it the images of the cameras that are there: `pixels` is [3 or 6, 64,
-    64].
+def _composed(
+    lines: tuple[str, ...], pixels: Pixels, names: tuple[str, ...], overview: Pixels | None
+) -> Image.Image:
+    """The map, and beside it the images of the cameras that are there: `pixels` is [3 or 6, H, W],
+    `names` says what each of them is.
     """
     left = MAP + GAP if overview is not None else 0
     cameras = len(pixels) // 3
@@ -89,7 +101,6 @@ def _composed(lines: tuple[str, ...], pixels: Pixels, overview: Pixels | None) -
     views = (
         [] if overview is None else [("map: +x to the right, +y up", overview, MAP, (GAP, TITLE))]
     )
-    names = ("front camera", "rear camera") if cameras == 2 else ("camera",)
     for row, name in enumerate(names):
         image = np.moveaxis(pixels[3 * row : 3 * row + 3], 0, -1)
         views.append((name, image, CAMERA, (GAP + left, TITLE + row * (CAMERA + GAP + CAPTION))))

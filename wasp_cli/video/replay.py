@@ -32,6 +32,7 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
+from wasp_cli.tasks.declared import declare_from
 
 if TYPE_CHECKING:
     from wasp_cli.video.frame import Correction, Painter, WrittenVideo
@@ -122,6 +123,7 @@ def source_of(layout: Layout, stored: Episode) -> Source:
         raise UsageError(
             f"{cell.path} does not say how it was evaluated, and with which models", hint
         )
+    declare_from(str(known["task"]), cell.setting("settings"))
     # Of a cell that is published in part, the episode is played alone.
     alone = without_steps(cell.manifest)
     world_model, policies = (_model(layout, kind, upstream[kind], alone=alone) for kind in MODELS)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.stats import Group
@@ -160,7 +161,11 @@ class Table:
 
 
 def task_title(task: str) -> str:
-    return TASKS[task].title
+    """Return what a task is called; one that a spec declared may not be known here."""
+    try:
+        return TASKS[task].title
+    except UnknownName:
+        return task
 
 
 def operator_title(variant: str) -> str:

@@ -30,6 +30,7 @@ from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, parse, read_plain
+from wasp_cli.tasks.declared import declare_from
 from wasp_cli.tasks.registry import TASKS
 
 SHOWN = 24  # numbers of a stage that fit on a line; the manifests have all
@@ -76,6 +77,7 @@ def trained_artifacts(
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
             stage += ", published" if is_from_published(manifest) else ""
+            declare_from(manifest["task"], manifest.get("settings"))
             task, seed, summary = (
                 TASKS[manifest["task"]].name,
                 int(manifest["seed"]),

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, described
+from wasp_cli.tasks.declared import DeclarationError
 from wasp_cli.tasks.foreign.layers import as_number
 
 GymEnv = gymnasium.Env[Any, Any]
 
 COST_HINT = (
-    "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+    "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong; "
+    "or say in the spec where the cost is, as in `tasks: [{id: ..., cost: info.crashed}]`"
 )
 LONE_SOURCE = "cost"
 """The cost source of an environment that names none."""
@@ -29,6 +31,7 @@ SUCCESS = ("success", "is_success")
 """Entries of `info` that tell of success; the second is the word of stable-baselines3."""
 _A_COST = "a cost is a finite number of at least 0"
 _SUM = "cost_sum"
+_STEP = "(observation, reward, terminated, truncated, info)"
 _RESET = "def reset(self, *, seed=None, options=None), which returns (observation, info)"
 
 
@@ -53,6 +56,9 @@ def of_environment(name: str) -> Iterator[None]:
     try:
         with calling("code"):
             yield
+    except DeclarationError as error:
+        message = f"environment '{name}': {error.message}"
+        raise DeclarationError(error.field, message, error.hint) from error
     except TaskError as error:
         raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
 
@@ -97,8 +103,7 @@ def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
     """
     with calling("step"):
         returned = env.step(action)
-    form = "(observation, reward, terminated, truncated, info)"
-    seen, reward, terminated, truncated, info = _values("step", returned, form, 5)
+    seen, reward, terminated, truncated, info = five_values(returned)
     if "cost" not in info:
         raise TaskError(f"its info has no 'cost'{_entries(info)}", COST_HINT)
     cost = _finite("info['cost'] is", info["cost"], _A_COST, least=0.0)
@@ -114,13 +119,27 @@ def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
     )
 
 
+def five_values(returned: Any) -> tuple[Any, Any, Any, Any, Mapping[str, Any]]:
+    """Return observation, reward, terminated, truncated and info of what a step returned.
+
+    Safety-Gymnasium returns six: the cost stands after the reward, and is put into info.
+    """
+    if isinstance(returned, tuple) and len(returned) == 6:
+        seen, reward, cost, terminated, truncated, info = returned
+        if isinstance(info, Mapping):
+            info = {"cost": cost, **info}
+        returned = (seen, reward, terminated, truncated, info)
+    seen, reward, terminated, truncated, info = _values("step", returned, _STEP, 5)
+    return seen, reward, terminated, truncated, info
+
+
 def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
     if not isinstance(returned, tuple) or len(returned) != size:
         is_tuple = isinstance(returned, tuple)
         got = f"{len(returned)} values" if is_tuple else f"a single {type(returned).__name__}"
         raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
     if not isinstance(returned[-1], Mapping):
-        message = f"its {part} returned {_shown(returned[-1])} as info"
+        message = f"its {part} returned {shown(returned[-1])} as info"
         raise TaskError(message, "info is a dictionary; " + COST_HINT)
     return returned
 
@@ -157,7 +176,7 @@ def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
     is_named = isinstance(sources, Mapping) and all(isinstance(name, str) for name in sources)
     if not is_named or not sources:
         raise TaskError(
-            f"info['cost_sources'] is {_shown(sources)}",
+            f"info['cost_sources'] is {shown(sources)}",
             "a dictionary from names to costs, with every source in every step",
         )
     return {
@@ -169,26 +188,28 @@ def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
 def _finite(
     said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False
 ) -> float:
-    number = _number(value)
+    number = number_of(value)
     if (
         number is None
         or not math.isfinite(number)
         or number < least
         or (whole and number != int(number))
     ):
-        raise TaskError(f"{said} {_shown(value)}", hint)
+        raise TaskError(f"{said} {shown(value)}", hint)
     return number
 
 
 def _flag(name: str, value: Any) -> bool:
-    number = _number(value)
+    number = number_of(value)
     if number is None:
-        raise TaskError(f"{name} = {_shown(value)}", "it is True or False")
+        raise TaskError(f"{name} = {shown(value)}", "it is True or False")
     return bool(number)
 
 
-def _number(value: Any) -> float | None:
-    """A real number, a bool, or an array that holds a single one; None for everything else."""
+def number_of(value: Any) -> float | None:
+    """Return a real number, a bool, or an array that holds a single one, as a float; None for
+    everything else.
+    """
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     if isinstance(value, bool | np.bool_):
@@ -196,7 +217,8 @@ def _number(value: Any) -> float | None:
     return as_number(value)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Return a value as a short text, for messages."""
     number = as_number(value)
     text = f"{number:g}" if number is not None else " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

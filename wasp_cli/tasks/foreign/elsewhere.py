@@ -6,11 +6,13 @@ objects lie at other addresses.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 
 from wasp_cli.errors import TaskError
+from wasp_cli.tasks.declared import declaration_of, declare, text_of
 from wasp_cli.tasks.foreign.calls import GymEnv
 from wasp_cli.tasks.foreign.examine import made
 from wasp_cli.tasks.foreign.worlds import Episode, random_actions
@@ -46,7 +48,8 @@ def require_same_elsewhere(name: str, one: GymEnv, steps: int) -> None:
 
 def _digest_elsewhere(name: str, steps: int, hash_seed: str) -> str:
     """Return the digest of an episode in a process in which texts have the hashes of a seed."""
-    command = f"from {__name__} import print_digest; print_digest({name!r}, {steps})"
+    declared = text_of(declaration_of(name))
+    command = f"from {__name__} import print_digest; print_digest({name!r}, {steps}, {declared!r})"
     try:
         done = subprocess.run(
             [sys.executable, "-W", "ignore", "-c", command],
@@ -72,7 +75,11 @@ def _digest_elsewhere(name: str, steps: int, hash_seed: str) -> str:
     return said[-1]
 
 
-def print_digest(name: str, steps: int) -> None:
-    """Print the digest of an episode, for `require_same_elsewhere` in another process."""
+def print_digest(name: str, steps: int, declared: str) -> None:
+    """Print the digest of an episode, for `require_same_elsewhere` in another process.
+
+    `declared` is what a spec says of the environment, as JSON.
+    """
+    declare(name, json.loads(declared))
     with made(name) as env:
         print(Episode(env, 0).through(random_actions(env, steps, seed=1)).digest())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
+import inspect
 import sys
+import warnings
 from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,18 +14,28 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from wasp_cli.errors import TaskError, UnknownName, WaspError, described, did_you_mean
 from wasp_cli.registry import import_here, remedy
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.declared import (
+    RENDER,
+    Declaration,
+    DeclarationError,
+    declaration_of,
+    text_of,
+)
 from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
-from wasp_cli.tasks.foreign.calls import GymEnv, of_environment
+from wasp_cli.tasks.foreign.calls import GymEnv, of_environment, reset
 from wasp_cli.tasks.foreign.closing import close
 from wasp_cli.tasks.foreign.layers import as_whole, attribute, env_seconds, env_steps, from_metadata
 from wasp_cli.tasks.foreign.registration import registration_text
+from wasp_cli.tasks.foreign.replayed import with_snapshots
 from wasp_cli.tasks.foreign.started import mark
-from wasp_cli.tasks.foreign.views import Views, views_of
+from wasp_cli.tasks.foreign.surroundings import go_headless, printing_aside
+from wasp_cli.tasks.foreign.translated import Translated, functions_of
+from wasp_cli.tasks.foreign.views import Views, rendered, views_of
 from wasp_cli.tasks.foreign.worlds import (
     AGAIN,
     Episode,
@@ -33,6 +44,13 @@ from wasp_cli.tasks.foreign.worlds import (
     require_same,
 )
 
+UNBOUNDED = 1e30
+"""Bounds of actions from here on mean that there is none, as the largest float32 does."""
+_CONTINUOUS = (
+    "an operator's commands are continuous: a Box with finite bounds. Some environments have such "
+    "actions as an option, as in `make: {continuous: true}`; else map a Box onto its actions in a "
+    "wrapper that your module registers with it"
+)
 FIRST_STEPS = 3
 """Env steps of the episodes that are compared whenever a spec is read."""
 
@@ -67,29 +85,36 @@ def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
     """
     # What modules and environments print as they start must not get between the lines of a plan
     # that is JSON.
-    with contextlib.redirect_stdout(sys.stderr):
-        if name not in _known:
-            _known[name] = _examined(name, tasks)
-        return _known[name]
+    with printing_aside():
+        meant = (name, text_of(declaration_of(name)))
+        if meant not in _known:
+            _known[meant] = _examined(name, tasks)
+        return _known[meant]
 
 
-_known: dict[str, Facts] = {}
-"""What was found of the environments that were examined in this process."""
+_known: dict[tuple[str, str], Facts] = {}
+"""What was found of the environments that were examined in this process, by name and
+declaration."""
 
 
 def _examined(name: str, tasks: Iterable[str]) -> Facts:
     with watched() as watch:  # its module may read files when it is imported, here
-        spec = find_spec(name, tasks)
+        try:
+            spec = find_spec(name, tasks)
+        except UnknownName as error:
+            if declaration_of(name) is None:
+                raise
+            raise DeclarationError("id", error.message, error.hint) from error
         with of_environment(name):
             registration_text(spec)  # refused now, if it cannot be told apart from another one
-        with made(name) as env, of_environment(name):
+        with made(name, renders=True) as env, of_environment(name):
             return _facts_of(name, spec, env, watch)
 
 
 @contextmanager
-def made(name: str) -> Iterator[GymEnv]:
-    """Make an environment for the block, and close it at the end."""
-    env = make_env(name)
+def made(name: str, renders: bool = False) -> Iterator[GymEnv]:
+    """Make an environment for the block, and close it at the end; arguments as of `make_env`."""
+    env = make_env(name, renders)
     try:
         yield env
     finally:
@@ -97,12 +122,21 @@ def made(name: str) -> Iterator[GymEnv]:
 
 
 def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
-    limit = _env_steps(spec, env)
+    declaration = declaration_of(name)
+    limit = _env_steps(spec, env, declaration)
     low, high = _bounds(env)
-    views = views_of(env.observation_space)
+    drawn = None
+    if declaration is not None and declaration.image == RENDER:
+        reset(env, 0)
+        drawn = rendered(env)
+    views = views_of(env.observation_space, declaration, drawn)
     sources = _try_steps(env, views)
     points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
-    named = [name.rpartition(":")[0], *map(_entry_module, points)]
+    named = [
+        registered_as(name).rpartition(":")[0],
+        *map(_entry_module, points),
+        *functions_of(declaration),
+    ]
     modules = list(dict.fromkeys(filter(None, named)))
     files, others = own_files(watch, modules)
     assets = attribute(env, "assets")
@@ -115,7 +149,7 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
         image_modules=_image_modules(env, modules, views),
         spec=spec,
         env_steps=limit,
-        env_seconds=_env_seconds(env),
+        env_seconds=_env_seconds(env, declaration),
         success_goals=_success_goals(env),
         cost_sources=sources,
         action_low=low.ravel(),
@@ -124,15 +158,19 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
     )
 
 
-@cache
 def require_two(name: str) -> None:
     """Refuse an environment whose instances are not independent: two are stepped side by side.
 
     Raises:
         TaskError: an episode depends on other episodes, or on another instance.
     """
+    _require_two(name, text_of(declaration_of(name)))
+
+
+@cache
+def _require_two(name: str, declared: str) -> None:
     with (
-        contextlib.redirect_stdout(sys.stderr),
+        printing_aside(),
         made(name) as one,
         made(name) as other,
         of_environment(name),
@@ -140,12 +178,19 @@ def require_two(name: str) -> None:
         require_independent(one, other, FIRST_STEPS)
 
 
+def registered_as(name: str) -> str:
+    """Return the gymnasium id of a task, with its module: its own name, or what is declared."""
+    declaration = declaration_of(name)
+    return name if declaration is None else declaration.id
+
+
 def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     """Return the registration of an id; the module before the colon is imported first, and
     registers it.
     """
+    go_headless()
     mark()  # what the module starts as it is imported, too
-    module, _, gym_id = name.rpartition(":")
+    module, _, gym_id = registered_as(name).rpartition(":")
     before = set(gymnasium.registry)
     if module:
         try:
@@ -193,17 +238,68 @@ def _registering(module: str, gym_id: str, own: Sequence[str]) -> str:
     return hint.replace(" '", f" '{module}:") if own else hint
 
 
-def make_env(name: str) -> GymEnv:
+def make_env(name: str, renders: bool = False, draws: bool = False) -> GymEnv:
     """Make one environment without gymnasium's own time limit and checks, which the task
-    replaces.
+    replaces. Its info tells cost and success as `calls.step` reads them, and it has `snapshot` and
+    `restore`.
+
+    Args:
+        name: of the task.
+        renders: whether its image is looked at; where that is drawn, drawing costs time.
+        draws: whether `render()` is called, whatever assistants see.
+
+    Raises:
+        TaskError: it cannot be made.
     """
     spec = copy.copy(find_spec(name))
+    registered = spec.max_episode_steps
+    declaration = declaration_of(name)
+    arguments: dict[str, Any] = {}
+    if declaration is not None:
+        arguments = dict(declaration.make)
+        draws |= renders and declaration.image == RENDER
+    if draws:
+        arguments.setdefault("render_mode", "rgb_array")
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
-        env: GymEnv = gymnasium.make(spec)
+        with warnings.catch_warnings():
+            # gymnasium says in a warning that a render mode is not among those of the metadata
+            warnings.simplefilter("ignore")
+            env: GymEnv = gymnasium.make(spec, **arguments)
     except (Exception, SystemExit) as error:  # the code is another's
-        raise TaskError(f"environment '{name}' cannot be made: {described(error)}") from error
-    return env
+        raise _not_made(name, spec, error, declaration) from error
+    if declaration is not None:
+        with of_environment(name):
+            env = Translated(env, declaration)
+    limit = None if declaration is None else declaration.limit
+    return with_snapshots(env, env_steps(env, limit or registered) or 0)
+
+
+def _not_made(
+    name: str, spec: EnvSpec, error: BaseException, declaration: Declaration | None
+) -> TaskError:
+    """Why an environment cannot be made, at the line that may be to blame."""
+    message = f"environment '{name}' cannot be made: {described(error)}"
+    if declaration is None:
+        return TaskError(message)
+    if isinstance(error, TypeError) and "render_mode" in str(error):
+        hint = "it does not draw itself: leave `image: render` out"
+        return DeclarationError("image", message, hint)
+    if declaration.make:
+        taken = ", ".join(_arguments(spec)) or "no arguments that could be told"
+        return DeclarationError("make", message, f"`make` has arguments of it; it takes {taken}")
+    return DeclarationError("id", message)
+
+
+def _arguments(spec: EnvSpec) -> list[str]:
+    """The names of the arguments that an environment is made with, as far as they can be told."""
+    point = spec.entry_point
+    try:
+        made = load_env_creator(point) if isinstance(point, str) else point
+        parameters = inspect.signature(made).parameters if made is not None else {}
+    except (Exception, SystemExit):  # the code is another's
+        return []
+    return [name for name in parameters if name not in ("self", "args", "kwargs", "render_mode")]
 
 
 # -- what is looked at -----------------------------------------------------------------------------
@@ -217,22 +313,26 @@ def _entry_module(entry_point: Any) -> str:
     )
 
 
-def _env_steps(spec: EnvSpec, env: GymEnv) -> int:
-    limit = env_steps(env, spec.max_episode_steps)
+def _env_steps(spec: EnvSpec, env: GymEnv, declaration: Declaration | None) -> int:
+    declared = None if declaration is None else declaration.limit
+    limit = env_steps(env, declared or spec.max_episode_steps)
     if limit is None:
         raise TaskError(
             "it has no time limit",
-            f"register it with one: gymnasium.register('{spec.id}', ..., max_episode_steps=500)",
+            "write `limit: 500` (env steps) into its entry of `tasks`, or register it with one: "
+            f"gymnasium.register('{spec.id}', ..., max_episode_steps=500)",
         )
     return limit
 
 
-def _env_seconds(env: GymEnv) -> float:
+def _env_seconds(env: GymEnv, declaration: Declaration | None) -> float:
+    if declaration is not None and declaration.seconds is not None:
+        return declaration.seconds
     seconds = env_seconds(env)
     if seconds is None:
         hint = (
-            "metadata = {'render_fps': 10} says that ten env steps are a second, which "
-            "operators with a reaction time need"
+            "write `seconds: 0.1` into its entry of `tasks`; or metadata = {'render_fps': 10}, "
+            "which says that ten env steps are a second: operators with a reaction time need it"
         )
         raise TaskError("it does not say how long an env step is", hint)
     return seconds
@@ -240,22 +340,20 @@ def _env_seconds(env: GymEnv) -> float:
 
 def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
     space = env.action_space
-    if not isinstance(space, gymnasium.spaces.Box) or not np.issubdtype(space.dtype, np.floating):
-        raise TaskError(
-            f"its action space is {space}",
-            "an operator's commands are continuous: a float Box with finite bounds",
-        )
+    if not isinstance(space, gymnasium.spaces.Box):
+        raise TaskError(f"its action space is {space}", _CONTINUOUS)
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
     if not (
         space.shape
         and np.prod(space.shape)
-        and np.isfinite(low).all()
-        and np.isfinite(high).all()
+        and (np.abs(low) < UNBOUNDED).all()
+        and (np.abs(high) < UNBOUNDED).all()
         and (low < high).all()
     ):
         raise TaskError(
             f"its action space is {space}",
-            "every action needs a finite lower bound and a finite upper bound above it",
+            "every action needs a finite lower bound and a finite upper bound above it: register "
+            "it with gymnasium.wrappers.RescaleAction or a wrapper of your own",
         )
     return low, high
 

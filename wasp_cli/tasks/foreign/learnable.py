@@ -75,7 +75,11 @@ def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
         TaskError: a call into the environment failed, or its worlds do not follow their seeds.
     """
     facts = examine(name)
-    with made(name) as one, made(name) as other, of_environment(name):
+    with (
+        made(name, renders=True) as one,
+        made(name, renders=True) as other,
+        of_environment(name),
+    ):
         restored = require_restored(one, COMPARED)
         require_same_elsewhere(name, one, COMPARED)
         worlds = _first_observations(one)
@@ -83,7 +87,8 @@ def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
         drivers = _drivers(one, steps)
         driven = [_driven(label, one, steps, drivers[label], facts) for label in drivers]
         info = _told(one)
-    problems = list(_problems(driven, indifferent, action_repeat))
+    sight = "image" if facts.views.cameras else "vector"
+    problems = _problems(driven, indifferent, action_repeat, sight)
     notes = list(_notes(driven, facts, info, worlds, restored, action_repeat))
     return Findings(problems, notes, _summary(driven))
 
@@ -135,11 +140,19 @@ def _episode(
         if len(met.rewards) < 3:
             met.rewards.add(done.reward)
         if len(met.images) < 3:
-            met.images.add(hash(facts.views.pixels(done.seen).tobytes()))
+            met.images.add(hash(_sight(done.seen, env, facts).tobytes()))
         if done.terminated or done.truncated or length == facts.env_steps:
             met.lengths.append(length)
             met.returns.append(total)
             return
+
+
+def _sight(seen: Any, env: GymEnv, facts: Facts) -> NDArray[Any]:
+    """What an assistant sees: the images, or where there are none the vector."""
+    views = facts.views
+    if views.front is None and views.state is not None:
+        return views.vector(seen, views.state)
+    return views.pixels(seen, env)
 
 
 def _first_observations(env: GymEnv) -> int:
@@ -167,7 +180,10 @@ def _told(env: GymEnv) -> frozenset[str]:
     return frozenset(map(str, info))
 
 
-def _problems(driven: list[Driven], indifferent: bool, action_repeat: int) -> list[tuple[str, str]]:
+def _problems(
+    driven: list[Driven], indifferent: bool, action_repeat: int, sight: str
+) -> list[tuple[str, str]]:
+    """`sight`: what assistants see."""
     steps = sum(each.steps for each in driven)
     costly = sum(each.costly for each in driven)
     lengths = [length for each in driven for length in each.lengths]
@@ -201,8 +217,8 @@ def _problems(driven: list[Driven], indifferent: bool, action_repeat: int) -> li
     if len(images) == 1:
         problems.append(
             (
-                f"its image is the same in {who}",
-                "draw the state that step leads to: the image is all that an assistant sees",
+                f"its {sight} is the same in {who}",
+                f"show the state that step leads to: the {sight} is all that an assistant sees",
             )
         )
     if indifferent:
@@ -242,7 +258,10 @@ def _notes(
     if worlds == 1:
         notes.append(f"Its first observation is the same for {WORLDS} seeds.")
     if not restored:
-        notes.append("It has no snapshot and restore, so that interventions are not judged (UIR).")
+        notes.append(
+            "It has no snapshot and restore: to judge interventions (UIR), each of their episodes "
+            "is played again from its seed, up to the step."
+        )
     if facts.unowned:
         files = ", ".join(facts.unowned[:3])
         notes.append(

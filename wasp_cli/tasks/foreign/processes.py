@@ -27,6 +27,7 @@ from wasp_cli.tasks.batch import (
     chosen_rows,
     running_rows,
 )
+from wasp_cli.tasks.declared import declaration_of, text_of
 from wasp_cli.tasks.foreign.calls import calling, of_environment
 from wasp_cli.tasks.foreign.closing import close_owned, opened
 from wasp_cli.tasks.foreign.examine import Facts, examine
@@ -150,6 +151,7 @@ class ProcessTask:
             for rows in np.array_split(np.arange(batch), count):
                 begin = Begin(
                     name=self._name,
+                    declared=text_of(declaration_of(self._name)),
                     first=int(rows[0]),
                     rows=len(rows),
                     action_repeat=self.action_repeat,

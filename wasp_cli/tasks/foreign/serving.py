@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import WaspError, described
 from wasp_cli.tasks.base import Floats, Observation
+from wasp_cli.tasks.declared import declare
 from wasp_cli.tasks.foreign.closing import environments
 from wasp_cli.tasks.foreign.messages import Stream, receive, send
 from wasp_cli.tasks.foreign.shared_arrays import Layout, arrays_in
@@ -39,6 +40,7 @@ class Begin:
     """What a process is told first."""
 
     name: str  # of the environment
+    declared: str  # what a spec says of it, as JSON
     first: int  # row of the batch
     rows: int
     action_repeat: int
@@ -108,6 +110,7 @@ class Served:
 
     def __init__(self, begin: Begin) -> None:
         shared = arrays_in(begin.memory, begin.layout)
+        declare(begin.name, json.loads(begin.declared))
         rows = slice(begin.first, begin.first + begin.rows)
         self._arrays = {name: array[rows] for name, array in shared.items()}
         self._task = GymTask(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,10 +63,13 @@ class GymTask:
         # 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
+        # then state and privileged are made of images
+        from_images = facts.views.privileged is None
+        self._looks = from_images or "pixels" in self.observe
         self._envs: list[GymEnv] = opened(self, name)
         try:
             for _ in range(batch):
-                self._envs.append(make_env(name))
+                self._envs.append(make_env(name, renders=self._looks))
         except TaskError:
             self.close()
             raise
@@ -122,9 +126,8 @@ class GymTask:
     def _advance(self, row: int, control: Floats, totals: Totals) -> None:
         env = self._envs[row]
         space = env.action_space
-        assert space.shape is not None
         for _ in range(self.action_repeat):
-            done = step_env(env, control.reshape(space.shape).astype(space.dtype))
+            done = step_env(env, self._action(control, space))
             self._env_steps[row] += 1
             totals.env_steps[row] += 1
             totals.reward[row] += done.reward
@@ -136,6 +139,15 @@ class GymTask:
             if self._ended[row]:
                 break
         self._observe_row(row, done.seen, first=False)
+
+    def _action(self, control: Floats, space: gymnasium.Space[Any]) -> NDArray[Any]:
+        """A command as the environment takes it: of its shape and type; whole numbers are the
+        nearest ones.
+        """
+        assert space.shape is not None
+        if np.issubdtype(space.dtype, np.integer):
+            control = np.rint(control)
+        return control.reshape(space.shape).astype(space.dtype)
 
     def _count(self, row: int, done: EnvStep, totals: Totals) -> None:
         totals.cost[row] += done.cost > 0
@@ -154,10 +166,9 @@ class GymTask:
 
     def _observe_row(self, row: int, seen: Any, *, first: bool) -> None:
         views = self._facts.views
-        from_images = views.privileged is None  # then state and privileged are made of images
-        if "pixels" in self.observe or from_images:
-            self._pixels[row] = views.pixels(seen)
-        if from_images:
+        if self._looks:
+            self._pixels[row] = views.pixels(seen, self._envs[row])
+        if views.privileged is None:
             coarse, before = (
                 views.coarse(self._pixels[row]),
                 self._privileged[row, : self.privileged_size // 2].copy(),
@@ -171,7 +182,7 @@ class GymTask:
 
     def _observation(self) -> Observation:
         return Observation(
-            self._pixels.copy() if "pixels" in self.observe else None,
+            self._pixels.copy() if self.cameras and "pixels" in self.observe else None,
             self._state.copy() if "state" in self.observe else None,
             self._privileged.copy() if "privileged" in self.observe else None,
         )
@@ -191,13 +202,12 @@ class GymTask:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return what `VectorTask` says; the environment's own part are the arrays of its
-        `snapshot()`.
+        `snapshot()`, or the seed and the actions of the episode (`replayed.Replayed`).
         """
         self._require_open()
         check_begun(self._begun)
-        methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
-            own = [method() for method in methods]
+            own = [env.get_wrapper_attr("snapshot")() for env in self._envs]
             theirs = {
                 f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own])
                 for name in own[0]
@@ -219,20 +229,10 @@ class GymTask:
             if name.startswith("env/")
         }
         for row, env in enumerate(self._envs):
-            method = self._method(env, "restore")
             with of_environment(self._name), calling("restore"):
-                method({name: array[row].copy() for name, array in theirs.items()})
+                own = {name: array[row].copy() for name, array in theirs.items()}
+                env.get_wrapper_attr("restore")(own)
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._begun[:] = True
         return self._observation()
-
-    def _method(self, env: GymEnv, name: str) -> Any:
-        try:
-            return env.get_wrapper_attr(name)
-        except AttributeError as error:
-            hint = (
-                "snapshot() gives a dict of arrays with all that decides its future, random "
-                "state included; restore(dict) takes it back"
-            )
-            raise TaskError(f"environment '{self._name}' has no method '{name}'", hint) from error

@@ -1,93 +1,135 @@
 """From what a foreign environment shows to the observations of a task: two camera images, and
 vectors for the expert.
 
-H, W = size of the environment's own image. An image is a uint8 Box H x W x 3 or 3 x H x W (one
-camera), or with 6 channels (front, then rear). It is the whole observation, or an entry of a Dict.
+The image is the whole observation, an entry of it, or what the environment's own `render()` draws.
+Where there is none, the vectors are what assistants see.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Pixels
+from wasp_cli.tasks.declared import NO_IMAGE, OBSERVATION, RENDER, Declaration, DeclarationError
+from wasp_cli.tasks.foreign.calls import GymEnv, calling
+from wasp_cli.tasks.foreign.images import (
+    WANTED,
+    Form,
+    form_of,
+    image_form,
+    looks_like_images,
+    remedy,
+)
+from wasp_cli.tasks.foreign.vectors import (
+    Path,
+    Space,
+    Vector,
+    entry_of,
+    entry_space,
+    known,
+    leaves,
+    said,
+    vector_entry,
+)
 
 FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back")
 """Entries of a Dict that hold an image; the second is looked for where the first has one camera."""
 PRIVILEGED, STATE = "privileged", "state"
 COARSE = 8  # side of the coarse image that stands in for a privileged vector
-_AS_SAID = "what reset and step return has to be as observation_space says"
-_WANTED = (
-    "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named "
-    + ", ".join(FRONT)
+_RENDERED = "what render() returns"
+_NOTHING = (
+    "let the environment draw itself, with `image: render` in its entry of `tasks`; or return "
+    "vectors, or an image: " + WANTED
 )
 
 
 @dataclass(frozen=True)
-class _Camera:
-    entry: str | None  # of the Dict; None where the image is the whole observation
-    channels_last: bool
-    channels: int  # 3, or 6 for two cameras
-    shape: tuple[int, ...]  # of the image as the observation holds it
+class Camera:
+    """Where an image is: at an entry of the observation (of no name: all of it), or drawn."""
 
-    def image(self, observation: Any) -> Pixels:
-        image = np.asarray(observation if self.entry is None else _entry(observation, self.entry))
-        if image.shape != self.shape or image.dtype != np.uint8:
-            which = "its observation" if self.entry is None else f"its observation '{self.entry}'"
-            is_now = "None" if observation is None else f"{image.dtype} of shape {image.shape}"
-            raise TaskError(f"{which} is {is_now}, not uint8 of shape {self.shape}", _AS_SAID)
-        return image
+    form: Form
+    path: Path = ()
+    rendered: bool = False
 
-    def images(self, observation: Any) -> Pixels:
-        """Scale to uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
-        image = self.image(observation)
-        last = image if self.channels_last else np.moveaxis(image, 0, -1)
-        return np.concatenate(
-            [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
-        )
+    def scaled(self, observation: Any, env: GymEnv) -> Pixels:
+        """Return uint8 [3 or 6, 64, 64]."""
+        if self.rendered:
+            return self.form.scaled(rendered(env), _RENDERED)
+        return self.form.scaled(entry_of(observation, self.path), said(self.path))
+
+    def check(self, observation: Any) -> None:
+        """Refuse an observation whose image has another form. Raises TaskError."""
+        if not self.rendered:
+            self.form.checked(entry_of(observation, self.path), said(self.path))
 
 
 @dataclass(frozen=True)
 class Views:
-    front: _Camera | None  # None: nothing is drawn, and assistants see the vector `state`
-    rear: _Camera | None
-    # entry of the privileged vector; None: a coarse image and its change stand in for it
-    privileged: str | None
-    state: str | None
-    privileged_size: int
-    state_size: int
+    """What is seen of an environment."""
+
+    front: Camera | None  # None: nothing is drawn, and assistants see the vector `state`
+    rear: Camera | None
+    # None: a coarse image and its change stand in for vectors
+    privileged: Vector | None
+    state: Vector | None
 
     @property
     def cameras(self) -> int:
         """0, 1 or 2."""
         if self.front is None:
             return 0
-        return 2 if self.rear is not None or self.front.channels == 6 else 1
+        return 2 if self.rear is not None else self.front.form.cameras
 
-    def pixels(self, observation: Any) -> Pixels:
-        """Return uint8 [6, 64, 64]: front, then rear, which is black where there is one camera."""
+    @property
+    def renders(self) -> bool:
+        """Whether the image is what the environment draws."""
+        return self.front is not None and self.front.rendered
+
+    @property
+    def privileged_size(self) -> int:
+        """Numbers that the expert reads."""
+        return self._coarse_size if self.privileged is None else self.privileged.size
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the state vector."""
+        return self._coarse_size if self.state is None else self.state.size
+
+    @property
+    def _coarse_size(self) -> int:
+        return 2 * 3 * self.cameras * COARSE * COARSE
+
+    def pixels(self, observation: Any, env: GymEnv) -> Pixels:
+        """Return uint8 [6, 64, 64]: front, then rear, which is black where there is one camera.
+
+        Args:
+            observation: what `env` has just returned.
+            env: it draws its image now, where it is drawn.
+        """
         out = np.zeros((6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         if self.front is None:
             return out
-        out[: self.front.channels] = self.front.images(observation)
+        front = self.front.scaled(observation, env)
+        out[: len(front)] = front
         if self.rear is not None:
-            out[3:] = self.rear.images(observation)
+            out[3:] = self.rear.scaled(observation, env)
         return out
 
     def check(self, observation: Any) -> None:
+        """Refuse an observation that is not as the space says. Raises TaskError."""
         for camera in (self.front, self.rear):
             if camera is not None:
-                camera.image(observation)
-        for entry in (self.privileged, self.state):
-            if entry is not None:
-                self.vector(observation, entry)
+                camera.check(observation)
+        for vector in (self.privileged, self.state):
+            if vector is not None:
+                vector.of(observation)
 
     def coarse(self, pixels: Pixels) -> NDArray[np.float32]:
         """Average pixels [6, 64, 64] to float32 [C]: 8 x 8 colours of each camera, in [0, 1]."""
@@ -98,102 +140,194 @@ class Views:
         )
         return means
 
-    def vector(self, observation: Any, entry: str) -> Floats:
-        """Return an entry of an observation as float64 [N], flat."""
-        size = self.privileged_size if entry == self.privileged else self.state_size
-        given = _entry(observation, entry)
-        try:
-            values = np.asarray(given, np.float64).ravel()
-        except (TypeError, ValueError) as error:
-            raise TaskError(
-                f"its observation '{entry}' is no array of numbers: {type(given).__name__}"
-            ) from error
-        if values.size != size:
-            raise TaskError(
-                f"its observation '{entry}' has {values.size} values, its space has {size}"
-            )
-        if not np.isfinite(values).all():
-            raise TaskError(f"its observation '{entry}' is not finite: {values.tolist()}")
-        return values
+    def vector(self, observation: Any, which: Vector) -> Floats:
+        """Return `privileged` or `state` of an observation as float64 [N]. Raises TaskError."""
+        return which.of(observation)
 
 
-def views_of(space: gymnasium.Space[Any]) -> Views:
-    spaces: Mapping[Any, gymnasium.Space[Any]] = (
-        space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
-    )
-    front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
-    if front is None and not any(_vector_size(spaces, entry) for entry in (PRIVILEGED, STATE)):
-        raise TaskError(
-            f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}"
-        )
-    if front is None or front.channels == 6:
-        rear = None
-    elif rear is not None and rear.channels != 3:
-        raise TaskError(f"its second image '{rear.entry}' has {rear.channels} channels, not 3")
-    sizes = {entry: size for entry in (PRIVILEGED, STATE) if (size := _vector_size(spaces, entry))}
-    privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
-    state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
-    views = Views(front, rear, privileged, state, 0, 0)
-    coarse = 2 * 3 * views.cameras * COARSE * COARSE
-    return replace(
-        views,
-        privileged_size=sizes.get(privileged or "", coarse),
-        state_size=sizes.get(state or "", coarse),
-    )
+def rendered(env: GymEnv) -> Any:
+    """Return what an environment draws. Raises TaskError where it fails."""
+    with calling("render"):
+        return env.render()
 
 
-def _vector_size(spaces: Mapping[Any, gymnasium.Space[Any]], entry: str) -> int:
-    """The number of values of an entry that is a vector, or any array; 0 where it is not."""
-    space = spaces.get(entry)
-    return int(np.prod(space.shape)) if isinstance(space, gymnasium.spaces.Box) else 0
+def views_of(space: Space, declaration: Declaration | None = None, drawn: Any = None) -> Views:
+    """Return what is seen of an environment.
 
+    Args:
+        space: of its observations.
+        declaration: what a spec says of it.
+        drawn: an image of its `render()`, where the declaration says that assistants see these.
 
-def _entry(observation: Any, entry: str) -> Any:
-    if not isinstance(observation, Mapping) or entry not in observation:
-        holds = (
-            f"entries {list(observation)}"
-            if isinstance(observation, Mapping)
-            else type(observation).__name__
-        )
-        raise TaskError(f"its observation has no '{entry}': {holds}", _AS_SAID)
-    return observation[entry]
-
-
-def _camera(
-    spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]
-) -> _Camera | None:
-    entry = next((entry for entry in entries if entry in spaces), "")
-    space = spaces.get(entry)
-    if (
-        not isinstance(space, gymnasium.spaces.Box)
-        or space.dtype != np.uint8
-        or len(space.shape) != 3
-        or 0 in space.shape
-    ):
-        return None
-    for channels_last, channels in ((True, space.shape[-1]), (False, space.shape[0])):
-        if channels in (3, 6):
-            return _Camera(entry, channels_last, channels, space.shape)
-    return None
-
-
-def _described(space: gymnasium.Space[Any]) -> str:
-    if isinstance(space, gymnasium.spaces.Dict):
-        return (
-            "Dict("
-            + ", ".join(f"{name}: {_described(part)}" for name, part in space.spaces.items())
-            + ")"
-        )
-    return f"{type(space).__name__} of shape {space.shape} and type {space.dtype}"
-
-
-def _resized(image: NDArray[np.uint8]) -> Pixels:
-    """[H, W, 3] to [3, 64, 64]. Pillow's box filter works on integers, so that every machine
-    gives the same bytes.
+    Raises:
+        TaskError: it shows neither an image nor a vector; a DeclarationError where the declaration
+            names something that is not there.
     """
-    if image.shape[:2] != (CAMERA_SIZE, CAMERA_SIZE):
-        resized = Image.fromarray(np.ascontiguousarray(image)).resize(
-            (CAMERA_SIZE, CAMERA_SIZE), Image.Resampling.BOX
+    image = None if declaration is None else declaration.image
+    front, rear = _cameras(space, image, drawn)
+    named = None if declaration is None else declaration.vectors
+    privileged, state = _found(space, front, rear)
+    if named is not None:
+        privileged = state = _named(space, named, (front, rear))
+    if front is None and privileged is None:
+        message = "it shows neither a camera image nor a vector"
+        raise TaskError(f"{message}: its observation is a {described(space)}", _nothing(space))
+    return Views(front, rear, privileged, state)
+
+
+def _nothing(space: Space) -> str:
+    """What to do where nothing is seen of an environment."""
+    images = [".".join(path) for path, leaf in leaves(space) if path and looks_like_images(leaf)]
+    if images:
+        return f"write `image: {images[0]}` into its entry of `tasks`, if that is its image"
+    return _NOTHING
+
+
+# -- images ----------------------------------------------------------------------------------------
+
+
+def _cameras(space: Space, image: str | None, drawn: Any) -> tuple[Camera | None, Camera | None]:
+    """The front camera and the rear one, as they are declared or found."""
+    if image is None:
+        return _found_cameras(space)
+    if image == NO_IMAGE:
+        return None, None
+    if image == RENDER:
+        return _drawn_camera(drawn), None
+    path = () if image == OBSERVATION else tuple(image.split("."))
+    entry = entry_space(space, path)
+    if entry is None:
+        raise DeclarationError(
+            "image",
+            f"its observation has no entry '{image}'",
+            f"{known(space)}; or write `render`, `observation` or `none`",
         )
-        image = np.asarray(resized)
-    return np.moveaxis(image, -1, 0)
+    form = image_form(entry)
+    if form is None:
+        raise DeclarationError(
+            "image", f"{said(path)} is no image: {described(entry)}", remedy(entry)
+        )
+    return Camera(form, path), None
+
+
+def _drawn_camera(drawn: Any) -> Camera:
+    form = None
+    if isinstance(drawn, np.ndarray):
+        form = form_of(drawn.shape, drawn.dtype)
+    if form is None:
+        is_now = type(drawn).__name__
+        if isinstance(drawn, np.ndarray):
+            is_now = f"{drawn.dtype} of shape {drawn.shape}"
+        raise DeclarationError("image", f"its render() returns no image, but {is_now}", WANTED)
+    return Camera(form, rendered=True)
+
+
+def _found_cameras(space: Space) -> tuple[Camera | None, Camera | None]:
+    if not isinstance(space, gymnasium.spaces.Dict):
+        form = image_form(space)
+        # Floats without channels may be any matrix; who means an image says so.
+        is_matrix = form is not None and form.flat and form.dtype != "uint8"
+        if form is None and looks_like_images(space):
+            raise TaskError(f"its observation is no image: {described(space)}", remedy(space))
+        return (None if form is None or is_matrix else Camera(form)), None
+    front = _entry_camera(space, FRONT)
+    if front is None or front.form.cameras == 2:
+        return front, None
+    rear = _entry_camera(space, REAR)
+    if rear is not None and rear.form.cameras == 2:
+        raise TaskError(f"its second image '{rear.path[0]}' has {rear.form.channels} channels")
+    return front, rear
+
+
+def _entry_camera(space: gymnasium.spaces.Dict, names: tuple[str, ...]) -> Camera | None:
+    name = next((name for name in names if name in space.spaces), None)
+    if name is None:
+        return None
+    form = image_form(space.spaces[name])
+    if form is None and looks_like_images(space.spaces[name]):
+        raise TaskError(
+            f"{said((name,))} is no image: {described(space.spaces[name])}",
+            remedy(space.spaces[name]),
+        )
+    return None if form is None else Camera(form, (name,))
+
+
+# -- vectors ---------------------------------------------------------------------------------------
+
+
+def _named(
+    space: Space, names: tuple[str, ...], cameras: tuple[Camera | None, Camera | None]
+) -> Vector:
+    """The entries that a declaration names, each with all that is below it; none: every vector."""
+    if not names:
+        whole = _whole(space, cameras)
+        if whole is None:
+            raise DeclarationError(
+                "state",
+                f"its observation has no vector: it is a {described(space)}",
+                "leave `state` out: the expert then learns from coarse colours of the image",
+            )
+        return whole
+    paths: dict[Path, Space] = {}
+    for name in names:
+        path = tuple(name.split("."))
+        entry = entry_space(space, path)
+        if entry is None:
+            raise DeclarationError("state", f"its observation has no entry '{name}'", known(space))
+        paths |= dict(leaves(entry, path))
+    entries = []
+    for path, entry in paths.items():
+        vector = vector_entry(path, entry)
+        if vector is None:
+            raise DeclarationError(
+                "state", f"{said(path)} has no numbers: {described(entry)}", known(space)
+            )
+        entries.append(vector)
+    return Vector(tuple(entries))
+
+
+def _found(
+    space: Space, front: Camera | None, rear: Camera | None
+) -> tuple[Vector | None, Vector | None]:
+    """What the expert reads and the state, where nothing is declared."""
+    parts = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {}
+    entries = {
+        name: entry
+        for name in (PRIVILEGED, STATE)
+        if name in parts and (entry := vector_entry((name,), parts[name])) is not None
+    }
+    if entries:
+        privileged = entries.get(PRIVILEGED) or entries[STATE]
+        state = entries.get(STATE) or entries[PRIVILEGED]
+        return Vector((privileged,)), Vector((state,))
+    if front is not None and not front.rendered:
+        return None, None
+    whole = _whole(space, (front, rear))
+    return whole, whole
+
+
+def _whole(space: Space, cameras: tuple[Camera | None, Camera | None]) -> Vector | None:
+    """Every vector of an observation; None where there is none."""
+    shown = [camera.path for camera in cameras if camera is not None and not camera.rendered]
+    entries = []
+    for path, leaf in _without_images(space, shown):
+        entry = vector_entry(path, leaf)
+        if entry is not None:
+            entries.append(entry)
+    return Vector(tuple(entries)) if entries else None
+
+
+def _without_images(space: Space, shown: list[Path]) -> Iterator[tuple[Path, Space]]:
+    for path, leaf in leaves(space):
+        is_named_so = path[-1:] != () and path[-1] in (*FRONT, *REAR)
+        is_image = looks_like_images(leaf) or (is_named_so and image_form(leaf) is not None)
+        if path not in shown and not is_image:
+            yield path, leaf
+
+
+def described(space: Space) -> str:
+    """Return a space as a short text, for messages."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        parts = [f"{name}: {described(part)}" for name, part in space.spaces.items()]
+        return f"Dict({', '.join(parts)})"
+    return f"{type(space).__name__} of shape {space.shape} and type {space.dtype}"

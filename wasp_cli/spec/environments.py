@@ -1,0 +1,160 @@
+"""Entries of a spec's `tasks` that are mappings: each declares an environment.
+
+A `Spec` has the names in `tasks`, and what is said of them in `environments`. What is wrong there
+is reported where the file has it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args
+
+from pydantic import AfterValidator, ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+from pydantic_core.core_schema import ErrorType
+
+from wasp_cli.tasks.declared import Declaration, declare
+from wasp_cli.tasks.registry import TASKS, is_foreign
+
+KEY = "[key]"  # how pydantic ends the place of a key
+TASKS_KEY, FIELD = "tasks", "environments"
+Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A document whose entries of `tasks` are names."""
+
+    document: dict[str, Any]
+    entries: Mapping[str, int]  # place in `tasks` of what is declared, by name
+    problems: tuple[Problem, ...]
+
+
+def drawn_apart(document: Mapping[str, Any]) -> Apart:
+    """Take the mappings out of `tasks`: their names stand there, and they in `environments`."""
+    problems: list[Problem] = []
+    if FIELD in document:
+        what = PydanticCustomError(
+            "extra_forbidden", "a file has no '{key}'", {"key": FIELD, "hint": "write it in tasks"}
+        )
+        problems.append(((FIELD, KEY), what, FIELD))
+    tasks = document.get(TASKS_KEY)
+    if not isinstance(tasks, list):
+        return Apart(dict(document), {}, tuple(problems))
+    names: list[Any] = []
+    declared: dict[str, Any] = {}
+    entries: dict[str, int] = {}
+    for number, entry in enumerate(tasks):
+        if not isinstance(entry, Mapping):
+            names.append(entry)
+            continue
+        name = _name(entry, number)
+        if name in declared and dict(declared[name]) != dict(entry):
+            what = PydanticCustomError(
+                "declared_twice",
+                "another environment is called '{name}' already",
+                {"name": name, "hint": "give one of them another `name`"},
+            )
+            problems.append(((TASKS_KEY, number), what, entry))
+        names.append(name)
+        declared.setdefault(name, entry)
+        entries.setdefault(name, number)
+    for name in names:
+        if isinstance(name, str):
+            # what another spec has said of it counts no more
+            declare(name, _read(declared[name]) if name in declared else None)
+    return Apart({**document, TASKS_KEY: names, FIELD: declared}, entries, tuple(problems))
+
+
+def _read(entry: Mapping[str, Any]) -> Declaration | None:
+    """Return an entry as a declaration; None where something is wrong, which the spec reports."""
+    try:
+        return Declaration.model_validate_json(json.dumps(entry), strict=True)
+    except ValidationError:
+        return None
+
+
+def _name(entry: Mapping[str, Any], number: int) -> str:
+    """The name of an entry; of one without any, something that stands for it in messages."""
+    for key in ("name", "id"):
+        if isinstance(entry.get(key), str):
+            return str(entry[key])
+    return f"entry {number + 1}"
+
+
+def placed(error: ValidationError, apart: Apart) -> ValidationError:
+    """Return the same errors at the places of the file, with those that `drawn_apart` has found."""
+    details = error.errors(include_url=False)
+    wrong = {
+        str(each["loc"][1]) for each in details if each["loc"][0] == FIELD and len(each["loc"]) > 1
+    }
+    moved: list[InitErrorDetails] = []
+    for each in details:
+        loc = each["loc"]
+        if loc[0] == FIELD and len(loc) > 1:
+            loc = (TASKS_KEY, apart.entries[str(loc[1])], *loc[2:])
+        elif loc[:1] == (TASKS_KEY,) and len(loc) > 1 and each["input"] in wrong:
+            continue  # it cannot be found as long as its entry is wrong
+        elif loc[0] == "by_task" and KEY in loc and str(each["input"]) in apart.entries:
+            continue  # the same, and it is said at the entry
+        elif each["type"] == "repeated" and loc == (TASKS_KEY,) and apart.problems:
+            continue  # that is said at the entry
+        moved.append(_again(each, loc))
+    for loc, what, value in apart.problems:
+        moved.append(InitErrorDetails(type=what, loc=loc, input=value))
+    return ValidationError.from_exception_data("Spec", moved)
+
+
+def _again(error: ErrorDetails, loc: tuple[str | int, ...]) -> InitErrorDetails:
+    context = error.get("ctx", {})
+    what = (
+        error["type"]
+        if error["type"] in get_args(ErrorType)
+        else PydanticCustomError(error["type"], error["msg"], context)
+    )
+    return InitErrorDetails(type=what, loc=loc, input=error["input"], ctx=context)
+
+
+def _declared(environments: dict[str, Declaration]) -> dict[str, Declaration]:
+    """Declare every environment, so that its name can be looked up."""
+    problems: list[InitErrorDetails] = []
+    for name, declaration in environments.items():
+        wrong = _wrong_names(name, declaration)
+        if wrong is not None:
+            field, what = wrong
+            value = getattr(declaration, field)
+            problems.append(InitErrorDetails(type=what, loc=(name, field), input=value))
+    if problems:
+        raise ValidationError.from_exception_data("environments", problems)
+    for name, declaration in environments.items():
+        declare(name, declaration)
+    return environments
+
+
+def _wrong_names(name: str, declaration: Declaration) -> tuple[str, PydanticCustomError] | None:
+    """What is wrong with the id or the name of an environment, and which of them."""
+    if not is_foreign(declaration.id):
+        hint = "write module:Id-v0, or an id that gymnasium knows"
+        if declaration.id in TASKS:
+            hint = f"'{declaration.id}' is a task of wasp: write its name alone"
+        what = PydanticCustomError(
+            "gymnasium_id",
+            "'{id}' is no gymnasium id of others",
+            {"id": declaration.id, "hint": hint},
+        )
+        return "id", what
+    if declaration.name is None:
+        return None
+    if name in TASKS or (is_foreign(name) and name != declaration.id.rpartition(":")[2]):
+        what = PydanticCustomError(
+            "taken_name",
+            "'{name}' is the name of another task",
+            {"name": name, "hint": "give the environment another `name`"},
+        )
+        return "name", what
+    return None
+
+
+Environments = Annotated[dict[str, Declaration], AfterValidator(_declared)]

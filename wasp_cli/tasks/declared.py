@@ -1,0 +1,180 @@
+"""What a spec says of an environment: where its image, its vectors, its cost and its success are.
+
+An entry of a spec's `tasks` may be a mapping. It is a `Declaration`, and travels as plain JSON in
+the settings of every node (`settings["environment"]`): so it is in the key, in what a worker gets,
+and in the manifest of a result. Whoever makes a task of a node or of a stored result first calls
+`declare_from`; `TASKS[name]` and `make_task(name, ...)` then find the environment by its name.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field, JsonValue, field_validator
+from pydantic_core import PydanticCustomError
+
+from wasp_cli.config import Config
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.references import Reference, reference
+
+ENVIRONMENT = "environment"
+"""The name of a declaration in the settings of a node."""
+RENDER, NO_IMAGE, OBSERVATION = "render", "none", "observation"
+COST_SOURCE = "cost"
+"""The cost source of a declaration that names none."""
+_ABROAD = {"name", "action_repeat"}
+"""Fields that do not travel in `settings["environment"]`: nodes have both at another place."""
+
+
+class DeclarationError(TaskError):
+    """An environment that is not as its declaration says; `field` is the line that is wrong."""
+
+    def __init__(self, field: str, message: str, hint: str | None = None) -> None:
+        super().__init__(message, hint)
+        self.field = field
+
+    def __reduce__(self) -> tuple[type[DeclarationError], tuple[str, str, str | None]]:  # type: ignore[override]
+        return type(self), (self.field, self.message, self.hint)
+
+
+class Declaration(Config):
+    """An environment, and where things are in it. What is not said is found as in an environment
+    that is named alone.
+    """
+
+    id: str = Field(description="gymnasium id, with the module that registers it: my_pkg:MyEnv-v0")
+    name: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$",
+        description="what the task is called in the spec and in tables; null: its id",
+    )
+    make: dict[str, JsonValue] = Field(default={}, description="arguments of gymnasium.make")
+    image: str | None = Field(
+        default=None,
+        min_length=1,
+        description="what assistants see: `render` (the environment's own render()), an entry of "
+        "the observation, `observation` (all of it), or `none` (they see the vectors of `state`)",
+    )
+    state: str | tuple[str, ...] | None = Field(
+        default=None,
+        min_length=1,
+        description="the vectors that the expert reads, and assistants where there is no image: "
+        "`observation` (all of it, flat, without images), or entries by name",
+    )
+    cost: str | dict[str, str] | None = Field(
+        default=None,
+        min_length=1,
+        description="info.NAME, `terminated`, or module:function, called as function(env, action, "
+        "info); several by name: their sum counts. null: info.cost",
+    )
+    success: str | None = Field(
+        default=None, description="info.NAME, `terminated`, or module:function"
+    )
+    limit: int | None = Field(
+        default=None, ge=1, description="time limit in env steps; null: as it is registered"
+    )
+    seconds: float | None = Field(
+        default=None, gt=0.0, description="of an env step; null: as its metadata says"
+    )
+    action_repeat: int | None = Field(
+        default=None, ge=1, description="env steps per decision; null: the spec's"
+    )
+
+    @field_validator("cost", "success")
+    @classmethod
+    def _refers(cls, value: str | dict[str, str] | None) -> str | dict[str, str] | None:
+        """Refuse what refers to nothing."""
+        texts = value.values() if isinstance(value, dict) else [value]
+        for text in texts:
+            if text is not None:
+                _require_reference(text)
+        return value
+
+    def plain(self) -> dict[str, Any]:
+        """Return what travels in the settings of a node, as JSON values: all that is not at its
+        default, without the name and the action repeat.
+        """
+        found = self.identity()
+        return {name: value for name, value in found.items() if name not in _ABROAD}
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether it says no more than the id alone, which then is the name of the task."""
+        return set(self.plain()) == {"id"} and self.name in (None, self.id)
+
+    @property
+    def vectors(self) -> tuple[str, ...] | None:
+        """The entries of the observation that are vectors; empty: all of it; None: not said."""
+        if self.state is None:
+            return None
+        if self.state == OBSERVATION:
+            return ()
+        return (self.state,) if isinstance(self.state, str) else self.state
+
+    @property
+    def costs(self) -> dict[str, Reference]:
+        """Where each cost source is; empty where nothing is said."""
+        if self.cost is None:
+            return {}
+        if isinstance(self.cost, str):
+            return {COST_SOURCE: reference(self.cost)}
+        return {source: reference(text) for source, text in self.cost.items()}
+
+    @property
+    def succeeds(self) -> Reference | None:
+        """Where success is."""
+        return None if self.success is None else reference(self.success)
+
+
+def _require_reference(text: str) -> None:
+    try:
+        reference(text)
+    except TaskError as error:
+        context = {"message": error.message, "hint": error.hint or ""}
+        raise PydanticCustomError("reference", "{message}", context) from error
+
+
+_declared: dict[str, Declaration] = {}
+
+
+def declare(name: str, declaration: Declaration | Mapping[str, Any] | None) -> None:
+    """Let a name mean an environment in this process, until the name is declared again.
+
+    Args:
+        name: of the task.
+        declaration: what the spec says of it, also as the JSON of a node's settings; None: the name
+            is a gymnasium id, of which nothing is said.
+
+    Raises:
+        TaskError: what a node's settings hold is no declaration.
+    """
+    if isinstance(declaration, Mapping):
+        try:
+            declaration = Declaration.model_validate_json(json.dumps(declaration), strict=True)
+        except ValueError as error:
+            raise TaskError(f"what is stored of the environment '{name}' is no declaration") from (
+                error
+            )
+    if declaration is None or declaration.is_bare:
+        _declared.pop(name, None)
+    else:
+        _declared[name] = declaration
+
+
+def declare_from(task: str, settings: object) -> None:
+    """Declare the task of a node or of a stored result from its settings."""
+    found = settings.get(ENVIRONMENT) if isinstance(settings, Mapping) else None
+    declare(task, found if isinstance(found, Mapping) else None)
+
+
+def declaration_of(name: str) -> Declaration | None:
+    """Return what was declared under a name; None where nothing was."""
+    return _declared.get(name)
+
+
+def text_of(declaration: Declaration | None) -> str:
+    """Return a declaration as JSON text, the same for equal ones; for None, `null`."""
+    plain = None if declaration is None else declaration.plain()
+    return json.dumps(plain, sort_keys=True)
