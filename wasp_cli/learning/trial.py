@@ -270,9 +270,11 @@ def _episodes(task: GymTask, seconds: float) -> Iterator[_Watched]:
 def _sight_in(observation: Observation, cameras: int) -> NDArray[Any]:
     """What an assistant sees, flat: bytes of the images, or numbers of the vector."""
     if cameras and observation.pixels is not None:
-        return observation.pixels[0, : 3 * cameras].ravel()
+        images: NDArray[Any] = observation.pixels[0, : 3 * cameras].ravel()
+        return images
     assert observation.state is not None
-    return observation.state[0].astype(np.float32)
+    vector: NDArray[Any] = observation.state[0].astype(np.float32)
+    return vector
 
 
 def _samples(watched: _Watched, ahead: int) -> Iterator[tuple[int, bool]]:
