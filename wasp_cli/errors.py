@@ -49,6 +49,10 @@ class TaskError(WaspError):
     """A task was driven wrongly: a non-finite or misshapen action, a step after the end."""
 
 
+class EnvironmentDied(TaskError):
+    """The process in which environments of a task are stepped has ended."""
+
+
 class TrainingError(WaspError):
     """A learning stage cannot go on: a non-finite loss, or data without what it needs."""
 

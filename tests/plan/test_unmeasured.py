@@ -11,10 +11,12 @@ from wasp_cli.plan import schedule, unmeasured
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against, show
+from wasp_cli.plan.tried import Tried, keep, kept
 from wasp_cli.plan.unmeasured import drives, guessed
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.declared import declare
 
 PUDDLE = ROOT / "docs/examples/puddle.yaml"
 MINUTES = 12.6
@@ -25,6 +27,12 @@ MINUTES = 12.6
 def same_speed(monkeypatch) -> None:
     for module in (schedule, unmeasured):
         monkeypatch.setattr(module, "speed", lambda: schedule.shipped()["speed"])
+
+
+@pytest.fixture(autouse=True)
+def nothing_tried(tmp_path, monkeypatch) -> None:
+    """What the user of this machine has tried counts for nothing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def planned(folder: Path, *settings: str, spec: Path = PUDDLE) -> Plan:
@@ -65,6 +73,35 @@ def test_what_one_node_shows_of_an_environment_counts_for_all_that_drive_in_it(t
     assert drives(of(plan, "dataset")) == 24_000
     assert drives(of(plan, "evaluate")) == 10 * 50
     assert drives(of(plan, "critics")) == 0
+
+
+def test_what_was_tried_counts_where_no_node_has_ended(tmp_path):
+    plan = planned(tmp_path)
+    presets = plan.grid.presets
+    alone = guessed(plan.to_run(), presets, [])
+    keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.001, length=200.0))
+    known = guessed(plan.to_run(), presets, [])
+    assert not known.decisions
+    for kind, of_a_decision in (("expert", 4 * 0.001), ("dataset", 4 * 0.003)):
+        node = of(plan, kind)
+        more = known.seconds[node.sort] - alone.seconds[node.sort]
+        assert more == pytest.approx(of_a_decision * drives(node))
+    keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.001, length=100.0))
+    assert drives(of(plan, "evaluate")) == 10 * 25, "episodes are as long as they were met"
+    expert, took = of(plan, "expert"), 1000.0
+    measured = guessed(plan.to_run(), presets, [(expert, took)])
+    assert measured.seconds[expert.sort] == pytest.approx(took), "a node that has ended counts more"
+
+
+def test_a_tried_environment_counts_as_it_is_declared():
+    name = "puddle:Puddle-v0"
+    keep(name, Tried(0.003, 0.001, 200.0))
+    declare(name, {"id": name, "limit": 60})
+    try:
+        assert kept(name) is None
+    finally:
+        declare(name, None)
+    assert kept(name) == Tried(0.003, 0.001, 200.0)
 
 
 def test_a_machine_on_which_learning_takes_longer_is_believed(tmp_path):

@@ -383,7 +383,7 @@ def test_an_environment_that_keeps_its_own_time_limit_may_say_so():
 
 def test_facts_and_modules_say_what_moves_results():
     info = TASKS["puddle:Puddle-v0"]
-    assert info.modules == ("wasp_cli.tasks.foreign.task", "puddle")
+    assert info.modules == ("wasp_cli.tasks.foreign.processes", "puddle")
     facts = info.facts()
     assert (
         facts["env_seconds"],

@@ -14,7 +14,15 @@ from typing import Annotated
 import typer
 
 from wasp_cli import __version__
-from wasp_cli.cli import doctor, drive, inspect, report, run, spec  # noqa: F401 (each adds its commands)
+from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
+    doctor,
+    drive,
+    inspect,
+    report,
+    run,
+    spec,
+    try_out,
+)
 from wasp_cli.cli.options import app, flag
 from wasp_cli.tasks.foreign.closing import environments
 

@@ -3,7 +3,8 @@ a preset without figures, of other sizes.
 
 What such a node learns takes as long as on our tasks, by the shipped figures and its sizes. What it
 drives takes longer by as much for each decision as the finished nodes of its environment show;
-before there are any, that time is not known, and the number of decisions is told instead.
+before there are any, by what `wasp try` has measured here. Where it was not tried, that time is not
+known, and the number of decisions is told instead.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from typing import Any
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.schedule import SIZES, figures_like, shipped, speed, units
+from wasp_cli.plan.tried import Tried, kept
 from wasp_cli.spec.presets import PRESETS, preset_values
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
 DRIVES = ("expert", "dataset", "residual")
@@ -54,6 +57,8 @@ def guessed(
         if unit is None:
             continue
         extra = _of_a_decision(node.task, preset, here)
+        if extra is None:
+            extra = _as_tried(node)
         if drives(node) and extra is None:
             decisions[node.sort] = drives(node)
         share = 1.0 if drives(node) else _of_learning(node.task, preset, here)
@@ -94,6 +99,16 @@ def _of_a_decision(task: str, preset: str, here: Mapping[str, list[_Done]]) -> f
     return median(beyond) if beyond else None
 
 
+def _as_tried(node: Node) -> float | None:
+    """Seconds of a decision as `wasp try` has measured it on this machine, or None."""
+    found = _tried(node.task)
+    if found is None:
+        return None
+    looks = STAGES[node.kind].reads_images
+    step = found.step_seconds if looks else found.bare_seconds
+    return step * int(node.settings.get("action_repeat", REPEAT))
+
+
 def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float:
     """How many times as long as the figures say learning takes for a task here."""
     shares = [
@@ -122,15 +137,20 @@ def drives(node: Node) -> int:
 
 
 def _length(node: Node) -> int:
-    """Decisions of an episode at most."""
+    """Decisions of an episode, at most or as they were met."""
     if node.kind not in (*BY_LENGTH, "diagnostics", "counterfactual", "policies"):
         return 1
     return max(_env_steps(node.task) // int(node.settings.get("action_repeat", REPEAT)), 1)
 
 
-@cache
 def _env_steps(task: str) -> int:
-    return TASKS[task].env_steps
+    """Env steps of an episode: up to the time limit, or as many as simple drivers have made."""
+    found = _tried(task)
+    return TASKS[task].env_steps if found is None else round(found.length)
+
+
+def _tried(task: str) -> Tried | None:
+    return None if task in TASKS.own else kept(task)
 
 
 def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:

@@ -25,7 +25,14 @@ from threadpoolctl import threadpool_limits
 from wasp_cli import seeds
 from wasp_cli.config import Config
 from wasp_cli.console import duration
-from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
+from wasp_cli.errors import (
+    ArtifactError,
+    EnvironmentDied,
+    SourceChanged,
+    StoreError,
+    TrainingError,
+    WaspError,
+)
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATOR_CLONE
@@ -195,7 +202,8 @@ class Envelope:
                 f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""),
                 file=sys.stderr,
             )
-            return self._failed(error.message, error.hint, by_chance=isinstance(error, StoreError))
+            by_chance = isinstance(error, StoreError | EnvironmentDied)
+            return self._failed(error.message, error.hint, by_chance=by_chance)
         traceback.print_exception(error)
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""

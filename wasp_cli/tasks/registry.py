@@ -105,7 +105,7 @@ class ForeignInfo(_Named):
         registered = name if declaration is None else declaration.id
         gym_id = registered.rpartition(":")[2]
         title = gym_id if registered == name else name
-        super().__init__(name, title, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
+        super().__init__(name, title, gym_id, "wasp_cli.tasks.foreign.processes:foreign_task")
 
     def examine(self) -> Facts:
         """Return what the environment says of itself."""

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol, TextIO, runtime_checkable
 
 from wasp_cli.errors import described
 from wasp_cli.tasks.foreign.limit import LimitReached, left_after, process_ended_after
@@ -32,6 +32,15 @@ HINT = (
 
 class Closable(Protocol):
     def close(self) -> Any: ...
+
+
+@runtime_checkable
+class Elsewhere(Protocol):
+    """Environments in other processes, which keep the time that they may take there."""
+
+    def close_elsewhere(self) -> list[str]:
+        """Close them, and return what went wrong."""
+        ...
 
 
 @dataclass(eq=False)
@@ -50,6 +59,8 @@ class Scope:
     native code that does not come back. None: it does not end itself."""
     troubles: list[str] = field(default_factory=list)
     """What went wrong in closing, by environment."""
+    quiet: bool = False
+    """Whether somebody else says what went wrong."""
 
 
 _opened: list[_Opened] = []
@@ -58,15 +69,17 @@ _slow: set[str] = set()  # names of environments of which one did not close in t
 
 
 @contextmanager
-def environments(last_words: Path | TextIO | None = None) -> Iterator[Scope]:
+def environments(
+    last_words: Path | TextIO | None = None, *, quiet: bool = False
+) -> Iterator[Scope]:
     """Close at the end of the block, however that comes, every environment that is open.
 
     Processes that environments start in the block end with this one at the latest. `last_words` is
-    what `Scope` says; where it is None, what holds around the block.
+    what `Scope` says; where it is None, what holds around the block. `quiet` is said there too.
     """
     if last_words is None and _scopes:
         last_words = _scopes[-1].last_words
-    scope = Scope(last_words)
+    scope = Scope(last_words, quiet=quiet)
     with marking():
         _scopes.append(scope)
         try:
@@ -111,7 +124,12 @@ def close_all() -> None:
 def _close_some(chosen: list[_Opened]) -> None:
     for one in chosen:
         while one.envs:
-            close(one.name, one.envs.pop())
+            env = one.envs.pop()
+            if not isinstance(env, Elsewhere):
+                close(one.name, env)
+                continue
+            for trouble in env.close_elsewhere():
+                _say(trouble)
         _opened.remove(one)
 
 
@@ -157,6 +175,8 @@ def _say(trouble: str) -> None:
     if trouble in troubles:
         return
     troubles.append(trouble)
+    if _scopes and _scopes[-1].quiet:
+        return
     print(f"warning: {trouble}\n  {HINT}", file=sys.stderr)
 
 

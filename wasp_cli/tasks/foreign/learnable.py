@@ -63,13 +63,16 @@ class Findings:
     summary: str  # what the drivers met, in a sentence
 
 
-def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
+def findings_of(
+    name: str, action_repeat: int, steps: int = STEPS, *, costs: bool = False
+) -> Findings:
     """Drive through a foreign environment, and say whether assistants can learn in it.
 
     Args:
         name: its gymnasium id, with the module before the colon.
         action_repeat: env steps of a decision.
         steps: env steps that each driver takes at most.
+        costs: whether it is known that it costs at times.
 
     Raises:
         TaskError: a call into the environment failed, or its worlds do not follow their seeds.
@@ -88,7 +91,7 @@ def findings_of(name: str, action_repeat: int, steps: int = STEPS) -> Findings:
         driven = [_driven(label, one, steps, drivers[label], facts) for label in drivers]
         info = _told(one)
     sight = "image" if facts.views.cameras else "vector"
-    problems = _problems(driven, indifferent, action_repeat, sight)
+    problems = _problems(driven, indifferent, action_repeat, sight, costs)
     notes = list(_notes(driven, facts, info, worlds, restored, action_repeat))
     return Findings(problems, notes, _summary(driven))
 
@@ -181,16 +184,16 @@ def _told(env: GymEnv) -> frozenset[str]:
 
 
 def _problems(
-    driven: list[Driven], indifferent: bool, action_repeat: int, sight: str
+    driven: list[Driven], indifferent: bool, action_repeat: int, sight: str, costs: bool
 ) -> list[tuple[str, str]]:
-    """`sight`: what assistants see."""
+    """`sight`: what assistants see; `costs`: whether it is known that it costs at times."""
     steps = sum(each.steps for each in driven)
     costly = sum(each.costly for each in driven)
     lengths = [length for each in driven for length in each.lengths]
     images = set().union(*(each.images for each in driven))
     who = f"{steps} env steps of random, held and middle commands"
     problems = []
-    if costly == 0:
+    if costly == 0 and not costs:
         problems.append(
             (
                 f"it never costs: not once in {who}",

@@ -35,7 +35,7 @@ Ints = NDArray[np.int64]
 
 class GymTask:
     """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect,
-    they are stepped one after the other.
+    they are stepped one after the other (`processes` steps them side by side).
     """
 
     def __init__(

@@ -1,0 +1,44 @@
+"""A spec to start with, for an environment that was tried."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+BODY = """\
+methods: [human, wasp, expert]
+operators:
+  noisy: {moderate: 0.4}
+  reaction-time: {moderate: 0.4}      # seconds
+seeds: [0]
+episodes: 10
+"""
+
+
+def starter(entry: Mapping[str, Any], preset: str, remarks: Mapping[str, str]) -> str:
+    """Return the text of a spec.
+
+    Args:
+        entry: the environment, as an entry of `tasks`.
+        preset: its sizes.
+        remarks: by key of the entry, a comment behind its line.
+    """
+    named = str(entry.get("name", entry["id"])).rpartition(":")[2]
+    name = re.sub(r"[^a-z0-9]+", "-", re.sub(r"-v\d+$", "", named).lower()).strip("-") or "tried"
+    lines = [f"name: {name}", f"preset: {preset}", "tasks:"]
+    for number, (key, value) in enumerate(entry.items()):
+        line = f"  {'-' if number == 0 else ' '} {key}: {_yaml(value)}"
+        if key in remarks:
+            line += f"      # {remarks[key]}"
+        lines.append(line)
+    return "\n".join(lines) + "\n" + BODY
+
+
+def _yaml(value: object) -> str:
+    """A value in the flow style of YAML: JSON, but for texts that need no quotes."""
+    if isinstance(value, str) and re.fullmatch(r"[A-Za-z][\w./:-]*[\w]", value):
+        plain = value.lower() not in ("true", "false", "null", "yes", "no", "on", "off")
+        return value if plain else json.dumps(value)
+    return json.dumps(value)

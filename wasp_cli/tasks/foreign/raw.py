@@ -1,0 +1,123 @@
+"""What an environment is by itself, before anything is asked of it: its spaces, and the entries of
+its `info` as they were met. That helps to say where its cost is.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from wasp_cli.tasks.foreign.calls import GymEnv, calling, five_values, number_of, of_environment
+from wasp_cli.tasks.foreign.examine import find_spec, made
+from wasp_cli.tasks.foreign.layers import env_seconds, env_steps, from_metadata
+from wasp_cli.tasks.foreign.surroundings import printing_aside
+
+STEPS, SECONDS = 400, 8.0  # that are taken at most, in env steps and in s
+COSTS = re.compile(
+    r"cost|crash|collision|collided|damage|unsafe|violat|off_?road|off_?track|hazard|hurt|fell|lava",
+    re.IGNORECASE,
+)
+"""Names of entries that may be a cost."""
+SUCCESSES = re.compile(r"success|goal_reached|arrived|lap_finished|solved", re.IGNORECASE)
+"""Names of entries that may be a success."""
+
+
+@dataclass
+class Entry:
+    """An entry of `info`; `a.b` is the entry b of the dictionary a."""
+
+    name: str
+    kind: str  # its type
+    least: float | None = None  # of numbers and bools
+    most: float | None = None
+    met: int = 0  # steps in which it was there
+
+
+@dataclass
+class Raw:
+    """What was met in random steps."""
+
+    observation: gymnasium.Space[Any]
+    action: gymnasium.Space[Any]
+    draws: bool  # whether it has the render mode rgb_array
+    limit: int | None  # env steps
+    seconds: float | None  # of an env step
+    steps: int = 0
+    ends: int = 0
+    entries: dict[str, Entry] = field(default_factory=dict)
+
+    def may_be(self, names: re.Pattern[str]) -> list[str]:
+        """Return entries that are numbers of at least 0, are there in every step, and whose name
+        contains one of `names`.
+        """
+        return [
+            entry.name
+            for entry in self.entries.values()
+            if names.search(entry.name)
+            and entry.met == self.steps
+            and entry.least is not None
+            and entry.least >= 0.0
+        ]
+
+
+def raw(name: str) -> Raw:
+    """Take random steps in an environment, of any actions.
+
+    Raises:
+        TaskError: it cannot be made, or does not step.
+    """
+    with printing_aside(), made(name) as env, of_environment(name):
+        found = Raw(
+            env.observation_space,
+            env.action_space,
+            "rgb_array" in (from_metadata(env, "render_modes") or ()),
+            env_steps(env, find_spec(name).max_episode_steps),
+            env_seconds(env),
+        )
+        _drive(env, found)
+        return found
+
+
+def _drive(env: GymEnv, found: Raw) -> None:
+    env.action_space.seed(0)
+    end = time.perf_counter() + SECONDS
+    seed, is_over, length = 0, True, 0
+    while found.steps < STEPS and time.perf_counter() < end:
+        if is_over:
+            with calling("reset"):
+                env.reset(seed=seed)
+            seed, length = seed + 1, 0
+        with calling("step"):
+            returned = env.step(env.action_space.sample())
+        _, _, terminated, truncated, info = five_values(returned)
+        found.steps += 1
+        length += 1
+        _note("", info, found.entries)
+        is_over = bool(terminated) or bool(truncated) or length == found.limit
+        found.ends += is_over
+
+
+def _note(above: str, info: Mapping[Any, Any], entries: dict[str, Entry]) -> None:
+    for key, value in info.items():
+        name = f"{above}{key}"
+        if isinstance(value, Mapping):
+            _note(f"{name}.", value, entries)
+            continue
+        entry = entries.setdefault(name, Entry(name, _kind(value)))
+        entry.met += 1
+        number = number_of(value)
+        if number is not None and np.isfinite(number):
+            entry.least = number if entry.least is None else min(entry.least, number)
+            entry.most = number if entry.most is None else max(entry.most, number)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {list(value.shape)}"
+    return type(value).__name__
