@@ -87,7 +87,6 @@ class ExpertStage:
             "zero": evaluate_zero(blind, worlds).statistics(goals),
             "random": evaluate_random(blind, worlds, drawn).statistics(goals),
         }
-        (job.out_dir / "references.json").write_text(finite_json(references))
         limit: dict[str, float] = {}
         if config.cost_limit == "auto":
             limit["cost_limit"] = chosen_limit(references["random"]["cost_per_1000"] or 0.0)
@@ -115,6 +114,7 @@ class ExpertStage:
         (job.out_dir / "evaluation.json").write_text(
             finite_json({f"{f:g}": row for f, row in evaluation.items()})
         )
+        (job.out_dir / "references.json").write_text(finite_json(references))
         first, last = config.checkpoints[0], config.checkpoints[-1]
         verdict = (
             {"accepted": json.loads(asked.read_text())[-1]["accepted"]} if asked.exists() else {}
