@@ -82,7 +82,7 @@ def test_good_numbers_reach_every_bar_and_absent_ones_are_not_judged(kind, summa
             EXPERT | {"multiplier": 5.0, "cost_limit": 3.0},
             ["out of its reach", "limit of 3 "],
         ),
-        ("dataset", DATASET | {"costly_share": 0.00875}, ["210 of 24,000", "0.88%"]),
+        ("dataset", DATASET | {"costly_share": 0.00375}, ["90 of 24,000", "0.38%"]),
         (
             "dataset",
             DATASET | {"sources_not_seen": 1, "unseen_sources": "fire"},
@@ -102,7 +102,6 @@ def test_good_numbers_reach_every_bar_and_absent_ones_are_not_judged(kind, summa
         # (6 - 2) of (12 - 2)
         ("policies", POLICIES | {"return": 6.0}, ["keeps 40%", "6 of 12", "random commands (2)"]),
         ("policies", POLICIES | {"cost": 5.0}, ["costs 5", "1.5", "8"]),
-        ("calibration", CALIBRATION | {"safety_rate": 0.0}, ["never fires", "tau_c is 1", "0.5"]),
         ("calibration", CALIBRATION | {"safety_rate": 0.97}, ["97%"]),
     ],
 )
@@ -117,6 +116,10 @@ def test_a_clear_margin_counts_the_spread_of_both():
     close = EXPERT | {"random": reference(10.5, 40.0)}
     assert not sentences("expert", close), "1.5 is more than two standard errors of .71"
     assert sentences("expert", close | {"return_se": 1.0})
+
+
+def test_a_safety_gate_that_spares_a_safe_expert_is_fine():
+    assert not sentences("calibration", CALIBRATION | {"safety_rate": 0.0})
 
 
 def test_a_multiplier_at_its_floor_is_fine_where_the_expert_costs_little():

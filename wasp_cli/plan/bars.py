@@ -16,9 +16,9 @@ from typing import Any
 Summary = Mapping[str, Any]
 
 CLEAR = 2.0  # standard errors by which an expert has to beat commands that know nothing
-COSTLY_ROWS = 400
-"""Costly decisions that a dataset should have: with ViZDoom's 210 the model stayed at chance; the
-least of this package's tasks has ten times as many.
+COSTLY_ROWS = 100
+"""Costly decisions that a dataset should have. A lander's 204, one in an episode, were enough to
+foresee its crashes; the least of this package's tasks has twenty times as many.
 """
 FORESEEN = 0.25
 """Share of what the best trivial forecast leaves (1 minus its AUPRC) that the model has to foresee.
@@ -239,22 +239,17 @@ def _policies(measured: Measured) -> list[Shortfall]:
 
 
 def _calibration(measured: Measured) -> list[Shortfall]:
-    """How often the safety gate fires at an unimpaired expert's held-out decisions."""
+    """How often the safety gate fires at an unimpaired expert's held-out decisions.
+
+    Never is no shortfall there: the expert may be safe. Whether it fires where operators err is
+    told by their cells.
+    """
     summary = measured.summary
     rate, threshold = _number(summary, "safety_rate"), _number(summary, "tau_c")
     if rate is None or threshold is None:
         return []
     expected = _number(summary, "g_cost_p95")
     against = "" if expected is None else f"; 95 % of the expected costs are below {expected:.2g}"
-    if rate == 0.0:
-        return [
-            Shortfall(
-                f"the safety gate never fires on held-out decisions: tau_c is "
-                f"{_short(threshold)}{against}",
-                "lower `tau_c`, or write `auto`; where expected costs are near 0 everywhere, the "
-                "world model does not know the cost",
-            )
-        ]
     if rate >= ALWAYS:
         return [
             Shortfall(
