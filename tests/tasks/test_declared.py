@@ -258,6 +258,12 @@ def pushed(env, action, info):
 
 def lost(env, action, info):
     return None
+
+def places(env):
+    return [*env.unwrapped.state, 7.0]
+
+def nowhere(env):
+    return [float("nan")]
 """
 
 
@@ -297,10 +303,38 @@ def test_the_end_of_an_episode_may_cost():
     assert paid == [0] * (len(paid) - 1) + [1]
 
 
-def test_a_function_is_in_the_key_of_results(functions):
+@pytest.mark.parametrize("said", [{"cost": "beam_costs:low"}, {"state": "beam_costs:places"}])
+def test_a_function_is_in_the_key_of_results(said, functions):
     name = registered(Beam)
-    declare(name, Declaration(id=name, cost=f"{functions}:low"))
+    declare(name, Declaration(id=name, **said))
     assert functions in TASKS[name].modules
+
+
+IMAGE_ALONE = {
+    "observation_space": BOX(0, 255, (64, 64, 3), np.uint8),
+    "seen": lambda self: np.full((64, 64, 3), int(200 * self.state[0]), np.uint8),
+}
+
+
+def test_a_function_may_measure_what_the_expert_reads_beside_an_image(functions):
+    for image in (None, "observation"):
+        task = declared(variant(**IMAGE_ALONE), state=f"{functions}:places", image=image)
+        seen = task.reset([0])
+        assert (task.cameras, task.privileged_size) == (1, 4)
+        state = seen.privileged[0]
+        assert state[3] == 7.0
+        assert seen.pixels[0, 0, 0, 0] == int(200 * state[0])
+        after = task.step(np.zeros((1, 2))).observation
+        assert after.privileged[0, 0] != state[0]
+        assert after.pixels[0, 0, 0, 0] == int(200 * after.privileged[0, 0])
+
+
+def test_a_function_may_measure_what_assistants_see_without_an_image(functions):
+    task = declared(state=f"{functions}:places", image="none")
+    seen = task.reset([0])
+    assert seen.pixels is None
+    np.testing.assert_allclose(seen.state, seen.privileged)
+    assert seen.state.shape == (1, 4)
 
 
 @pytest.mark.parametrize(
@@ -313,6 +347,8 @@ def test_a_function_is_in_the_key_of_results(functions):
         ({"cost": "beam_costs:nobody"}, "cost", "no function 'nobody'"),
         ({"cost": "no_such_module:f"}, "cost", "no_such_module"),
         ({"success": "info.won"}, "success", "no info.won"),
+        ({"state": "beam_costs:nobody"}, "state", "no function 'nobody'"),
+        ({"state": "beam_costs:nowhere"}, "state", "beam_costs:nowhere is [nan]"),
         ({"image": "camera"}, "image", "no entry 'camera'"),
         ({"make": {"gian": 1}}, "make", "gian"),
     ],

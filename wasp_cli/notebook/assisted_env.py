@@ -25,7 +25,7 @@ from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.notebook.assistant import AssistantDecision, LoadedAssistant
 from wasp_cli.notebook.perceived import perceived, require_sight, seen_through
 from wasp_cli.tasks.declared import RENDER, declaration_of
-from wasp_cli.tasks.foreign.translated import Translated
+from wasp_cli.tasks.foreign.translated import translated
 from wasp_cli.tasks.foreign.views import Views, views_of
 from wasp_cli.tasks.gym import TaskEnv
 
@@ -74,7 +74,7 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         )
         declaration = declaration_of(assistant.task)
         if declaration is not None:
-            env = Translated(env, declaration)  # which says its cost and its success
+            env = translated(env, declaration)  # which says its cost and its success
         gymnasium.Wrapper.__init__(self, env)
         self.assistant = assistant.another()
         self.action_repeat = _repeat(env, assistant, action_repeat)

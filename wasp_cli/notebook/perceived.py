@@ -139,6 +139,8 @@ def _pixels(row: Any, own: bool, declaration: Declaration | None) -> Pixels:
         return out
     if declaration is not None and declaration.image == RENDER:
         declaration = declaration.model_copy(update={"image": None})  # it is drawn already
+    if declaration is not None and declaration.measured is not None:
+        declaration = declaration.model_copy(update={"state": None})  # assistants do not see it
     views = views_of(_space(row), declaration)
     require_sight(views, IMAGE)
     nobody: Any = None  # nothing is drawn here

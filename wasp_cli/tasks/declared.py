@@ -22,6 +22,8 @@ from wasp_cli.tasks.references import Reference, reference
 ENVIRONMENT = "environment"
 """The name of a declaration in the settings of a node."""
 RENDER, NO_IMAGE, OBSERVATION = "render", "none", "observation"
+MEASURED = "state"
+"""The entry of an observation that a function of the declaration fills."""
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 COST_SOURCE = "cost"
 """The cost source of a declaration that names none."""
@@ -62,7 +64,8 @@ class Declaration(Config):
         default=None,
         min_length=1,
         description="the vectors that the expert reads, and assistants where there is no image: "
-        "`observation` (all of it, flat, without images), or entries by name",
+        "`observation` (all of it, flat, without images), entries by name, or module:function, "
+        "called as function(env), which returns one",
     )
     cost: str | dict[str, str] | None = Field(
         default=None,
@@ -93,6 +96,14 @@ class Declaration(Config):
                 _require_reference(text)
         return value
 
+    @field_validator("state")
+    @classmethod
+    def _names(cls, value: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        """Refuse a text that looks like a function and is none."""
+        if isinstance(value, str) and ":" in value:
+            _require_reference(value)
+        return value
+
     def plain(self) -> dict[str, Any]:
         """Return what travels in the settings of a node, as JSON values: all that is not at its
         default, without the name and the action repeat.
@@ -112,7 +123,16 @@ class Declaration(Config):
             return None
         if self.state == OBSERVATION:
             return ()
+        if self.measured is not None:
+            return (MEASURED,)
         return (self.state,) if isinstance(self.state, str) else self.state
+
+    @property
+    def measured(self) -> Reference | None:
+        """The function that returns the vector; None where it is in the observation."""
+        if isinstance(self.state, str) and ":" in self.state:
+            return reference(self.state)
+        return None
 
     @property
     def costs(self) -> dict[str, Reference]:

@@ -34,7 +34,7 @@ from wasp_cli.tasks.foreign.registration import registration_text
 from wasp_cli.tasks.foreign.replayed import with_snapshots
 from wasp_cli.tasks.foreign.started import mark
 from wasp_cli.tasks.foreign.surroundings import go_headless, printing_aside
-from wasp_cli.tasks.foreign.translated import Translated, functions_of
+from wasp_cli.tasks.foreign.translated import functions_of, translated
 from wasp_cli.tasks.foreign.views import Views, rendered, views_of
 from wasp_cli.tasks.foreign.worlds import (
     AGAIN,
@@ -270,7 +270,7 @@ def make_env(name: str, renders: bool = False, draws: bool = False) -> GymEnv:
         raise _not_made(name, spec, error, declaration) from error
     if declaration is not None:
         with of_environment(name):
-            env = Translated(env, declaration)
+            env = translated(env, declaration)
     limit = None if declaration is None else declaration.limit
     return with_snapshots(env, env_steps(env, limit or registered) or 0)
 

@@ -10,16 +10,21 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
+import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.registry import import_here
-from wasp_cli.tasks.declared import Declaration, DeclarationError
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.declared import MEASURED, Declaration, DeclarationError
 from wasp_cli.tasks.foreign.calls import GymEnv, calling, five_values, number_of, shown
+from wasp_cli.tasks.foreign.images import image_form
 from wasp_cli.tasks.references import Reference
 
 Function = Callable[[GymEnv, Any, Mapping[str, Any]], Any]
 """Called as function(env, action, info): `action` is what the environment got, `info` what its step
 returned."""
+FRONT_IMAGE = "image"
+"""What an observation is called that is an image, beside what is measured."""
 _KINDS = {"cost": "a finite number of at least 0", "success": "True or False"}
 
 
@@ -54,12 +59,77 @@ class Translated(gymnasium.Wrapper[Any, Any, Any, Any]):
         return seen, reward, terminated, truncated, told
 
 
+class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Every observation has what a function measures in the environment, as an entry `state`.
+
+    An observation that is no dictionary becomes one: it is the entry `image`, or `observation`
+    where it is no image.
+    """
+
+    def __init__(self, env: GymEnv, where: Reference) -> None:
+        """Raises DeclarationError: the function cannot be imported, or returns no vector."""
+        super().__init__(env)
+        self._where = where
+        self._function: Callable[[GymEnv], Any] = _imported(
+            "state", where, "(env), which returns a vector"
+        )
+        space = env.observation_space
+        self._entry = ""  # what the observation is called; nothing where it has entries
+        if isinstance(space, gymnasium.spaces.Dict):
+            below = dict(space.spaces)
+        else:
+            self._entry = "observation" if image_form(space) is None else FRONT_IMAGE
+            below = {self._entry: space}
+        with calling("reset"):
+            env.reset(seed=0)  # before it, there may be nothing to measure
+        vector = gymnasium.spaces.Box(-np.inf, np.inf, self._measure().shape, np.float64)
+        self.observation_space = gymnasium.spaces.Dict({**below, MEASURED: vector})
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, and measure."""
+        seen, info = self.env.reset(**options)
+        return self._with_state(seen), info
+
+    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step the environment, and measure."""
+        seen, reward, terminated, truncated, info = five_values(self.env.step(action))
+        return self._with_state(seen), reward, terminated, truncated, dict(info)
+
+    def _with_state(self, seen: Any) -> dict[str, Any]:
+        entries = {self._entry: seen} if self._entry else seen
+        return {**entries, MEASURED: self._measure()}
+
+    def _measure(self) -> Floats:
+        with calling(f"state function '{self._where.text}'"):
+            found = self._function(self.env)
+        try:
+            values: Floats = np.asarray(found, np.float64).ravel()
+        except (TypeError, ValueError) as error:
+            raise DeclarationError(
+                "state", f"{self._where.text} is {shown(found)}", "return a list of numbers"
+            ) from error
+        if not values.size or not np.isfinite(values).all():
+            raise DeclarationError(
+                "state", f"{self._where.text} is {shown(found)}", "return finite numbers"
+            )
+        return values
+
+
+def translated(env: GymEnv, declaration: Declaration) -> GymEnv:
+    """Return an environment that shows and tells everything as a declaration says."""
+    if declaration.measured is not None:
+        env = Measured(env, declaration.measured)
+    return Translated(env, declaration)
+
+
 class _Reading:
     """How one value of a step is read."""
 
     def __init__(self, field: str, where: Reference) -> None:
         self._field, self._where = field, where
-        self._function = _imported(field, where) if where.module else None
+        self._function: Function | None = None
+        if where.module:
+            self._function = _imported(field, where, "(env, action, info), which returns a number")
 
     def value(self, env: GymEnv, action: Any, info: Mapping[str, Any], terminated: object) -> float:
         """Return the value of the step that was just taken.
@@ -105,8 +175,14 @@ def _holds(found: object) -> str:
     return f"has {names[:200]}" if names else "is empty"
 
 
-def _imported(field: str, where: Reference) -> Function:
-    """Import the function that a reference names; its module may lie in the current folder."""
+def _imported(field: str, where: Reference, form: str) -> Callable[..., Any]:
+    """Import the function that a reference names; its module may lie in the current folder.
+
+    Args:
+        field: of the declaration.
+        where: the reference.
+        form: arguments and value of the function, for messages.
+    """
     try:
         import_here(where.module)
     except WaspError as error:
@@ -116,9 +192,9 @@ def _imported(field: str, where: Reference) -> Function:
         raise DeclarationError(
             field,
             f"module '{where.module}' has no function '{where.function}'",
-            f"write in it: def {where.function}(env, action, info), which returns a number",
+            f"write in it: def {where.function}{form}",
         )
-    made: Function = function
+    made: Callable[..., Any] = function
     return made
 
 
@@ -126,6 +202,6 @@ def functions_of(declaration: Declaration | None) -> list[str]:
     """Return the modules of the functions that a declaration names: keys cover their source."""
     if declaration is None:
         return []
-    references = [*declaration.costs.values(), declaration.succeeds]
+    references = [*declaration.costs.values(), declaration.succeeds, declaration.measured]
     modules = [where.module for where in references if where is not None and where.module]
     return list(dict.fromkeys(modules))

@@ -195,6 +195,8 @@ def _cameras(space: Space, image: str | None, drawn: Any) -> tuple[Camera | None
     if image == RENDER:
         return _drawn_camera(drawn), None
     path = () if image == OBSERVATION else tuple(image.split("."))
+    if path == () and isinstance(space, gymnasium.spaces.Dict) and FRONT[1] in space.spaces:
+        path = (FRONT[1],)  # it stands beside what is measured
     entry = entry_space(space, path)
     if entry is None:
         raise DeclarationError(
